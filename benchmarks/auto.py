@@ -31,7 +31,7 @@ import numpy as np
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, _progress
 from taciturn.errors import TaciturnError
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 PROBLEMS, SEED = 50, 20_240

@@ -27,12 +27,12 @@ from taciturn.export.sizes import find_tool, measure_sizes
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
 from taciturn.model.policy import Assign, Decide, Policy
-from taciturn.program.c import literal
+from taciturn.program.c import c_literal
 from taciturn.program.ops import Precision
 from taciturn_boards.cortex import (
     M3,
     M4F,
-    Board,
+    EmulatedBoard,
     Main,
     compile_for,
     count_instructions,
@@ -51,14 +51,14 @@ POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is c
     "chapter 6, rover": ("rover", {}),
     "chapter 7, lossy-double-integrator": ("lossy-double-integrator", {}),
 }
-DEVICES: dict[str, tuple[Board, Precision]] = {
+DEVICES: dict[str, tuple[EmulatedBoard, Precision]] = {
     "M3 float64": (M3, "float64"),
     "M4F float64": (M4F, "float64"),
     "M4F float32": (M4F, "float32"),
 }
 CONTESTS = {**DEVICES, "M3 float32": (M3, "float32")}
 BY_HAND = Path(__file__).parent / "two_mass_by_hand.c"
-UNFUSED = '#pragma GCC optimize("fp-contract=off")'  # of taciturn.h
+UNFUSED = '#pragma GCC optimize("fp-contract=off")'  # of taciturn_packet.h
 
 
 def loop_of(file: str, changes: dict[str, object], precision: Precision) -> Loop:
@@ -97,7 +97,7 @@ def numbers(policy: Policy, precision: Precision) -> str:
     silent, send = trigger.options["silent"], trigger.options["send"]
 
     def write(values: Array) -> str:
-        return "{" + ", ".join(map(write, values)) + "}" if values.ndim else literal(float(values), precision)
+        return "{" + ", ".join(map(write, values)) + "}" if values.ndim else c_literal(float(values), precision)
 
     found = {"A": A, "B": B.ravel(), "K": K, "L": L.ravel(), "CLOSED": A + B @ L}
     lines = [
@@ -106,7 +106,7 @@ def numbers(policy: Policy, precision: Precision) -> str:
     ]
     scalars = {"WEIGHT": -silent.Psi[0, 0], "PRICE": silent.Psi[5, 5], "LEVEL": send.constant}
     scalars["PERIOD"] = A[0, 2] + A[0, 3]  # what two velocities that are equal add to a position
-    lines += [f"#define {name} {literal(float(value), precision)}" for name, value in scalars.items()]
+    lines += [f"#define {name} {c_literal(float(value), precision)}" for name, value in scalars.items()]
     return "\n".join(['#include "taciturn.h"', *lines]) + "\n"
 
 
@@ -130,9 +130,9 @@ def contest(name: str, fused: bool = False) -> dict[str, Any]:
 
 def let_fuse(folder: CFolder) -> CFolder:
     """Return sources whose products and sums the compiler may fuse, against the design's bits."""
-    header = folder.files["taciturn.h"]
+    header = folder.files["taciturn_packet.h"]
     assert UNFUSED in header
-    return replace(folder, files={**folder.files, "taciturn.h": header.replace(UNFUSED, "")})
+    return replace(folder, files={**folder.files, "taciturn_packet.h": header.replace(UNFUSED, "")})
 
 
 def tools() -> dict[str, str]:

@@ -55,15 +55,15 @@ def numbers(loop: Loop) -> str:
     gain, L = (np.asarray(steps[a][b]) for a, b in (("estimate", "innovation"), ("command", "estimate")))
     silent, send = policy.decisions["send"].options.values()
     Psi = np.asarray(silent.Psi)
-    assert policy.innovations is not None
-    assert policy.identity is not None
-    driven = gain @ np.linalg.cholesky(policy.innovations.covariance)
+    assert policy.theory.innovations is not None
+    assert policy.theory.identity is not None
+    driven = gain @ np.linalg.cholesky(policy.theory.innovations.covariance)
     q = float(problem.Q[0, 0])
     singles = {
         "Q": q,
         "THETA": -float(Psi[0, 0]) / q,
         "ERROR_WEIGHT": float(Psi[-1, -1]),
-        "EXCESS_WEIGHT": float(np.asarray(policy.identity.forms[0].Psi)[-1, -1]),
+        "EXCESS_WEIGHT": float(np.asarray(policy.theory.identity.forms[0].Psi)[-1, -1]),
         "GAMMA": float(send.constant),
         "W_ROOT": float(np.sqrt(plant.W[0, 0])),
         "V_ROOT": float(np.sqrt(plant.V[0, 0])),

@@ -28,10 +28,10 @@ class Data:
         silent, send = policy.decisions["send"].options.values()
         self.Psi, self.gamma = np.asarray(silent.Psi), float(send.constant)
         self.W, self.V = np.linalg.cholesky(plant.W), np.linalg.cholesky(plant.V)
-        assert policy.innovations is not None
-        assert policy.identity is not None
-        self.silence = float(np.asarray(policy.identity.forms[0].Psi)[-1, -1])  # weight of the completed square
-        self.driven = self.gain @ np.linalg.cholesky(policy.innovations.covariance)
+        assert policy.theory.innovations is not None
+        assert policy.theory.identity is not None
+        self.silence = float(np.asarray(policy.theory.identity.forms[0].Psi)[-1, -1])  # weight of the completed square
+        self.driven = self.gain @ np.linalg.cholesky(policy.theory.innovations.covariance)
 
 
 def numba_loop(data: Data) -> Contestant:

@@ -109,7 +109,7 @@ def main() -> None:
         for multiple in (0.3, 1.0, 2.0, 4.0, 8.0):
             policy = design.consistent(plant, cost, period=period, delta=multiple * largest)
             loop = close(plant, policy)
-            chain, identity = chain_of(loop), policy.identity
+            chain, identity = chain_of(loop), policy.theory.identity
             assert identity is not None
             mine = timed(by_paths(chain), rounds)
             others = timed(by_engine(loop, identity.constant), rounds), timed(by_numpy(chain), rounds)

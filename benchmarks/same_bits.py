@@ -108,7 +108,7 @@ def of_kinds() -> Iterator[tuple[str, Callable[[], str]]]:
 
 def of_problems() -> Iterator[tuple[str, Callable[[], str]]]:
     """Yield what the command line prints for each built-in problem."""
-    for path in sorted((HERE / "src" / "taciturn" / "problems").glob("*.toml")):
+    for path in sorted((HERE / "src").glob("*/problems/*.toml"), key=lambda found: found.stem):
         for words in (["show", path.stem, "--json"], ["show", path.stem, "--wire"]):
 
             def printed(words: list[str] = words) -> str:

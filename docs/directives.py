@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from docutils import nodes
+from kind_tables import kind_table
 from names import listing, mend, shorten, told
 from sphinx.util.docutils import SphinxDirective
 
@@ -18,6 +19,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directives, and what makes docstrings and signatures fit; pages may be read by several processes."""
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
+    app.add_directive("kinds", Kinds)
     app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
     app.connect("doctree-read", _describe)
     app.connect("doctree-resolved", _collect)
@@ -52,6 +54,16 @@ class Figures(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Leave a place for them, until those pages are read."""
         return [nodes.container(classes=["gallery"])]
+
+
+class Kinds(SphinxDirective):
+    """A table of the policy kinds, from their records."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Parse the table."""
+        return self.parse_text_to_nodes(kind_table(self.arguments[0]))
 
 
 def _describe(app: Sphinx, tree: nodes.document) -> None:

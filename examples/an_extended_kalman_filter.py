@@ -9,6 +9,7 @@ import numpy as np
 
 import taciturn
 from taciturn.model.policy import Apply, Policy, Step
+from taciturn.model.theory import Theory
 
 DT, KEPT = 0.1, 1 - 0.1 * 0.2  # seconds per step; factor of the speed after damping
 C, V, W = np.array([[1.0, 0.0]]), np.array([[0.5]]), np.diag([1e-5, 0.1])
@@ -49,8 +50,8 @@ new: dict[str, Step] = {
     "prior": Apply("controller", {"prior": 2, "spread": 4}, predict, ("estimate", "covariance", "held")),
 }
 steps = tuple(new.get(getattr(step, "signal", ""), step) for step in fixed.steps)
-extended = Policy("extended", steps, plant, fixed.cost_all_time, sites=fixed.sites, initial={"spread": W.ravel()},
-                  tick=DT, settling=fixed.settling, cost=cost)  # fmt: skip
+extended = Policy("extended", steps, plant, Theory(cost, settling=fixed.theory.settling), fixed.sites,
+                  initial={"spread": W.ravel()}, tick=DT)  # fmt: skip
 before, after = (taciturn.close(plant, policy) for policy in (fixed, extended))
 saved = taciturn.difference(before, after, steps=1_000_000)  # with the same noise
 print(f"fixed gain: cost {taciturn.average(before, steps=500_000).cost}; extended filter: {saved.cost} less")

@@ -38,7 +38,9 @@ def years(rate: float) -> float:
 
 
 base, every = room.design().cost_all_time, np.arange(1, 7)
-periodic = [taciturn.design.periodic(model.plant, comfort, every=k, actuation="model").closed_form.cost for k in every]
+periodic = [
+    taciturn.design.periodic(model.plant, comfort, every=k, actuation="model").theory.closed_form.cost for k in every
+]
 found = taciturn.tune(room, cost=periodic[1], standard_error=1e-4 * base)  # the comfort of sends every ten minutes
 rate = found.evaluation.rates["actuator"]
 path = taciturn.simulate(taciturn.close(model.plant, found.problem.design(), room.network, comfort), ticks=200_000)

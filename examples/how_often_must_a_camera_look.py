@@ -18,11 +18,11 @@ for zeta in (0.0, 5e-5, 1e-4, 2e-4, 5e-4, 8e-4, 1.5e-3):  # price of a query, th
     policies.append(policy)
     queries.append(policy.schedule.rate / policy.tick)
     # the schedule depends on covariances only: its cost is exact without simulation
-    above = policy.closed_form.cost / policy.cost_all_time - 1
+    above = policy.theory.closed_form.cost / policy.cost_all_time - 1
     bound = policy.guarantee.cost / policy.cost_all_time - 1
     print(f"ζ = {zeta:g}: {queries[-1]:.1f} queries per second cost {above:.1%} more than 50, guarantee {bound:.1%}")
 
-costs = [p.closed_form.cost for p in policies]
+costs = [p.theory.closed_form.cost for p in policies]
 figure = Figure(figsize=(7, 6), layout="constrained")
 trade, course = figure.subplots(2, 1)
 trade.plot(queries, costs, "o-")
@@ -40,4 +40,4 @@ found = taciturn.average(loop, plain_average(loop), steps=20_000_000)
 print(f"{queries[-1]:.1f} queries per second: exact {costs[-1]:.6f}, simulated {found.cost}")
 assert abs(found.cost.value - costs[-1]) < 6 * found.cost.standard_error
 assert queries == sorted(queries, reverse=True)
-assert all((1 - 1e-9) * p.cost_all_time <= p.closed_form.cost <= (1 + 1e-9) * p.guarantee.cost for p in policies)
+assert all((1 - 1e-9) * p.cost_all_time <= p.theory.closed_form.cost <= (1 + 1e-9) * p.guarantee.cost for p in policies)

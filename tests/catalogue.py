@@ -79,7 +79,7 @@ def size_of(system: System) -> float:
 
 def dear(system: System) -> float:
     """Return three times what the first step of silence costs on average: a price at which sends are worth a while."""
-    reset = design.excess(system.plant, system.cost, delta=0.0, actuation="model").reset
+    reset = design.excess(system.plant, system.cost, delta=0.0, actuation="model").theory.reset
     assert reset is not None
     return 3 * float(np.trace(reset.weight @ reset.covariance))
 

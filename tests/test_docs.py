@@ -108,9 +108,10 @@ def test_every_page_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The cells of a page run in order next to the data they show, in reduced counts, and what they assert holds."""
-    for data in (path, *(ROOT / "docs").glob("*.json"), *(ROOT / "docs").glob("*.c")):
+    for data in (path, *(ROOT / "docs").glob("*.json"), *(ROOT / "docs").glob("*.c"), ROOT / "docs" / "decaying.py"):
         shutil.copy(data, tmp_path)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     text = reduced(path.stem, path.read_text(encoding="utf-8"))
     assert run_blocks(re.findall(CELL, text, flags=re.DOTALL), path.name) > 0
     reasons = re.findall(r"^skipped: (.*)$", capsys.readouterr().out, flags=re.MULTILINE)

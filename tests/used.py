@@ -16,10 +16,12 @@ import numpy as np
 
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, Policy, Problem, close
 from taciturn.analyse.limits import resets
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.reference import Reference
+from taciturn.problem.suggested import example_of
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 A, B, C, V, W = [[1.1, 0.2], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.2]], [[0.1, 0.0], [0.0, 0.1]]
@@ -40,7 +42,7 @@ def stated(
     return Problem(plant, cost, network, kind, parameters)
 
 
-KINDS: Mapping[str, Problem] = {
+KINDS: dict[str, Problem] = {
     "all-time": stated(SEEN, "all-time"),
     "periodic": stated(SEEN, "periodic", every=2),
     "lqg": stated(SEEN, "lqg", theta=0.3),
@@ -68,6 +70,7 @@ KINDS: Mapping[str, Problem] = {
     "periodic-schedule": stated(SEEN, "periodic-schedule", length=5, sends=3),
     "downsampled": stated(SEEN, "downsampled", fast=1, slow=2, threshold=0.5),
 }
+KINDS |= {name: example_of(kind) for name, kind in CATALOGUE.items() if name not in KINDS}
 """A problem of each kind; next to its full state nothing is given that it need not have."""
 
 
@@ -268,7 +271,7 @@ def of_network(problem: Problem, name: str) -> tuple[Use, Use]:
 def uses_of(kind: str) -> Mapping[str, tuple[Use, ...]]:
     """Return what becomes of each property with a kind; of the network in a problem, and where a loop is closed."""
     problem = KINDS[kind]
-    module = import_module("taciturn.design.integral")
+    module = import_module("taciturn.design.kinds.integral")
     slope = patch.object(module, "_largest_slope", lambda *_: np.inf)  # these two checks take long, and decide no law
     alpha = patch.object(module._Search, "given", lambda _, alpha: Estimate(alpha, 0.0, "exact"))
     with slope, alpha:

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from taciturn.model.plant import Jumps as Jumps
     from taciturn.model.plant import Plant as Plant
     from taciturn.model.plant import plant_from as plant_from
-    from taciturn.model.policy import Guarantee as Guarantee
     from taciturn.model.policy import Policy as Policy
     from taciturn.model.reference import Reference as Reference
+    from taciturn.model.theory import Guarantee as Guarantee
     from taciturn.model.trigger import Trigger as Trigger
     from taciturn.problem import Problem as Problem
     from taciturn.problem import load as load
@@ -53,7 +53,7 @@ _HOME = {
     "ContinuousPlant": "model.plant",
     "Cost": "model.cost",
     "Estimate": "model.estimate",
-    "Guarantee": "model.policy",
+    "Guarantee": "model.theory",
     "Jumps": "model.plant",
     "Loop": "loop",
     "Network": "model.network",

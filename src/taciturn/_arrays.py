@@ -18,7 +18,7 @@ Bits: TypeAlias = npt.NDArray[np.bool_]
 Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 
-TINY = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
+NO_VARIANCE = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
 DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
 
@@ -118,7 +118,7 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 def is_definite(matrix: Array) -> bool:
     """Return whether a symmetric matrix is positive definite and invertible, in any units of the variables."""
-    return bool((matrix.diagonal() > TINY).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
+    return bool((matrix.diagonal() > NO_VARIANCE).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
 
 
 def exceeds(matrix: Array, bound: float) -> bool:
@@ -236,7 +236,7 @@ def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
 
 def _in_units(matrix: Array) -> Array:
     """Return a symmetric matrix in units in which its diagonal entries are 1, 0 or −1."""
-    scale = 1 / np.sqrt(np.maximum(np.abs(matrix.diagonal()), TINY))
+    scale = 1 / np.sqrt(np.maximum(np.abs(matrix.diagonal()), NO_VARIANCE))
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = matrix * scale * scale[:, None]
     # An entry beyond 1 proves an eigenvalue below 0; its size is irrelevant.

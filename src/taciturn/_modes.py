@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn import _arrays
-from taciturn._arrays import TINY, Array, ArrayLike
+from taciturn._arrays import NO_VARIANCE, Array, ArrayLike
 from taciturn._cycles import largest_cycle
 from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
-TOLERANCE = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
+COST_ERROR = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
 EDGE = 1e-13  # relative distance to the stability limit within which a computed mode may lie on it
 SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
@@ -47,7 +47,7 @@ def balancing(A: Array) -> Array:
 
     Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
     """
-    balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), TINY), np.ones(len(A))
+    balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), NO_VARIANCE), np.ones(len(A))
     while _may_gain(balanced):
         gains = False
         for i in range(len(A)):
@@ -107,7 +107,7 @@ def least_eigenvalue(matrix: Array) -> float:
     as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
     """
     diagonal = np.diag(matrix)
-    if not (diagonal > TINY).all():
+    if not (diagonal > NO_VARIANCE).all():
         return min(float(np.linalg.eigvalsh(matrix)[0]), 0.0)
     unit = np.sqrt(diagonal)
     scaled = matrix / unit / unit[:, None]
@@ -273,13 +273,13 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
     state, inputs = balanced, np.ones(B.shape[1])
     for _ in range(3):  # each unit depends on the other
         moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
-        inputs = 1 / np.where(moved > TINY, moved, 1.0)
+        inputs = 1 / np.where(moved > NO_VARIANCE, moved, 1.0)
         found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
         for _ in range(len(A)):
             found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / largest), found
             if (found <= before).all():
                 break
-        state = np.where(found > TINY, found, 0.0)
+        state = np.where(found > NO_VARIANCE, found, 0.0)
         if not state.all():  # unreached states: the size that balancing gives them
             beside = np.max(state / balanced, initial=0.0)
             state = np.where(state > 0, state, balanced * (beside if beside > 0 else 1.0))
@@ -295,7 +295,7 @@ def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Ar
         crumb: eigenvalue per row, relative to this covariance, below which a direction counts as rounding.
     """
     spread = np.diag(matrix if beside is None else beside)
-    scale = np.sqrt(np.where(spread > TINY, spread, 0.0))
+    scale = np.sqrt(np.where(spread > NO_VARIANCE, spread, 0.0))
     inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
     values, vectors = np.linalg.eigh(matrix * inverse * inverse[:, None])
     kept = values > crumb * len(matrix)
@@ -361,9 +361,9 @@ def stationary(F: Array, W: Array) -> Array:
     error = summed(F, bound_residual(missed, np.outer(moved, moved) + np.abs(W), len(F)))
     seen = spread > 0
     doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
-    if not doubt <= TOLERANCE:
+    if not doubt <= COST_ERROR:
         raise UnstableError(
-            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({TOLERANCE:.0e} is allowed): F has an "
+            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({COST_ERROR:.0e} is allowed): F has an "
             f"eigenvalue at a distance of {1 - radius(F):.1e} inside the unit circle, and the powers of F decay too "
             "slowly, or grow too large before they decay; expected a larger stability margin"
         )

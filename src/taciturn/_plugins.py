@@ -4,14 +4,15 @@
 |---|---|---|
 | `taciturn.commands` | any | module that adds commands to `taciturn.cli.frame.app` when it is imported |
 | `taciturn.functions` | name `f` | function that users call as `taciturn.f` |
+| `taciturn.kinds` | name of the policy kind | its record, a `taciturn.design.kind.Kind` |
 | `taciturn.problems` | any | package that contains problem files, which are built in |
 | `taciturn.wires` | name of the wire | function that returns the encoder and decoder of a node |
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
 
 
 @cache
-def find_plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name, of which nothing is imported yet."""
-    from importlib.metadata import entry_points  # whose import takes longer than that of this module
-
-    return {point.name: point for point in sorted(entry_points(group=group), key=lambda one: one.name)}
+def find_plugins(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Return the entry points of a group by name, of which nothing is imported yet; several packages may use a name."""
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for entry in sorted(_installed().select(group=group), key=lambda one: one.name):
+        found[entry.name] = (*found.get(entry.name, ()), entry)
+    return found
 
 
 def load_plugin(group: str, name: str, purpose: str) -> Any:
@@ -38,35 +40,45 @@ def load_plugin(group: str, name: str, purpose: str) -> Any:
         purpose: what needs it, for the message.
 
     Raises:
-        ProblemError: no installed package has the entry point, or its import fails.
+        ProblemError: no installed package has the entry point, or several have it, or its import fails.
     """
-    point = find_plugins(group).get(name)
-    if point is None:
+    entries = find_plugins(group).get(name, ())
+    if len(entries) != 1:
+        got = f"is that of {' and of '.join(map(package_of, entries))}" if entries else "is missing"
         raise ProblemError(
-            f"{purpose} needs the entry point {name!r} of the group {group}, which no installed package has; expected "
-            "a complete installation of taciturn: install it again"
+            f"{purpose} needs the entry point {name!r} of the group {group}, which {got}; expected one installed "
+            "package with it: install taciturn again, or remove the other packages"
         )
     try:
-        return point.load()
-    except Exception as error:
+        return entries[0].load()
+    except Exception as error:  # whatever the code of the package raises
         raise ProblemError(
-            f"{purpose} needs {point.value}, which cannot be imported ({error!r}); expected an entry point that names "
-            f"an existing object: update or remove the package {_package(point)}"
+            f"{purpose} needs {entries[0].value}, which cannot be imported ({type(error).__name__}: {error}); expected "
+            f"an entry point that names an existing object: repair or remove {package_of(entries[0])}"
         ) from error
 
 
-def problem_folders() -> list[Path]:
-    """Return the folders of built-in problems: that of this package, and those of other packages."""
-    folders = [Path(__file__).parent / "problems"]
-    for point in find_plugins("taciturn.problems").values():
+def package_of(entry: EntryPoint) -> str:
+    """Return the name of the package that an entry point belongs to, with the word package."""
+    return "an unknown package" if entry.dist is None else f"the package {entry.dist.name}"
+
+
+@cache
+def _installed() -> Any:
+    """Return all entry points; finding them takes longer than importing this module."""
+    from importlib.metadata import entry_points
+
+    return entry_points()  # whose type differs between versions of Python
+
+
+def problem_folders() -> Iterator[Path]:
+    """Yield the folders of built-in problems: that of this package, and then those of other packages."""
+    yield Path(__file__).parent / "problems"
+    from importlib.util import find_spec
+
+    for entry in (entry for entries in find_plugins("taciturn.problems").values() for entry in entries):
         try:
-            spec = find_spec(point.value)
+            spec = find_spec(entry.value)
         except ImportError:  # a package that is not there any more has no problems
             continue
-        folders += [] if spec is None else map(Path, spec.submodule_search_locations or ())
-    return folders
-
-
-def _package(point: EntryPoint) -> str:
-    """Return the name of the package that an entry point belongs to."""
-    return "of this entry point" if point.dist is None else point.dist.name
+        yield from map(Path, [] if spec is None else spec.submodule_search_locations or [])

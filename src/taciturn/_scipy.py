@@ -36,7 +36,7 @@ def continuous_lyapunov(F: Array, M: Array) -> Array:
     return (X + X.T) / 2
 
 
-def exponential(A: Array) -> Array:
+def matrix_exponential(A: Array) -> Array:
     """Return e^A."""
     import scipy.linalg
 

@@ -17,8 +17,9 @@ from taciturn.model.cost import Cost
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Identity, Policy, Step
+from taciturn.model.policy import ENDS, Assign, Policy, Step
 from taciturn.model.steps import assigned
+from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.controller import Begin, begin_time_step
 from taciturn.program.controls import with_controls
@@ -30,7 +31,7 @@ from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
-DRAWN = "drawn"  # normal draws from which an innovation is computed
+INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
 LEAST = {"float32": 1e-30, "float64": 1e-120}  # least cost of a step, and inverse of the largest: no square overflows
 NEGLIGIBLE = 1e-12  # weight of a step after which a discounted sum ends
@@ -61,7 +62,7 @@ class Loop(Displayed):
         """Check the precision."""
         if self.precision not in ("float64", "float32"):
             raise ProblemError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
-        size = abs(self.policy.cost_all_time) * self.policy.tick
+        size = abs(self.policy.theory.cost_all_time or 0.0) * self.policy.tick
         if size and not LEAST[self.precision] < size < 1 / LEAST[self.precision]:
             remedy = "precision 'float64', or " if self.precision == "float32" else ""
             raise ProblemError(
@@ -76,7 +77,8 @@ class Loop(Displayed):
 
     def summary(self) -> Mapping[str, object]:
         """Return the policy, the cost of sending every sample, the plant and the network by name."""
-        shown = {"policy": self.policy.kind, "cost_all_time": self.policy.cost_all_time, "nominal": self.nominal}
+        theory, nominal = self.policy.theory, self.nominal
+        shown = {"policy": self.policy.kind, "cost_all_time": theory.cost_all_time, "nominal": nominal}
         return {**shown, "plant": self.problem.short(), "network": self.network.short(), "precision": self.precision}
 
     @property
@@ -92,7 +94,7 @@ class Loop(Displayed):
     @property
     def identity(self) -> Identity | None:
         """Identity for the cost by the policy's theory, or None if it does not apply."""
-        return self.policy.identity if self.nominal else None
+        return self.policy.theory.identity if self.nominal else None
 
     @property
     def horizon(self) -> int | None:
@@ -105,8 +107,8 @@ class Loop(Displayed):
     @property
     def reducible(self) -> bool:
         """True if the loop has the same distribution as a loop that is driven by the filter's innovations."""
-        gaussian = self.problem.jumps is None
-        return self.nominal and gaussian and self.policy.innovations is not None and self.horizon is None
+        known = self.policy.theory.innovations is not None
+        return self.nominal and known and self.problem.jumps is None and self.horizon is None
 
     def program(self) -> Program:
         """Return the program of one step of the loop, including the plant.
@@ -133,9 +135,8 @@ class Loop(Displayed):
         plant, tracking = self.problem.plant, self.policy.tracking
         tick = self._tick({"x": plant.states})
         followed = () if tracking is None else (tracking.state, tracking.input)
-        for step in self.policy.steps:
-            if any(name in followed for name in assigned(step)):
-                tick.take(step)
+        for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(followed)):
+            tick.take(step)
         tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         outputs = {COST: tick.form(self._stage(*self._deviate(tick)))}
@@ -160,16 +161,16 @@ class Loop(Displayed):
 
         ``begin`` is the class that translates the steps.
         """
-        innovations = self.policy.innovations
+        innovations = self.policy.theory.innovations
         if not self.reducible or innovations is None:
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
         spread = factor(innovations.covariance)
-        tick = self._tick({DRAWN: spread.shape[1]}, begin)
-        tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)
+        tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
+        tick.signals[INNOVATION_DRAWS] = _normals(tick, spread.shape[1], 0)
         tick.draw_losses(self.policy, self.network)
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
-                tick.signals[step.signal] = tick.combine({DRAWN: spread}, len(spread))
+                tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
             else:
                 tick.take(_driven(step, innovations.signal, spread))
         tick.signals["applied"] = tick.signals["input"]
@@ -179,13 +180,12 @@ class Loop(Displayed):
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
         """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths)."""
-        plant = self.problem.plant
+        plant, network = self.problem.plant, self.network
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
         x = plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
-        for link in ENDS:
-            burst = self.network.burst(link)
+        for link, burst in ((link, network.burst(link)) for link in ENDS):
             if burst is not None:
                 drawn[is_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
         starts = [state.start for state in program.states]
@@ -365,7 +365,7 @@ def _check_plants(problem: Discrete, policy: Policy) -> None:
 def _violated_assumptions(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
-    filtered = not plant.full_state and policy.closed_form is None
+    filtered = not plant.full_state and policy.theory.closed_form is None
     bursts = any(network.burst(link) is not None for link in ENDS)
     exact, designed = network.without_rounding(), policy.network.without_rounding()
     found = {
@@ -389,7 +389,7 @@ def _driven(step: Step, innovation: str, spread: Array) -> Step:
         return step
 
     def driven(name: str, matrix: Matrix) -> tuple[str, Matrix]:
-        return (DRAWN, _times(matrix, spread)) if name == innovation else (name, matrix)
+        return (INNOVATION_DRAWS, _times(matrix, spread)) if name == innovation else (name, matrix)
 
     return replace(step, branches=tuple(dict(driven(*term) for term in terms.items()) for terms in step.branches))
 
@@ -410,4 +410,4 @@ def _add(tick: TimeStep, values: list[int], noise: list[int]) -> list[int]:
 def _noise(tick: TimeStep, spread: Array) -> list[int]:
     """Return the product of G and new normal draws."""
     drawn = _normals(tick, spread.shape[1], len(tick.builder.inputs))
-    return [tick.value(index) for index in tick.builder.transform(spread.tolist(), drawn)]
+    return list(map(tick.value, tick.builder.transform(spread.tolist(), drawn)))

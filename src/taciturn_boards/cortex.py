@@ -10,14 +10,23 @@ from typing import NamedTuple
 
 from taciturn.export.folder import CORE_SOURCES, CFolder
 from taciturn.export.node import CNode
-from taciturn.export.sizes import CORTEX_M3, CORTEX_M4F, PATIENCE, Level, Target, call_tool, compile_sources, find_tool
-from taciturn.export.vector import Vector
+from taciturn.export.sizes import (
+    CORTEX_M3,
+    CORTEX_M4F,
+    PATIENCE,
+    Optimisation,
+    Target,
+    call_tool,
+    compile_sources,
+    find_tool,
+)
+from taciturn.export.vector import RecordedRun
 from taciturn.extend import write_whole
 
 COUNTING = ("-icount", "shift=7")  # see board.h for the reason
 
 
-class Board(NamedTuple):
+class EmulatedBoard(NamedTuple):
     """A board that QEMU emulates.
 
     Args:
@@ -34,7 +43,7 @@ class Board(NamedTuple):
         return self.target.processor
 
 
-M3, M4F = Board(CORTEX_M3, "mps2-an385"), Board(CORTEX_M4F, "mps2-an386")
+M3, M4F = EmulatedBoard(CORTEX_M3, "mps2-an385"), EmulatedBoard(CORTEX_M4F, "mps2-an386")
 
 
 class Main(NamedTuple):
@@ -72,7 +81,7 @@ def in_the_loop(node: CNode) -> Main:
     return Main(sources, tuple(f"-D{name}={value}" for name, value in names.items()))
 
 
-def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Level = "-O2") -> Path:
+def compile_for(board: EmulatedBoard, folder: CFolder, main: Main, into: Path, level: Optimisation = "-O2") -> Path:
     """Compile exported nodes for a board; warnings are errors.
 
     Args:
@@ -103,9 +112,14 @@ def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Le
 
 
 def run_on(
-    board: Board, program: Path, vector: Vector | None = None, *, single: bool = False, counting: bool = False,
+    board: EmulatedBoard,
+    program: Path,
+    vector: RecordedRun | None = None,
+    *,
+    single: bool = False,
+    counting: bool = False,
     patience: float = PATIENCE,
-) -> str:  # fmt: skip
+) -> str:
     """Run a program on a board, and return its output.
 
     Args:
@@ -130,7 +144,11 @@ def run_on(
 
 
 def check_on(
-    board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
+    board: EmulatedBoard,
+    folder: CFolder,
+    vector: RecordedRun | None = None,
+    level: Optimisation = "-O2",
+    patience: float = PATIENCE,
 ) -> str:
     """Run the self-check on a board, and return the line that it prints if it passes.
 
@@ -149,7 +167,7 @@ def check_on(
         return run_on(board, program, vector, single=folder.single, patience=patience).strip()
 
 
-def emulate(board: Board, program: Path, options: Sequence[str]) -> list[str]:
+def emulate(board: EmulatedBoard, program: Path, options: Sequence[str]) -> list[str]:
     """Return the command that runs a program on a board.
 
     Raises:
@@ -188,7 +206,11 @@ class Counts(NamedTuple):
 
 
 def count_instructions(
-    board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
+    board: EmulatedBoard,
+    folder: CFolder,
+    vector: RecordedRun | None = None,
+    level: Optimisation = "-O2",
+    patience: float = PATIENCE,
 ) -> dict[str, Counts]:
     """Run the self-check, and return the numbers of instructions of each node's steps.
 

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import NamedTuple
 
 from taciturn.errors import ProblemError
-from taciturn_boards.cortex import Board, emulate
+from taciturn_boards.cortex import EmulatedBoard, emulate
 
 BEGIN = 0x54  # first byte of a frame: see board/loop.c
 GONE_THROUGH, DEGRADED, HAS_INPUT = 1, 2, 4
@@ -26,7 +26,7 @@ PIECE = 1024  # bytes of a frame that are sent to the emulator at once
 SPACE = 1 << 20  # size of the receive buffer in bytes
 
 
-class Answer(NamedTuple):
+class StepResult(NamedTuple):
     """The result of a step of a node.
 
     Args:
@@ -55,7 +55,7 @@ class NodeOnBoard:
         ProblemError: the emulator is missing, or the program does not start in time.
     """
 
-    def __init__(self, board: Board, program: Path, patience: float = 30.0) -> None:
+    def __init__(self, board: EmulatedBoard, program: Path, patience: float = 30.0) -> None:
         """Start the emulator, and wait until the node reports that it listens."""
         self._name, self._patience = board.processor, patience
         self._bytes = bytearray()
@@ -92,7 +92,9 @@ class NodeOnBoard:
         """End the emulator."""
         self.close()
 
-    def step(self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None) -> Answer:
+    def step(
+        self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None
+    ) -> StepResult:
         """Let the node on the board execute a step, and return its packets and input.
 
         Args:
@@ -171,7 +173,7 @@ def _end(process: subprocess.Popen[bytes], line: socket.socket) -> None:
         process.stderr.close()
 
 
-def _read(body: bytes) -> Answer:
+def _read(body: bytes) -> StepResult:
     """Return the answer that the body of a frame contains."""
     flags, count = struct.unpack_from(">BB", body, 8)
     at, datagrams = 10, list[bytes]()
@@ -181,4 +183,4 @@ def _read(body: bytes) -> Answer:
         at += 2 + size
     numbers = struct.unpack_from(f">{body[at]}d", body, at + 1)
     applied = tuple(map(float, numbers)) if flags & HAS_INPUT else None
-    return Answer(bool(flags & GONE_THROUGH), bool(flags & DEGRADED), tuple(datagrams), applied)
+    return StepResult(bool(flags & GONE_THROUGH), bool(flags & DEGRADED), tuple(datagrams), applied)

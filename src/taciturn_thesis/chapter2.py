@@ -9,7 +9,7 @@ from taciturn.extend import Panel, Progress, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.study.clock import Clock
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.fair import clock_of, sampling_clock
 from taciturn.study.sweeping.cells import Cell, Effort, evaluate_cells
 from taciturn_thesis.reproduction import Reproduction, Row, Table

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from taciturn.design.integral import integral
+from taciturn.design.kinds.integral import integral
 from taciturn.extend import Panel, Progress, Series, draw
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Jumps
 from taciturn.problem import load
-from taciturn.renewal.cycles import estimate_cycles, sample_cycles, sweep
+from taciturn.renewal.cycles import estimate_cycles, sample_cycles, sweep_thresholds
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
 from taciturn.study.losses import Losses, find_losses
@@ -52,7 +52,9 @@ def chapter4(seed: int, progress: Progress) -> Reproduction:
     assert problem.plant.jumps is not None
     process = JumpProcess(problem.plant.A, problem.plant.jumps, price.S)
     limits = IntegralTrigger(1.0, h_max=H_MAX)
-    means = sweep(process, [alpha * PRINTED_SLOPE for alpha in ALPHAS], trigger=limits, cycles=CYCLES, seed=seed)
+    means = sweep_thresholds(
+        process, [alpha * PRINTED_SLOPE for alpha in ALPHAS], trigger=limits, cycles=CYCLES, seed=seed
+    )
     lengths = [Row({"α": a}, {}, {"L(α)": found.interval}) for a, found in zip(ALPHAS, means, strict=True)]
     progress(0.7)
     counter, dynamic, losses = _counter_example(seed)
@@ -107,7 +109,7 @@ def _counter_example(seed: int) -> tuple[PredictionCost, list[Row], Losses]:
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     assert plant.jumps is not None
     limits = IntegralTrigger(1.0, h_max=COUNTER_H_MAX)
-    means = sweep(
+    means = sweep_thresholds(
         JumpProcess(plant.A, plant.jumps, price.S),
         [COUNTER_ALPHA * slope for slope in COUNTER_SLOPES],
         trigger=limits,

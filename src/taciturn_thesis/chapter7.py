@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taciturn.design.lossy_lqg import lossy_lqg
+from taciturn.design.kinds.lossy_lqg import lossy_lqg
 from taciturn.extend import Panel, Progress, Series, Style, draw
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost

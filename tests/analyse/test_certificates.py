@@ -23,7 +23,7 @@ from taciturn.analyse.certificates import (
     find_decay,
     find_gain,
 )
-from taciturn.analyse.inequalities import Inequalities, Inequality, Solution
+from taciturn.analyse.inequalities import Inequalities, Inequality, Unknowns
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 
 HALVING = 2.0**-12  # what the search for a rate leaves open
@@ -54,7 +54,7 @@ def times(one: list[list[Fraction]], other: list[list[Fraction]]) -> list[list[F
     return [[sum((a * b for a, b in zip(row, column, strict=True)), Fraction(0)) for column in columns] for row in one]
 
 
-def left_side(one: Inequality, solution: Solution) -> list[list[Fraction]]:
+def left_side(one: Inequality, solution: Unknowns) -> list[list[Fraction]]:
     """Return the left side of an inequality without rounding."""
     total = rational(one.constant)
     terms = [(Fraction(float(solution.scalars[j])), rational(S)) for j, S in one.scalars]
@@ -106,12 +106,12 @@ def test_what_is_missed_by_little_is_not_verified() -> None:
     unit = np.eye(3)
     asked = Inequalities((3,), 1, (Inequality(np.zeros((3, 3)), [(1.0, 0, unit)]),))
     none = np.zeros(1)
-    assert asked.shortfall(Solution((unit,), none)) == 0
-    assert asked.shortfall(Solution((np.diag([1.0, 1.0, 1e-13]),), none)) == 0
-    assert 0 < asked.shortfall(Solution((np.diag([1.0, 1.0, 0.0]),), none)) < 1e-13
-    assert asked.shortfall(Solution((np.diag([1.0, 1.0, -1e-6]),), none)) == pytest.approx(1e-6, rel=1e-6)
-    assert asked.shortfall(Solution((unit,), -np.ones(1))) == np.inf
-    assert asked.shortfall(Solution((np.full((3, 3), np.inf),), none)) == np.inf
+    assert asked.shortfall(Unknowns((unit,), none)) == 0
+    assert asked.shortfall(Unknowns((np.diag([1.0, 1.0, 1e-13]),), none)) == 0
+    assert 0 < asked.shortfall(Unknowns((np.diag([1.0, 1.0, 0.0]),), none)) < 1e-13
+    assert asked.shortfall(Unknowns((np.diag([1.0, 1.0, -1e-6]),), none)) == pytest.approx(1e-6, rel=1e-6)
+    assert asked.shortfall(Unknowns((unit,), -np.ones(1))) == np.inf
+    assert asked.shortfall(Unknowns((np.full((3, 3), np.inf),), none)) == np.inf
 
 
 @pytest.mark.parametrize("seed", few(range(6), start=1))
@@ -126,10 +126,10 @@ def test_of_a_linear_loop_the_certificates_are_exact(seed: int) -> None:
     gain = find_gain(found)
     assert peak(found) * (1 - 1e-9) <= gain.value <= peak(found) * (1 + 1e-3)
     assert (decay.residual, decay.limit, gain.residual) == (0.0, 0.0, 0.0)
-    assert policy.closed_form is not None
+    assert policy.theory.closed_form is not None
     bound = bound_cost(found).value
-    assert bound == pytest.approx(policy.closed_form.cost, rel=1e-4)
-    assert bound >= policy.closed_form.cost * (1 - 1e-9)
+    assert bound == pytest.approx(policy.theory.closed_form.cost, rel=1e-4)
+    assert bound >= policy.theory.closed_form.cost * (1 - 1e-9)
 
 
 @pytest.mark.evidence

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, ProblemError, Trigger, close, design
 from taciturn.analyse.renewal import chain_of, solve_renewal
-from taciturn.model.policy import Assign, Decide, Identity, Received, Send
-from taciturn.model.theory import Reset
+from taciturn.model.policy import Assign, Decide, Received, Send
+from taciturn.model.theory import Identity, Reset, Theory
 from taciturn.model.trigger import Form
 from taciturn.problem import parse
 from taciturn.renewal.chain import NoQuadratureError
@@ -45,13 +45,14 @@ def absolute(plant: Plant, cost: Cost, weight: np.ndarray, threshold: float) -> 
         "absolute",
         steps,
         plant,
-        base.cost_all_time,
-        scheduled=("sensor",),
+        Theory(
+            cost,
+            base.cost_all_time,
+            base.theory.settling,
+            identity=Identity(base.cost_all_time, (Form(("error",), H), Form()), "send"),
+            reset=Reset(plant.W, {"error": unit}, H),
+        ),
         sites=(frozenset({"controller", "actuator"}),),
-        settling=base.settling,
-        cost=cost,
-        identity=Identity(base.cost_all_time, (Form(("error",), H), Form()), "send"),
-        reset=Reset(plant.W, {"error": unit}, H),
     )
 
 
@@ -80,7 +81,7 @@ def test_any_threshold_on_a_prediction_is_solved_as_it_is_simulated(seed: int) -
     assume(simulated.reached)
     rate = simulated.rates["sensor"]
     assert abs(rate.value - found.rate) <= 4.5 * rate.standard_error + found.rate_error
-    cost_of = policy.identity.constant + found.excess
+    cost_of = policy.theory.identity.constant + found.excess
     assert abs(simulated.cost.value - cost_of) <= 4.5 * simulated.cost.standard_error + found.excess_error
     assert found.intervals.mean == pytest.approx(1 / found.rate, rel=1e-7)
 

@@ -116,7 +116,7 @@ def test_the_innovations_form_does_what_the_filter_does(name: str) -> None:
     """The estimate and what it costs follow from the innovations alone."""
     for seed in range(2):
         loop = closed(POLICIES[name](make_system(seed, 3, 1, 2, False)))
-        plant, innovations = loop.problem.plant, loop.policy.innovations
+        plant, innovations = loop.problem.plant, loop.policy.theory.innovations
         assert innovations is not None
         shown = recorded(loop, seed)
         estimate, applied = shown["estimate"], shown["applied"]

@@ -132,7 +132,7 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         ("theta=true", "the changed problem: policy.theta is 'true'; expected a number"),
         ("theta=0.1,a", "the changed problem: policy.theta is 'a'; expected a number"),
         ("trigger=joint,sep", "the changed problem: policy.trigger is 'sep'; expected 'joint' or 'separate'"),
-        ("kind=nonsense", "the changed problem: policy.kind is 'nonsense'; expected one of all-time, periodic, lqg"),
+        ("kind=nonsense", "the changed problem: policy.kind is 'nonsense'; expected one of absolute, all-time"),
         ("plant.dt=x", "the changed problem: plant.dt is 'x'; expected a number"),
         ("plant.dt=0", "the changed problem: dt is 0; expected 0 < dt"),
         ("plant.foo=1", "the changed problem: plant.foo is not a known key; expected one of A, B, C, W, V, dt,"),
@@ -194,7 +194,7 @@ def test_a_precision_out_of_reach_is_told_after_the_result(
     run: Run, write: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Exit code 2, and the JSON still printed, with ``"reached": false``."""
-    monkeypatch.setattr(sampling, "BUDGET", 20_000)
+    monkeypatch.setattr(sampling, "MOST_OPERATIONS", 20_000)
     answer = run("evaluate", write(), "--json", "--standard-error", "1e-9")
     assert (answer.code, json.loads(answer.out)["reached"]) == (2, False)
     assert answer.err.count("\n") == 1

@@ -22,9 +22,9 @@ from terminals import in_a_terminal
 
 import taciturn
 from taciturn import ProblemError
-from taciturn.cli.new import GOALS
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.problem.draft import Draft
+from taciturn.problem.suggested import offered_kinds
 
 Ask = Callable[..., Answer]
 WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
@@ -188,7 +188,7 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*WALK, "1", "1", "1", "udp"), "the network is udp, but the policy for this network, lossy-lqg, requires"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
         ((*STEP, "", "9"), "the goal is 9; expected a number from 1 to 6, or a policy kind"),
-        ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),
+        ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of absolute, all-time"),
         ((*STEP, "", "1", "much"), "policy.theta is 'much'; expected a number"),
         ((*STEP, "", "1", "-1"), "new.toml: policy.theta is -1; expected 0 ≤ theta"),
         ((*STEP, "", "periodic", "1.5"), "policy.every is 1.5; expected a whole number"),
@@ -280,14 +280,14 @@ def test_the_kinds_that_are_listed_are_those_that_can_be_designed(dt: float, mor
         "lossy-lqg": {"price": 1.0},
     }
     needed |= {"remote-lqg": {"theta": 0.1, "zeta": 0.1}, "send-on-delta": {"delta": 0.1}}
-    for kind in GOALS:
+    for kind in (one.name for one in offered_kinds()[0]):
         period = {"period": 0.2} if kind == "consistent" or (kind != "lossy-lqg" and not dt) else {}
         try:
-            CATALOGUE[kind](draft.made_plant(), draft.made_cost(), **needed[kind], **period)
+            CATALOGUE[kind].design(draft.made_plant(), draft.made_cost(), **needed[kind], **period)
             designed = True
         except ProblemError:
             designed = False
-        assert draft.fits(kind) == designed, kind
+        assert draft.fits(CATALOGUE[kind]) == designed, kind
 
 
 def test_a_network_that_no_policy_bears_is_asked_for_again(ask: Ask) -> None:

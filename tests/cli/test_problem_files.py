@@ -100,7 +100,7 @@ def test_what_is_not_toml_is_refused_at_its_line(run: Run, tmp_path: Path, text:
             "the key network.actuator_burst.to_good is missing; expected",
         ),
         ({"more": "[reference]\nstates = [[1]]"}, "the key reference.inputs is missing; expected it in [reference]"),
-        ({"policy": "[policy]\ntheta = 1"}, "policy.kind is missing; expected one of all-time, periodic, lqg"),
+        ({"policy": "[policy]\ntheta = 1"}, "policy.kind is missing; expected one of absolute, all-time"),
         ({"policy": LQG}, "policy.theta is missing; lqg requires it"),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
@@ -142,7 +142,7 @@ def test_a_missing_table_or_key_is_named(run: Run, write: Write, tables: dict[st
             "policy.evry is not a parameter of periodic; expected one of every,",
             "every",
         ),
-        ({"policy": '[policy]\nkind = "lgq"'}, "policy.kind is 'lgq'; expected one of all-time, periodic, lqg", "lqg"),
+        ({"policy": '[policy]\nkind = "lgq"'}, "policy.kind is 'lgq'; expected one of absolute, all-time", "lqg"),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )

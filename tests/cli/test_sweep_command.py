@@ -43,7 +43,7 @@ def test_cells_that_are_not_precise_are_named(
     run: Run, write: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """The first three, with what they reached and how many steps there were."""
-    monkeypatch.setattr(sampling, "BUDGET", 20_000)
+    monkeypatch.setattr(sampling, "MOST_OPERATIONS", 20_000)
 
     def sentence(values: str) -> str:
         grid = ("--over", f"theta={values}", "--over", "actuation=hold", "--standard-error", "1e-9")

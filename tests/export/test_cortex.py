@@ -29,7 +29,7 @@ from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.study.testbed.network import losses
 from taciturn_boards import cortex
-from taciturn_boards.cortex import M3, M4F, Board, Counts, Main
+from taciturn_boards.cortex import M3, M4F, Counts, EmulatedBoard, Main
 from taciturn_boards.processor import NodeOnBoard
 
 ROOT = Path(__file__).parent.parent.parent
@@ -80,7 +80,7 @@ def folder_of(name: str, precision: Precision = "float64") -> CFolder:
     return print_folder(loop_of(name, precision), "device", rows=ROWS)
 
 
-def check(board: Board, name: str, precision: Precision = "float64", ticks: int = 0) -> str:
+def check(board: EmulatedBoard, name: str, precision: Precision = "float64", ticks: int = 0) -> str:
     """Run the self-check on a board, with what is compiled in or so many steps of another seed; return what it says."""
     vector = record_loop(loop_of(name, precision), ticks, seed=1) if ticks else None
     return cortex.check_on(board, folder_of(name, precision), vector, patience=SECONDS)
@@ -89,7 +89,7 @@ def check(board: Board, name: str, precision: Precision = "float64", ticks: int 
 @pytest.mark.parametrize(
     "on", few(zip(ORDINARY, (M3, M4F) * 3, strict=True), 1, 2), ids=lambda on: f"{on[0]}-{on[1].processor}"
 )
-def test_nodes_on_a_board_decide_and_apply_what_the_design_does(on: tuple[str, Board]) -> None:
+def test_nodes_on_a_board_decide_and_apply_what_the_design_does(on: tuple[str, EmulatedBoard]) -> None:
     """Hundreds of steps with their packets: every decision, and every bit of the input."""
     name, board = on
     said = check(board, name)
@@ -106,7 +106,7 @@ def test_nodes_in_single_precision_have_the_bits_of_the_loop_in_it(name: str) ->
 @pytest.mark.evidence
 @pytest.mark.parametrize("board", [M3, M4F], ids=lambda board: board.processor)
 @pytest.mark.parametrize("name", POLICIES)
-def test_nodes_on_a_board_agree_for_long(name: str, board: Board) -> None:
+def test_nodes_on_a_board_agree_for_long(name: str, board: EmulatedBoard) -> None:
     """100,000 steps of each policy, those behind the end of a finite-horizon run too; one to two seconds each."""
     assert f"{EVIDENCE} steps compared" in check(board, name, ticks=EVIDENCE)
 
@@ -129,7 +129,7 @@ def test_one_bit_that_differs_is_found_on_the_board(tmp_path: Path) -> None:
 
 
 @cache
-def counted(board: Board, precision: Precision) -> Mapping[str, Counts]:
+def counted(board: EmulatedBoard, precision: Precision) -> Mapping[str, Counts]:
     """Return the instructions of the two masses' nodes."""
     return cortex.count_instructions(board, folder_of("chapter 2", precision))
 
@@ -143,7 +143,7 @@ def changed(folder: CFolder, node: str, old: str, new: str) -> CFolder:
 
 @pytest.mark.parametrize("of", [(M3, "float64", 1000), (M4F, "float32", 7)], ids=lambda of: of[0].processor)
 @pytest.mark.evidence
-def test_instructions_are_counted_one_by_one(of: tuple[Board, Precision, int]) -> None:
+def test_instructions_are_counted_one_by_one(of: tuple[EmulatedBoard, Precision, int]) -> None:
     """So many more instructions in the step of a node are exactly as many more, in step, step and all; else none."""
     board, precision, number = of
     plain = folder_of("chapter 2", precision)

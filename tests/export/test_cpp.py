@@ -21,7 +21,7 @@ from systems import make_system
 
 import taciturn
 from taciturn.export.folder import print_folder
-from taciturn.program.c import literal
+from taciturn.program.c import c_literal
 from taciturn.program.ops import Precision
 
 
@@ -52,7 +52,7 @@ def test_literals_are_exact_and_decimal(value: float, precision: Precision) -> N
     """Read again, a literal is the number: to the bit, also where the number is the smallest."""
     with np.errstate(over="ignore"):
         kept = float(np.dtype(precision).type(value))
-        text = literal(value, precision)
+        text = c_literal(value, precision)
     if np.isinf(kept):
         assert text == f"{'-' if kept < 0 else ''}(tac_real)INFINITY"
     else:

@@ -26,7 +26,7 @@ import taciturn
 from taciturn import Cost, Network, Plant, Reference, design
 from taciturn.errors import ProblemError
 from taciturn.export import node
-from taciturn.export.folder import CORE_SOURCES, MARK, CFolder, print_folder
+from taciturn.export.folder import CORE_SOURCES, GENERATED_BY, CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
@@ -184,7 +184,7 @@ def test_a_folder_that_is_written_again_holds_the_new_nodes_alone(tmp_path: Path
     names = {path.name for path in tmp_path.glob("*.[ch]")}
     assert {"mine.c", ".#mine.c", "folder.c", "pipe.c", "new_controller.c", "new_actuator.h"} <= names
     assert not any(name.startswith("old") for name in names)
-    assert (tmp_path / "new_controller.c").read_text().startswith(MARK)
+    assert (tmp_path / "new_controller.c").read_text().startswith(GENERATED_BY)
 
 
 @pytest.mark.parametrize("name", ["README.md", "CMakeLists.txt", "selfcheck.c", "two_mass_controller.c"])

@@ -270,7 +270,7 @@ def test_a_minute_of_drift_and_a_stall_misses_no_other_step(tmp_path: Path) -> N
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("board", [cortex.M3, cortex.M4F], ids=lambda board: board.processor)
-def test_an_hour_of_drift_on_a_board_misses_no_other_step(board: cortex.Board, tmp_path: Path) -> None:
+def test_an_hour_of_drift_on_a_board_misses_no_other_step(board: cortex.EmulatedBoard, tmp_path: Path) -> None:
     """360,000 steps of both nodes on the emulated board, for each sign."""
     if not all(map(shutil.which, (board.compiler, "qemu-system-arm"))):
         pytest.skip("NOT SHOWN: an hour on a board; compiler or emulator are missing")

@@ -16,7 +16,7 @@ from fmpy.simulation import instantiate_fmu
 import taciturn
 from taciturn.export.description import Version, may_lose, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
-from taciturn.export.vector import Vector, drawn_by_the_policy, record_loop
+from taciturn.export.vector import RecordedRun, drawn_by_the_policy, record_loop
 from taciturn.loop import Loop
 from taciturn.model.wire import LINKS
 from taciturn.program import numpy as interpreter
@@ -91,7 +91,7 @@ def make_unit(loop: Loop, folder: Path, version: Version = "3.0", seed: int = SE
     return unit
 
 
-def record(loop: Loop, ticks: int, seed: int = SEED) -> Vector:
+def record(loop: Loop, ticks: int, seed: int = SEED) -> RecordedRun:
     """Run a loop whose policy draws what its nodes draw of themselves."""
     ticks = min(ticks, loop.horizon or ticks)
     own = drawn_by_the_policy(loop.open_program())
@@ -103,7 +103,7 @@ def record(loop: Loop, ticks: int, seed: int = SEED) -> Vector:
     return record_loop(loop, ticks, seed, np.array([drawn[f"{UNIFORM} {i}"][:, 0] for i in range(len(own))]).T)
 
 
-def given(loop: Loop, vector: Vector, tick: int) -> dict[str, Any]:
+def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     """Return the inputs of a unit in a step."""
     values: dict[str, Any] = {f"y[{i + 1}]": float(value) for i, value in enumerate(vector.measured[tick])}
     if may_lose(loop):
@@ -111,7 +111,7 @@ def given(loop: Loop, vector: Vector, tick: int) -> dict[str, Any]:
     return values
 
 
-def differing_ticks(instance: Instance, loop: Loop, vector: Vector, ticks: Iterable[int]) -> list[int]:
+def differing_ticks(instance: Instance, loop: Loop, vector: RecordedRun, ticks: Iterable[int]) -> list[int]:
     """Step an instance, and return the steps in which a decision or a bit of the input differs."""
     wrong, seconds = list[int](), tick_length(loop)
     inputs = [f"u[{i + 1}]" for i in range(vector.applied.shape[1])]
@@ -134,7 +134,7 @@ def build_driver(folder: Path, *options: str) -> Path:
     return made
 
 
-def drive(driver: Path, library: Path, unit: Fmu, loop: Loop, vector: Vector) -> int:
+def drive(driver: Path, library: Path, unit: Fmu, loop: Loop, vector: RecordedRun) -> int:
     """Step a library through rows; return how many steps agree."""
     rows = library.parent / "rows"
     np.hstack([vector.measured, 1 - vector.arrived, vector.sent, vector.applied]).astype(np.float64).tofile(rows)

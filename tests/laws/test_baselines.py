@@ -81,8 +81,8 @@ def silence_is_a_determinant(system: System, share: float) -> None:
     """P(silent for j steps) = det(I + cov(e_1 … e_j)(I ⊗ sW))^{-½} sums up to the rate."""
     scale = share / size_of(system) ** 2
     policy = design.stochastic(system.plant, system.cost, scale=scale, actuation="model")
-    assert policy.closed_form is not None
-    rate, n = policy.closed_form.rates["actuator"], system.plant.states
+    assert policy.theory.closed_form is not None
+    rate, n = policy.theory.closed_form.rates["actuator"], system.plant.states
     assume(rate > 0.3)  # so that a few steps tell all
     seen = steady_filter(system.plant.A, system.plant.C, system.plant.W, system.plant.V)
     step, lengths = np.linalg.cholesky(seen.prior - seen.posterior + 1e-13 * np.eye(n)), []
@@ -178,9 +178,9 @@ def test_silence_that_costs_without_end_is_refused() -> None:
     with pytest.raises(UnstableError, match="mean cost is infinite"):
         design.stochastic(plant, cost, weight=blind, actuation="model")
     policy = design.stochastic(plant, cost, weight=blind, scale=100.0, actuation="model")  # ends silence soon enough
-    assert policy.closed_form is not None
+    assert policy.theory.closed_form is not None
     found = average(close(plant, policy), completed_squares(close(plant, policy)), steps=1_000_000)
-    assert abs(found.cost.value - policy.closed_form.cost) <= 5 * found.cost.standard_error
+    assert abs(found.cost.value - policy.theory.closed_form.cost) <= 5 * found.cost.standard_error
 
 
 @pytest.mark.parametrize("scale", [0.5, 4.0])
@@ -202,9 +202,9 @@ def test_a_stochastic_trigger_that_is_never_silent_is_all_time_control(scale: fl
     """The factor of rate and cost exists for every scale, also if I is lost in the rounding of the sum."""
     masses = load("two-mass-lqg")
     policy = design.stochastic(masses.plant, masses.cost, scale=scale, actuation="model")
-    assert policy.closed_form is not None
-    assert policy.closed_form.rates["actuator"] == 1
-    assert policy.closed_form.cost == pytest.approx(policy.cost_all_time, rel=1e-12)
+    assert policy.theory.closed_form is not None
+    assert policy.theory.closed_form.rates["actuator"] == 1
+    assert policy.theory.closed_form.cost == pytest.approx(policy.cost_all_time, rel=1e-12)
 
 
 def test_notes_say_why_there_is_no_bound() -> None:

@@ -69,8 +69,8 @@ def case(seed: int, states: int) -> Case | None:
     if not (well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T)):
         return None
     policy = design.excess(system.plant, system.cost, delta=0.0, actuation="model")
-    assert policy.reset is not None
-    noise, Gamma = policy.reset.covariance, policy.reset.weight
+    assert policy.theory.reset is not None
+    noise, Gamma = policy.theory.reset.covariance, policy.theory.reset.weight
     price = float(np.trace(Gamma @ noise) * 10 ** draws.uniform(0.0, 1.0))
     return Case(system.plant.A, noise, Gamma, price, policy.cost_all_time)
 
@@ -212,7 +212,7 @@ def test_little_is_left_between_the_nearly_best_schedule_and_the_lower_bound_on_
 def no_policy_beats_the_lower_bound(system: System, name: str, steps: int) -> None:
     """The cost of a policy is that of no better schedule than the bound at its rate allows."""
     loop = closed(POLICIES[name](system))
-    assert loop.policy.reset is not None
+    assert loop.policy.theory.reset is not None
     found = average(loop, seed=system.seed, steps=steps)
     rate = found.rates["actuator"]
     assume(found.reached and rate.value > 0.02)

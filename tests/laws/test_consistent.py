@@ -80,7 +80,7 @@ def exact_is_average(seed: int, law: str, steps: int) -> None:
     plant, cost, period = continuous_system(seed, law)
     assume(price_of(plant, cost).slope_in_rate(period) > 0)
     loop = close(plant, design.consistent(plant, cost, period=period))
-    assume(loop.policy.settling < 100)
+    assume(loop.policy.theory.settling < 100)
     exact = average(loop, completed_squares(loop), seed=seed, steps=steps)
     plain = average(loop, plain_average(loop), seed=seed + 1, steps=2 * steps)
     assume(exact.reached and plain.reached)

@@ -38,8 +38,8 @@ def test_95_percent_intervals_of_the_plain_average_cover_the_exact_cost(seeds: i
     policy = design.periodic(PLANT, COST, every=2)
     loop = close(PLANT, policy, cost=COST)
     found = [average(loop, plain_average(loop), seed=seed, steps=60_000).cost for seed in range(seeds)]
-    assert policy.closed_form is not None
-    assert covers(coverage([(e.value, e.standard_error) for e in found], policy.closed_form.cost), seeds)
+    assert policy.theory.closed_form is not None
+    assert covers(coverage([(e.value, e.standard_error) for e in found], policy.theory.closed_form.cost), seeds)
 
 
 @pytest.mark.parametrize("seeds", SEEDS)
@@ -145,14 +145,14 @@ def test_a_burn_in_that_is_too_short_is_prolonged() -> None:
     policy = design.periodic(slow, cost, every=1)
     loop = close(slow, policy, cost=cost)
     found = average(loop, plain_average(loop), seed=3, steps=20_000_000)
-    assert found.burn_in > module.BURN_IN
-    assert policy.closed_form is not None
-    assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
+    assert found.burn_in > module.SHORTEST_BURN_IN
+    assert policy.theory.closed_form is not None
+    assert abs(found.cost.value - policy.theory.closed_form.cost) <= 4 * found.cost.standard_error
 
 
 def test_an_unreachable_precision_reports_what_was_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     """The budget ends the run, and the result says so."""
-    monkeypatch.setattr(module, "BUDGET", 3_000_000)
+    monkeypatch.setattr(module, "MOST_OPERATIONS", 3_000_000)
     loop = close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)
     found = average(loop, standard_error=1e-9)
     assert not found.reached
@@ -194,8 +194,8 @@ def test_a_slow_mode_is_waited_for_even_at_low_precision(pole: float) -> None:
     """A mode that no input moves needs thousands of steps; asked for 5 %, the estimate is still unbiased."""
     plant = Plant([[pole, 0.0], [0.0, 0.5]], [[0.0], [1.0]], np.eye(2))
     policy = design.all_time(plant, Cost(np.eye(2), [[1.0]]))
-    assert policy.closed_form is not None
-    exact = policy.closed_form.cost
+    assert policy.theory.closed_form is not None
+    exact = policy.theory.closed_form.cost
     loop = close(plant, policy)
     found = average(loop, plain_average(loop), seed=1, standard_error=0.05 * exact)
     assert found.reached
@@ -278,7 +278,7 @@ def test_differences_of_loops_that_are_nearly_one_are_honest() -> None:
 
 def test_loops_that_have_not_yet_differed_have_told_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A standard error of 0 is not precise where the loops are not the same."""
-    monkeypatch.setattr(module, "BUDGET", 5_000_000)
+    monkeypatch.setattr(module, "MOST_OPERATIONS", 5_000_000)
     first, second = (close(PLANT, design.lqg(PLANT, COST, theta=theta), cost=COST) for theta in (0.5, 0.5 + 1e-13))
     found = difference(first, second, standard_error=1e-3)
     assert found.cost.standard_error == 0

@@ -14,6 +14,7 @@ from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.policy import Apply, Step
+from taciturn.model.theory import Theory
 from taciturn.program.numpy import run
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -39,7 +40,7 @@ def extend(policy: Policy, spread: np.ndarray) -> Policy:
     }
     steps = tuple(new.get(getattr(step, "signal", ""), step) for step in policy.steps)
     initial = {**policy.initial, "spread": spread.ravel()}
-    return Policy("extended", steps, model, policy.cost_all_time, sites=policy.sites, initial=initial, cost=policy.cost)
+    return Policy("extended", steps, model, Theory(policy.cost), sites=policy.sites, initial=initial)
 
 
 def designed(system: System) -> Policy:
@@ -50,7 +51,7 @@ def designed(system: System) -> Policy:
     except TaciturnError:
         assume(False)
         raise
-    assume(policy.settling < 30)
+    assume(policy.theory.settling < 30)
     return policy
 
 

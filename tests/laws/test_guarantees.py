@@ -92,8 +92,8 @@ def closed_forms_are_what_is_simulated(system: System, name: str, steps: int = 2
     policy = POLICIES[name](system)
     loop = closed(policy)
     found = settled(loop, plain_average(loop), system.seed, steps)
-    assert policy.closed_form is not None
-    assert abs(found.cost.value - policy.closed_form.cost) <= 4.5 * found.cost.standard_error
+    assert policy.theory.closed_form is not None
+    assert abs(found.cost.value - policy.theory.closed_form.cost) <= 4.5 * found.cost.standard_error
 
 
 @pytest.mark.parametrize("name", GUARANTEED[::4])
@@ -219,8 +219,8 @@ def close_gain(policy: Policy) -> np.ndarray:
 def vanishes_into_all_time_control(system: System, trigger: str, actuation: str) -> None:
     """θ = 0 sends every sample and costs J_all exactly; θ → 0 approaches both."""
     all_time = design.all_time(system.plant, system.cost)
-    assert all_time.closed_form is not None
-    exact = all_time.closed_form.cost
+    assert all_time.theory.closed_form is not None
+    exact = all_time.theory.closed_form.cost
     rates = []
     for theta in (0.0, 1e-13, 1e-3):
         policy = design.lqg(system.plant, system.cost, theta=theta, trigger=trigger, actuation=actuation)

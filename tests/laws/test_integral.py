@@ -17,7 +17,7 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, simulate
 from taciturn.lqg.prediction import PredictionCost
 from taciturn.problem import parse
-from taciturn.renewal.cycles import estimate_cycles, sweep
+from taciturn.renewal.cycles import estimate_cycles, sweep_thresholds
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import plain_average
@@ -32,7 +32,7 @@ MANY = settings(max_examples=20, deadline=None, suppress_health_check=[HealthChe
 def fewer_cycles(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search fixed points with a hundredth of the usual cycles, in the full counts with a fortieth."""
     cycles = 20_000 if request.node.get_closest_marker("evidence") is None else 50_000
-    monkeypatch.setattr(import_module("taciturn.design.integral"), "CYCLES", cycles)
+    monkeypatch.setattr(import_module("taciturn.design.kinds.integral"), "CYCLES", cycles)
 
 
 DOUBLE = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], jumps=Jumps(5.0, np.diag([0.0, 0.5])))
@@ -98,7 +98,9 @@ def test_the_mean_interval_rises_with_alpha_from_above_it_to_below(law: str, see
     assert plant.jumps is not None
     process = JumpProcess(plant.A, plant.jumps, price.S)
     alphas = h_max * np.array([0.001, 0.03, 0.1, 0.3, 0.6, 1.0])
-    found = sweep(process, slope * alphas, trigger=IntegralTrigger(1.0, h_max=h_max), cycles=10_000, seed=seed)
+    found = sweep_thresholds(
+        process, slope * alphas, trigger=IntegralTrigger(1.0, h_max=h_max), cycles=10_000, seed=seed
+    )
     means, errors = np.array([(one.interval.value, one.interval.standard_error) for one in found]).T
     assert means[0] - 4 * errors[0] > alphas[0]
     assert means[-1] + 4 * errors[-1] < h_max
@@ -114,7 +116,7 @@ LIMITS = [{}, {"h_max": 1.0}, {"saturation": 0.4}, {"h_min": 0.3, "h_max": 1.5}]
 def test_nodes_do_what_cycles_tell(case: tuple[str, dict]) -> None:
     """Rate and cost by the loop with its plant, by its exact identity, and by the cycles of the error alone."""
     plant, limits = DOUBLE if case[0] == "jumps" else WIENER, case[1]
-    from taciturn.design.integral import sampled_error
+    from taciturn.design.kinds.integral import sampled_error
 
     policy = design.integral(plant, COST, slope=8.0, alpha=0.15, period=0.05, **limits)
     loop = close(plant, policy)
@@ -162,7 +164,7 @@ def test_looking_more_often_comes_to_every_instant() -> None:
     """The mean interval and the cost under jumps, looked at every 2 ms and watched between jumps."""
     watched = design.integral(DOUBLE, COST, slope=5.0, alpha=0.6, h_max=2.0)
     exact = estimate_cycles(watched.process, watched.trigger, cycles=100_000, seed=1)
-    from taciturn.design.integral import sampled_error
+    from taciturn.design.kinds.integral import sampled_error
 
     seen = sampled_error(DOUBLE, price_of(DOUBLE, COST), 0.002)
     found = estimate_cycles(seen, watched.trigger, cycles=20_000, seed=2)

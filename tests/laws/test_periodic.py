@@ -20,13 +20,13 @@ def test_the_curve_rises_with_the_period(plant: ContinuousPlant) -> None:
     """What can be done every 2h can be done every h."""
     costs = []
     for period in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6):
-        form = design.periodic(plant, COST, period=period).closed_form
+        form = design.periodic(plant, COST, period=period).theory.closed_form
         assert form is not None
         assert form.rates == {"actuator": 1.0}
         costs.append(form.cost)
     assert np.diff(costs).min() > 0
     if plant is STABLE:
-        open_loop = design.periodic(plant, COST, period=60.0).closed_form
+        open_loop = design.periodic(plant, COST, period=60.0).theory.closed_form
         A, W = plant.A, plant.W
         free = np.trace(
             COST.Q @ np.linalg.solve(np.kron(A, np.eye(2)) + np.kron(np.eye(2), A), -W.ravel()).reshape(2, 2)
@@ -54,8 +54,8 @@ def test_the_closed_form_is_what_is_simulated(plant: ContinuousPlant, period: fl
     policy = design.periodic(plant, COST, period=period)
     loop = close(plant, policy, cost=COST)
     found = average(loop, plain_average(loop), seed=4, steps=20_000_000)
-    assert policy.closed_form is not None
-    assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
+    assert policy.theory.closed_form is not None
+    assert abs(found.cost.value - policy.theory.closed_form.cost) <= 4 * found.cost.standard_error
 
 
 def test_a_continuous_prediction_costs_what_the_formula_says() -> None:
@@ -64,13 +64,13 @@ def test_a_continuous_prediction_costs_what_the_formula_says() -> None:
     cost = Cost(np.eye(2), [[10.0]])
     for rate in (0.5, 1.0, 4.0):
         policy = design.periodic(plant, cost, period=1 / rate, actuation="model")
-        assert policy.closed_form is not None
-        assert policy.closed_form.cost == pytest.approx(
+        assert policy.theory.closed_form is not None
+        assert policy.theory.closed_form.cost == pytest.approx(
             21.395904 + 9.155694 / rate + 2.255326 / rate**2 + 0.208333 / rate**3, abs=2e-5
         )
         loop = close(plant, policy, cost=cost)
         found = average(loop, plain_average(loop), seed=5, steps=10_000_000)
-        assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
+        assert abs(found.cost.value - policy.theory.closed_form.cost) <= 4 * found.cost.standard_error
         assert found.rates["sensor"].value == rate
         assert found.rate_unit == "second"
 
@@ -97,8 +97,8 @@ def test_brute_force_integration_of_the_noisy_continuous_loop() -> None:
                 )
             x = move @ x + push @ u + root @ draws.standard_normal((2, paths))
     cost /= (ticks - burn) * period
-    assert policy.closed_form is not None
+    assert policy.theory.closed_form is not None
     error = cost.std(ddof=1) / np.sqrt(paths)
-    bias = 0.006 * policy.closed_form.cost  # left end points of 200 parts: about half of 1/200
-    assert error < 0.01 * policy.closed_form.cost
-    assert abs(cost.mean() - policy.closed_form.cost) <= 4 * error + bias
+    bias = 0.006 * policy.theory.closed_form.cost  # left end points of 200 parts: about half of 1/200
+    assert error < 0.01 * policy.theory.closed_form.cost
+    assert abs(cost.mean() - policy.theory.closed_form.cost) <= 4 * error + bias

@@ -110,10 +110,10 @@ def test_with_no_query_possible_the_estimator_is_open_loop(system: System, share
     policy = design.remote_lqg(plant, system.cost, zeta=1e9, controller="actuator")
     Sigma = accumulate(A, plant.W)
     assert policy.schedule is not None
-    assert policy.closed_form is not None
+    assert policy.theory.closed_form is not None
     assert policy.schedule.rate == 0
     np.testing.assert_allclose(policy.schedule.covariance[0], Sigma, rtol=1e-8, atol=1e-9 * np.abs(Sigma).max())
-    assert policy.closed_form.cost == pytest.approx(float(np.trace(system.cost.Q @ Sigma)), rel=1e-8)
+    assert policy.theory.closed_form.cost == pytest.approx(float(np.trace(system.cost.Q @ Sigma)), rel=1e-8)
 
 
 def test_the_open_loop_estimator_in_the_loop() -> None:
@@ -177,6 +177,6 @@ def test_a_query_is_worth_what_its_place_says(system: System) -> None:
     base = design.all_time(system.plant, system.cost).cost_all_time
     for share in (0.0, 0.05, 0.2, 0.5):
         policy = design.remote_lqg(system.plant, system.cost, zeta=share * base, controller="actuator")
-        assert policy.closed_form is not None
+        assert policy.theory.closed_form is not None
         assert policy.guarantee is not None
-        assert policy.cost_all_time * (1 - 1e-9) <= policy.closed_form.cost <= policy.guarantee.cost * (1 + 1e-9)
+        assert policy.cost_all_time * (1 - 1e-9) <= policy.theory.closed_form.cost <= policy.guarantee.cost * (1 + 1e-9)

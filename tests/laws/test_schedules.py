@@ -29,8 +29,8 @@ def test_the_bound_of_rollout_is_periodic_control_at_its_rate(system: System, ev
         return
     periodic = design.periodic(system.plant, system.cost, every=every)
     assert policy.guarantee is not None
-    assert periodic.closed_form is not None
-    assert policy.guarantee.cost == pytest.approx(periodic.closed_form.cost, rel=1e-9)
+    assert periodic.theory.closed_form is not None
+    assert policy.guarantee.cost == pytest.approx(periodic.theory.closed_form.cost, rel=1e-9)
 
 
 def test_rollout_beats_periodic_control_at_its_rate() -> None:
@@ -131,8 +131,8 @@ def test_the_pattern_is_the_best_of_all(system: System, length: int, sends: int)
     costs = [cost_of((0, *others)) for others in combinations(range(1, length), sends - 1)]
     assume(np.isfinite(costs).all())
     policy = design.periodic_schedule(p, c, length=length, sends=sends)
-    assert policy.closed_form is not None
-    assert policy.closed_form.cost == pytest.approx(min(costs), rel=1e-8)
+    assert policy.theory.closed_form is not None
+    assert policy.theory.closed_form.cost == pytest.approx(min(costs), rel=1e-8)
 
 
 def test_necklaces_are_all_patterns_up_to_rotation() -> None:
@@ -156,12 +156,12 @@ def test_variance_triggering_of_a_random_walk_is_counting() -> None:
     plant, cost = Plant([[1.0]], [[1.0]], [[0.5]]), Cost([[1.0]], [[1.0]])
     for threshold, ticks in ((0.4, 1), (0.5, 2), (1.2, 3), (4.9, 10)):
         policy = design.variance(plant, cost, threshold=threshold)
-        assert policy.closed_form is not None
-        assert policy.closed_form.rates == {"sensor": pytest.approx(1 / ticks)}
+        assert policy.theory.closed_form is not None
+        assert policy.theory.closed_form.rates == {"sensor": pytest.approx(1 / ticks)}
         H = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
         error = np.mean([0.5 * k for k in range(ticks)])
         expected = float(H.K[0, 0]) * 0.5 + float((H.L.T @ H.H @ H.L)[0, 0]) * error
-        assert policy.closed_form.cost == pytest.approx(expected)
+        assert policy.theory.closed_form.cost == pytest.approx(expected)
 
 
 def test_an_unstable_plant_that_is_never_measured_is_refused() -> None:

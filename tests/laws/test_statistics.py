@@ -46,7 +46,7 @@ def test_intervals_with_control_variates_cover_a_long_run(seeds: int, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(sampling.Sampling, "_add_controls", lambda self, paths: False)
         truth = average(loop, estimator, seed=1000, steps=400_000 * seeds).cost
-    monkeypatch.setattr(sampling, "PATHS", 128)
+    monkeypatch.setattr(sampling, "SIMULATED_PATHS", 128)
     found = [average(loop, estimator, seed=seed, steps=440_000).cost for seed in range(seeds)]
     assert truth.standard_error < (0.3 if seeds < 100 else 0.1) * found[0].standard_error
     widened = [(e.value, float(np.hypot(e.standard_error, truth.standard_error))) for e in found]

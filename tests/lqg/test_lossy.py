@@ -211,9 +211,9 @@ def test_the_all_time_average_is_that_of_the_stationary_moments(link, seed):
     cost = Cost(Q, R)
     plant = Plant(A, B, semidefinite(np.random.default_rng(seed), len(A)))
     policy = design.lossy_lqg(plant, cost, price=0, network=way)
-    assume(policy.settling < 50)
+    assume(policy.theory.settling < 50)
     moments = Moments(policy, cost)
-    for _ in range(int(15 * policy.settling)):
+    for _ in range(int(15 * policy.theory.settling)):
         moments.tick()
     assert policy.cost_all_time == pytest.approx(moments.tick(), rel=1e-10)
 

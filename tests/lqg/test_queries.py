@@ -88,8 +88,8 @@ def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, s
     policy = design.remote_lqg(plant, cost, theta=0.1, zeta=price)
     schedule = policy.schedule
     assert schedule is not None
-    assert policy.identity is not None
-    assume(policy.settling < 30)
+    assert policy.theory.identity is not None
+    assume(policy.theory.settling < 30)
     steps = cost.horizon or (600 if cost.discount == 1 else 200)
     assert policy.cost_all_time == pytest.approx(propagated(plant, cost, steps, [True] * steps), rel=1e-10)
     asked, here = [], 0
@@ -98,7 +98,7 @@ def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, s
         here = here + 1 if here + 1 < len(schedule.queries) else schedule.start or 0
     whole = steps if cost.horizon is not None else len(asked)
     found = propagated(plant, cost, whole, asked, schedule.period or 1)
-    assert policy.identity.constant == pytest.approx(found, rel=1e-10)
+    assert policy.theory.identity.constant == pytest.approx(found, rel=1e-10)
 
 
 @law(2, 10, seed=SEEDS)
@@ -144,7 +144,7 @@ def test_noise_on_the_velocity_alone_leaves_a_schedule() -> None:
     for zeta, rate in ((0.0, 1.0), (0.1, 1 / 3)):
         policy = design.remote_lqg(plant, Cost(np.eye(2), [[1.0]]), theta=0.1, zeta=zeta)
         assert policy.schedule.rate == pytest.approx(rate)
-        assert 1 <= policy.settling < 100
+        assert 1 <= policy.theory.settling < 100
 
 
 @pytest.mark.parametrize("time", [{}, {"discount": 0.8}, {"horizon": 30}], ids=str)

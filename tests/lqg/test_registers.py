@@ -282,7 +282,7 @@ def test_every_policy_leaves_alone_what_its_cost_does_not_see(kind, name):
         return
     if "remote" not in name or policy.cost is None or not policy.cost.mission:  # whose starts are drawn for the plant
         assert policy.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
-        assert policy.settling == pytest.approx(plain.settling, rel=1e-6)
+        assert policy.theory.settling == pytest.approx(plain.theory.settling, rel=1e-6)
     if policy.guarantee is not None and plain.guarantee is not None and not policy.cost.mission:
         assert policy.guarantee.cost == pytest.approx(plain.guarantee.cost, rel=1e-8)
 
@@ -299,7 +299,7 @@ def test_losses_do_not_concern_what_the_cost_does_not_see(protocol, horizon):
         for one in (more(small, "walk"), small)
     )
     assert found.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
-    assert found.settling == pytest.approx(plain.settling, rel=1e-9)
+    assert found.theory.settling == pytest.approx(plain.theory.settling, rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["excess", "periodic", "lqg", "consistent"])
@@ -316,7 +316,7 @@ def test_a_continuous_plant_may_have_an_oscillator_that_nothing_drives_or_weighs
     }[kind]
     found, plain = (build(ContinuousPlant(A[:n, :n], B[:n], W[:n, :n]), Cost(Q[:n, :n], [[0.1]])) for n in (4, 2))
     assert found.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
-    assert found.settling == pytest.approx(plain.settling, rel=1e-6)
+    assert found.theory.settling == pytest.approx(plain.theory.settling, rel=1e-6)
     gain = regulate_continuous(A, B, Q, [[0.1]], np.zeros((4, 1))).L
     assert not gain[:, 2:].any()
     A[1, 2] = 1.0

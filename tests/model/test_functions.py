@@ -16,6 +16,7 @@ from taciturn.analyse.switched import switched
 from taciturn.errors import InformationError
 from taciturn.model.packets import fingerprint
 from taciturn.model.policy import Apply, Assign, Decide, NodeName, Received, Send, Step
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form
 
 PLANT = Plant([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2))
@@ -34,9 +35,12 @@ SEND = Send("controller", "actuator", ("command",), "send")
 INPUT = Assign("actuator", "input", ({"input": np.eye(1)}, {"command": np.eye(1)}), Received("actuator"))
 
 
-def make(*steps: Step, **claims: Any) -> Policy:
+NOTHING = Theory()
+
+
+def make(*steps: Step, theory: Theory = NOTHING) -> Policy:
     """Return a policy of these steps."""
-    return Policy("hand-made", steps, PLANT, 1.0, sites=SITES, **claims)
+    return Policy("hand-made", steps, PLANT, theory, SITES)
 
 
 def test_a_function_is_simulated_traced_and_run() -> None:
@@ -99,7 +103,7 @@ def test_a_function_that_cannot_be_traced_is_refused_when_the_loop_runs() -> Non
 def test_theory_of_linear_steps_is_not_claimed_of_a_function() -> None:
     """Neither a guarantee nor a certificate."""
     with pytest.raises(ProblemError, match="computes command by a function and has guarantee, which holds for"):
-        make(BEND, DECIDE, SEND, INPUT, guarantee=Guarantee(1.0, "a claim", "gommans2017"), cost=COST)
+        make(BEND, DECIDE, SEND, INPUT, theory=Theory(COST, guarantee=Guarantee(1.0, "a claim", "gommans2017")))
     loop = close(PLANT, make(BEND, DECIDE, SEND, INPUT), None, COST)
     with pytest.raises(ProblemError, match="hand-made computes command by a function, which certificates do not"):
         switched(loop)

@@ -30,7 +30,7 @@ def make(
     *steps: Step, sites: tuple[frozenset[NodeName], ...] = COLLOCATED, locations: tuple[Location, ...] = ()
 ) -> Policy:
     """Return a policy of these steps."""
-    return Policy("hand-made", steps, PLANT, 1.0, sites=sites, locations=locations)
+    return Policy("hand-made", steps, PLANT, sites=sites, locations=locations)
 
 
 def refusal(policy: Policy, network: Network | None = None) -> str:

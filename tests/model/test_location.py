@@ -9,6 +9,7 @@ import taciturn.model.location as location_module
 from taciturn import Cost, Plant, Policy, Trigger, average, close
 from taciturn.model.location import Location, joint_cycle
 from taciturn.model.policy import Assign, Decide, Received, Send
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled
 
 ONE = np.eye(1)
@@ -74,8 +75,7 @@ def test_a_rule_that_counts_at_its_node_has_its_rate_exactly() -> None:
             Assign("actuator", "input", {"seen": ONE}),
         ),
         Plant(0.5 * ONE, ONE, ONE),
-        1.0,
-        ("sensor",),
+        Theory(),
         (frozenset({"controller", "actuator"}),),
         (Location("count", np.stack([turn, turn], axis=1), "sensor", "go"),),
     )

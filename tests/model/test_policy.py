@@ -8,19 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taciturn import Estimate, Guarantee, Plant, Policy, ProblemError, Trigger, load
-from taciturn.model.policy import (
-    Acknowledged,
-    Assign,
-    ClosedForm,
-    Decide,
-    Draw,
-    Evaluate,
-    Location,
-    Received,
-    Send,
-    Step,
-)
+from taciturn import Cost, Estimate, Guarantee, Plant, Policy, ProblemError, Trigger, average, close, load
+from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
+from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Scheduled
 
 PLANT = Plant([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], 0.01 * np.eye(2))
@@ -36,7 +26,7 @@ STEPS: tuple[Step, ...] = (COMMAND, DECIDE, SEND, INPUT)
 
 def make(steps: tuple[Step, ...] = STEPS, **more: Any) -> Policy:
     """Return a policy that sends the command when it is large."""
-    return Policy("large", steps, PLANT, **{"cost_all_time": 1.0} | more)
+    return Policy("large", steps, PLANT, **more)
 
 
 def refusal(action: Callable[[], object]) -> str:
@@ -163,16 +153,19 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (STEPS, {"tick": np.nan}, "tick is nan; expected a finite number"),
     (
         STEPS,
-        {"cost_all_time": np.nan},
+        {"theory": Theory(cost_all_time=np.nan)},
         "the cost of sending every sample of large is nan; expected a finite number: scale the problem",
     ),
-    (STEPS, {"noise_cost": np.inf}, "the inter-sample noise cost of large is inf; expected a finite number"),
     (
         STEPS,
-        {"guarantee": Guarantee(np.inf, "J ≤ ∞", "none")},
+        {"theory": Theory(guarantee=Guarantee(np.inf, "J ≤ ∞", "none"))},
         "the guaranteed cost of large is inf; expected a finite",
     ),
-    (STEPS, {"closed_form": ClosedForm(np.inf, {})}, "the cost of large is inf; expected a finite number"),
+    (
+        STEPS,
+        {"theory": Theory(closed_form=ClosedForm(np.inf, {}))},
+        "the cost of large is inf; expected a finite number",
+    ),
 ]
 
 
@@ -360,6 +353,25 @@ def test_the_conditions_are_values() -> None:
 
 def test_the_weight_of_silence_has_its_former_name() -> None:
     """``Reset.square``, which policies of one's own may read."""
-    reset = load("two-mass").design().reset
+    reset = load("two-mass").design().theory.reset
     assert reset is not None
     assert reset.square is reset.weight
+
+
+def test_a_policy_without_theory_is_run_and_claims_nothing() -> None:
+    """Its cost of sending every sample is unknown, which text and loop accept, and a reader of the number is told."""
+    policy = make(sites=(frozenset({"sensor", "controller"}),))
+    assert (policy.cost, policy.guarantee, policy.theory.cost_all_time) == (None, None, None)
+    assert str(policy).startswith("large\n")
+    told = refusal(lambda: policy.cost_all_time)
+    assert told.startswith("the cost of sending every sample is unknown for large; expected Theory(cost_all_time=…)")
+    found = average(close(PLANT, policy, cost=Cost(np.eye(2), ONE)), steps=20_000)
+    assert 0 < found.rates["actuator"].value < 1
+
+
+def test_the_links_on_which_a_decision_sends_follow_from_the_steps() -> None:
+    """Without a decision, they are all links."""
+    always = (COMMAND, Send("controller", "actuator", ("command",)), INPUT)
+    assert make().scheduled == make(always).scheduled == ("actuator",)
+    both = (Send("sensor", "sensor", ("y",)), *STEPS)
+    assert make(both).scheduled == ("actuator",)

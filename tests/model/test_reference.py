@@ -258,6 +258,6 @@ def test_the_number_one_cannot_be_assigned(step: Any) -> None:
         Send("controller", "actuator", ("command",)),
         Assign("actuator", "input", ({"input": [[1.0]]}, {"command": [[1.0]], ONE: [[0.5]]}), Received("actuator")),
     )
-    assert close(plant(), Policy("pushes", steps, plant(), 1.0, sites=SITES), cost=COST).policy.sizes[ONE] == 1
-    told = refusal(lambda: Policy("wrong", (*steps, step), plant(), 1.0))
+    assert close(plant(), Policy("pushes", steps, plant(), sites=SITES), cost=COST).policy.sizes[ONE] == 1
+    told = refusal(lambda: Policy("wrong", (*steps, step), plant()))
     assert told == "'one' is assigned, but this name denotes the number 1; expected another name"

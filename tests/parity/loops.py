@@ -94,7 +94,7 @@ def every_feature(system: System, seed: int) -> Loop:
         Assign("controller", "held", *noted),
         Assign("controller", "prior", {"estimate": plant.A, "held": plant.B}),
     )
-    policy = Policy("every feature", steps, plant, 1.0, locations=(clock, mood, heard), network=network)
+    policy = Policy("every feature", steps, plant, locations=(clock, mood, heard), network=network)
     return close(plant, policy, network, system.cost)
 
 
@@ -141,5 +141,5 @@ def with_functions(system: System, seed: int, protocol: str = "udp") -> Loop:
     )
     place, network = frozenset({"sensor", "controller"}), Network(protocol, loss)  # type: ignore[arg-type]
     first = {"spread": np.eye(n).ravel()}
-    policy = Policy("functions", steps, plant, 1.0, sites=(place,), initial=first, network=network)  # type: ignore[arg-type]
+    policy = Policy("functions", steps, plant, sites=(place,), initial=first, network=network)  # type: ignore[arg-type]
     return close(plant, policy, network, system.cost)

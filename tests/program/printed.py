@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from export.devices import STRICT, needs_compiler
 
-from taciturn.program.c import array, literal, print_c, print_root
+from taciturn.program.c import c_literal, constant_array, print_c, print_root
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
 from taciturn.program.numpy import run
@@ -46,7 +46,9 @@ def by_c(program: Program, folder: Path, *values: np.ndarray) -> np.ndarray:
     number = "float" if program.precision == "float32" else "double"
     constants = list[float]()
     tick = print_c(program, "tick", range(len(program.inputs)), constants)
-    stored = array("tac_real", "constants", [literal(value, program.precision) for value in [*constants, 0.0]])
+    stored = constant_array(
+        "tac_real", "constants", [c_literal(value, program.precision) for value in [*constants, 0.0]]
+    )
     text = (
         "#include <math.h>\n#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n"
         f"typedef {number} tac_real;\ntac_real used(tac_real x);\n"

@@ -16,7 +16,7 @@ from systems import make_system
 import taciturn
 from taciturn.model.plant import Jumps
 from taciturn.program._llvm_body import Build
-from taciturn.program.exponential import exponential, falling, logarithm
+from taciturn.program.exponential import exponential_of, falling, logarithm
 from taciturn.program.ir import Builder, Program
 from taciturn.program.llvm import print_llvm
 from taciturn.program.ops import Precision, State
@@ -92,7 +92,7 @@ def every_operation(precision: Precision) -> Program:
     table = b.value(b.lookup((1.0, 2.5, -3.0), b.emit("select", both, b.constant(2.0), b.constant(0.0))))
     values = [
         b.emit("div", x, b.emit("sqrt", y)),
-        b.emit("select", positive, exponential(b, x), falling(b, y)),
+        b.emit("select", positive, exponential_of(b, x), falling(b, y)),
         logarithm(b, x),
         drawn,
         table,

@@ -16,7 +16,7 @@ from program.printed import by_c, by_machine, by_numpy, by_python, program_of
 
 from taciturn.program.circular import arctangent, cosine, direction, sine, tangent
 from taciturn.program.elementary import NUMBERS
-from taciturn.program.exponential import exponential, exponential_less_one, hyperbolic_tangent, logarithm
+from taciturn.program.exponential import exponential_less_one, exponential_of, hyperbolic_tangent, logarithm
 from taciturn.program.ops import Precision
 
 PRECISIONS: list[Precision] = ["float64", "float32"]
@@ -42,7 +42,7 @@ class Case(NamedTuple):
 
 
 CASES = {
-    "exp": Case(exponential, np.exp, 1.5, (708.0, 87.0)),
+    "exp": Case(exponential_of, np.exp, 1.5, (708.0, 87.0)),
     "expm1": Case(exponential_less_one, np.expm1, 2.25, (708.0, 87.0)),
     "log": Case(logarithm, np.log, 1.0, (1.7e308, 3.4e38), positive=True),
     "tanh": Case(hyperbolic_tangent, np.tanh, 2.75, (1e300, 1e38)),

@@ -71,8 +71,8 @@ def test_a_loop_that_always_sends_has_the_cost_of_the_covariance(distribution) -
     loop = close(plant, policy)
     assert loop.nominal
     found = average(loop, plain_average(loop), seed=4, steps=6_000_000)
-    assert policy.closed_form is not None
-    assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
+    assert policy.theory.closed_form is not None
+    assert abs(found.cost.value - policy.theory.closed_form.cost) <= 4 * found.cost.standard_error
     assert found.cost.standard_error < 0.005 * found.cost.value
 
 

@@ -12,7 +12,7 @@ import taciturn
 from taciturn import Cost, Plant
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.program.draws import draw
+from taciturn.program.draws import draw_numbers
 from taciturn.program.ir import Builder
 from taciturn.program.numpy import run
 from taciturn.program.ops import Precision
@@ -29,7 +29,7 @@ def drawn(words: np.ndarray, precision: Precision, *names: str) -> list[np.ndarr
     states = np.zeros((4, len(words)), dtype=np.uint64)
     states[3] = (words >> np.uint64(23)) | (words << np.uint64(41))
     b, supplied = Builder(precision), dict[str, int]()
-    following = draw(b, names, supplied)
+    following = draw_numbers(b, names, supplied)
     outputs = run(b.finish(following, {}, supplied), states.view(np.float64), 1).outputs
     return [outputs[name][0] for name in names]
 

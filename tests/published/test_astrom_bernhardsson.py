@@ -32,7 +32,7 @@ def test_impulse_control_by_events_has_a_third_of_the_variance_of_periodic_contr
         excess = simulated.cost.value - policy.cost_all_time
         assert abs(excess - found.excess) <= 4 * simulated.cost.standard_error + 1e-6 * found.excess
         every = round(1 / found.rate)
-        clock = design.periodic(plant, cost, every=every, actuation="model").closed_form
+        clock = design.periodic(plant, cost, every=every, actuation="model").theory.closed_form
         assert clock is not None
         assert clock.cost - policy.cost_all_time == pytest.approx((every - 1) / 2, rel=1e-6)
     assert_tends_to(3, list(ratios.values()))
@@ -53,7 +53,7 @@ def watched(a: float, looks: float) -> tuple[float, float]:
 def test_a_held_input_must_be_sampled_nearly_five_times_as_fast_as_impulses_by_events() -> None:
     """An integrator: (3 + √3)h/6 for a held input, h/6 for impulses by events; "4.7 times faster" in print."""
     plant, cost = ContinuousPlant([[0.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e-12]])
-    held = design.periodic(plant, cost, period=1.0).closed_form
+    held = design.periodic(plant, cost, period=1.0).theory.closed_form
     assert held is not None
     assert held.cost == pytest.approx((3 + np.sqrt(3)) / 6, rel=1e-9)
     ratios = [held.cost * wait / events for events, wait in (watched(0.0, looks) for looks in (10.0, 20.0, 40.0))]

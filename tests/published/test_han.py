@@ -9,6 +9,7 @@ from taciturn import Cost, Plant, average, close, design
 from taciturn._modes import stationary
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.policy import Assign, Decide, Draw, Policy, Received, Send
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 
@@ -31,10 +32,8 @@ def open_loop(plant: Plant, weight: np.ndarray) -> Policy:
             Assign("actuator", "input", {"heard": np.zeros((m, p))}),
         ),
         model=plant,
-        cost_all_time=0.0,
-        scheduled=("sensor",),
+        theory=Theory(cost=Cost(np.eye(plant.states), np.eye(m))),
         sites=(frozenset({"controller", "actuator"}),),
-        cost=Cost(np.eye(plant.states), np.eye(m)),
     )
 
 
@@ -57,6 +56,6 @@ def test_a_plant_without_memory_is_scheduled_at_the_published_rate() -> None:
     C, V = np.array([[1.0, 0.3]]), np.array([[0.5]])
     plant = Plant(np.zeros((2, 2)), np.eye(2), W, C=C, V=V)
     policy = design.stochastic(plant, Cost(np.eye(2), np.eye(2)), weight=weight, actuation="model")
-    assert policy.closed_form is not None
+    assert policy.theory.closed_form is not None
     told = W - steady_filter(plant.A, C, W, V).posterior  # covariance of the estimate
-    assert policy.closed_form.rates["actuator"] == pytest.approx(published(told, weight), rel=1e-12)
+    assert policy.theory.closed_form.rates["actuator"] == pytest.approx(published(told, weight), rel=1e-12)

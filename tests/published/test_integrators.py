@@ -14,6 +14,7 @@ import scipy.optimize
 
 from taciturn import Cost, Plant, average, close
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
@@ -105,9 +106,8 @@ def worse_than_the_clock(n: int, level: float, steps: int) -> tuple[float, float
             Assign("actuator", "input", ({"input": 0 * one}, {"command": one}), Received("actuator")),
         ),
         model=plant,
-        cost_all_time=0.0,
+        theory=Theory(cost=Cost(one, 1e-12 * one)),
         sites=(frozenset({"sensor", "controller"}),),
-        cost=Cost(one, 1e-12 * one),
     )
     found = average(close(plant, policy), steps=steps)
     looks = 1 / found.rates["actuator"].value

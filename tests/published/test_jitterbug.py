@@ -86,8 +86,8 @@ def test_an_actuator_that_predicts_costs_what_jitterbug_draws() -> None:
     estimate = ContinuousPlant(A, B, dual.L.T @ V @ dual.L)
     for period, height in zip(PERIODS, PREDICTED, strict=True):
         policy = design.periodic(estimate, MOTOR, period=period, actuation="model")
-        assert policy.closed_form is not None
-        relative = (policy.closed_form.cost + np.trace(MOTOR.Q @ dual.K)) / whole
+        assert policy.theory.closed_form is not None
+        relative = (policy.theory.closed_form.cost + np.trace(MOTOR.Q @ dual.K)) / whole
         assert relative == pytest.approx(1 + UNIT * (323 - height), abs=DIGIT)
 
 

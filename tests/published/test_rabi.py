@@ -12,6 +12,7 @@ from counts import few
 
 from taciturn import Cost, Network, Plant, average, close
 from taciturn.model.policy import Assign, Decide, Location, Policy, Received, Send
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
@@ -42,13 +43,12 @@ def sampled_once(thresholds: np.ndarray, steps: int) -> Averages:
             Assign("actuator", "input", ({"input": 0 * ONE}, {"command": ONE}), Received("actuator")),
         ),
         model=plant,
-        cost_all_time=0.0,
+        theory=Theory(cost=cost),
         sites=(frozenset({"sensor", "controller"}),),
         locations=(
             Location(CLOCK, np.minimum(np.arange(1, N + 1), N - 1)),
             Location(LEFT, np.array([[0, 1], [1, 1]]), at="controller", on=SEND),
         ),
-        cost=cost,
     )
     return average(close(plant, policy), steps=steps)
 
@@ -100,11 +100,9 @@ def sent_on_delta(delta: float, loss: float, steps: int) -> Averages:
             Assign("controller", "held", {"heard": ONE}),
         ),
         model=plant,
-        cost_all_time=0.0,
-        scheduled=("sensor",),
+        theory=Theory(cost=Cost([[1.0, -1.0], [-1.0, 1.0]], 1e-12 * np.eye(2))),
         sites=(frozenset({"controller", "actuator"}),),
         network=Network("udp", sensor_loss=loss) if loss else Network(),
-        cost=Cost([[1.0, -1.0], [-1.0, 1.0]], 1e-12 * np.eye(2)),
     )
     return average(close(plant, policy), steps=steps)
 

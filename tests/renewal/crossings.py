@@ -14,11 +14,11 @@ from taciturn.program.machine import Kernel
 from taciturn.renewal.events import (
     ERROR,
     WAIT,
+    CycleTrigger,
     JumpProcess,
     LevelTrigger,
-    Trigger,
     cycle_program,
-    start,
+    start_cycles,
 )
 
 
@@ -72,7 +72,7 @@ def jumps(process: JumpProcess, paths: int, count: int, seed: int) -> tuple[Arra
     program = cycle_program(process, LevelTrigger(np.eye(len(process.A)), 1e-280)).keep(states={ERROR, WAIT})
     names = [(state.name, state.index) for state in program.states]
     rows = [names.index((ERROR, i)) for i in range(len(process.A))]
-    kernel, states = Kernel(program, "parity"), start(process, program, paths, seed)
+    kernel, states = Kernel(program, "parity"), start_cycles(process, program, paths, seed)
     waits, sizes = [states[names.index((WAIT, 0))].copy()], list[Array]()
     for _ in range(count):
         states = kernel.run(program, states, 1).states
@@ -86,7 +86,7 @@ class SlowPath:
     """One path of a nilpotent process, event after event."""
 
     process: JumpProcess
-    trigger: Trigger
+    trigger: CycleTrigger
 
     def cycles(self, waits: Array, sizes: Array) -> list[tuple[float, float]]:
         """Return duration and cost of each cycle that ends before the jumps are used up."""

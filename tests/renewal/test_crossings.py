@@ -20,12 +20,12 @@ from taciturn.renewal.events import (
     INTEGRAL,
     TIME,
     WAIT,
+    CycleTrigger,
     IntegralTrigger,
     JumpProcess,
     LevelTrigger,
-    Trigger,
     cycle_program,
-    start,
+    start_cycles,
 )
 
 CHAINS = (2, 3, 4)  # integrators in a row
@@ -44,10 +44,10 @@ def process_of(A: Array, S: Array, rate: float = 1.0) -> JumpProcess:
     return JumpProcess(A, Jumps(rate, np.eye(len(A)), "two-point"), S)
 
 
-def first_ends(process: JumpProcess, trigger: Trigger, values: dict[str, Array], build: str = "fast") -> Array:
+def first_ends(process: JumpProcess, trigger: CycleTrigger, values: dict[str, Array], build: str = "fast") -> Array:
     """Return when the first cycle ends of paths that start anywhere; not a number where it does not in time."""
     program: Program = cycle_program(process, trigger).keep(outputs={ENDED, DURATION})
-    states = start(process, program, values[TIME].shape[-1], 0)
+    states = start_cycles(process, program, values[TIME].shape[-1], 0)
     for row, state in zip(states, program.states, strict=True):
         if state.name in values:
             row[:] = np.atleast_2d(values[state.name])[state.index]
@@ -95,7 +95,7 @@ def test_crossings_of_wild_errors_are_those_of_the_slow_way(n: int, kind: str) -
         assert_found(threshold(process, trigger, e[:, i], shift[i], time[i]), time[i], wait[i], ends[i])
 
 
-def threshold(process: JumpProcess, trigger: Trigger, e: Array, gone: float, time: float) -> Polynomial:
+def threshold(process: JumpProcess, trigger: CycleTrigger, e: Array, gone: float, time: float) -> Polynomial:
     """Return what is negative until the trigger fires."""
     entries = error_polynomials(process.A, e)
     if isinstance(trigger, LevelTrigger):
@@ -205,7 +205,7 @@ def earlier_hump(value, end: float, found: float) -> bool:  # type: ignore[no-un
     ids=["linear", "longest", "shortest", "saturating", "all", "saturated-at-first", "level", "level-longest"],
 )
 @pytest.mark.evidence
-def test_whole_cycles_are_those_of_the_slow_way(law: str, trigger: Trigger) -> None:
+def test_whole_cycles_are_those_of_the_slow_way(law: str, trigger: CycleTrigger) -> None:
     """Every duration and every cost, cycle by cycle, from the same jumps."""
     S, W = np.array([[1.0, 2.7], [2.7, 7.4]]), np.array([[0.2, 0.1], [0.1, 0.5]])
     process = JumpProcess(chain(2), Jumps(5.0, W, law), S)  # type: ignore[arg-type]

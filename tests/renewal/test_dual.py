@@ -167,9 +167,9 @@ def scalar(k: int, many: int) -> tuple[np.ndarray, float, Fitted, float]:
     return F, price, fit_schedule(F, UNIT * (1 + k), UNIT, price), solve_optimal(F, UNIT * (1 + k), UNIT, price).cost
 
 
-def scalars(many: int, seed: int) -> tuple[list[tuple[float, dual.Sampled]], float]:
+def scalars(many: int, seed: int) -> tuple[list[tuple[float, dual.SampledDual]], float]:
     """Return what draws tell of different scalars, weighted, and the sum of their least mean costs by quadrature."""
-    terms: list[tuple[float, dual.Sampled]] = []
+    terms: list[tuple[float, dual.SampledDual]] = []
     exact = 0.0
     for k in range(many):
         F, price, fitted, least = scalar(k, many)

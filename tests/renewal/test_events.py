@@ -20,9 +20,16 @@ from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.engine import prepare
 from taciturn.program.machine import Kernel
-from taciturn.renewal.bernstein import Motion
-from taciturn.renewal.cycles import CycleEstimate, estimate_cycles, sample_cycles, sweep
-from taciturn.renewal.events import IntegralTrigger, JumpProcess, LevelTrigger, Trigger, cycle_program, start
+from taciturn.renewal.bernstein import TaylorMotion
+from taciturn.renewal.cycles import CycleEstimate, estimate_cycles, sample_cycles, sweep_thresholds
+from taciturn.renewal.events import (
+    CycleTrigger,
+    IntegralTrigger,
+    JumpProcess,
+    LevelTrigger,
+    cycle_program,
+    start_cycles,
+)
 
 K = np.array([[-0.316228, -0.855836]])
 DOUBLE = JumpProcess(np.array([[0.0, 1.0], [0.0, 0.0]]), Jumps(5.0, np.diag([0.0, 0.5])), 10 * K.T @ K)
@@ -57,7 +64,7 @@ def gain(A: Array, weight: Array) -> Array:
 def test_the_fixed_points_of_the_double_integrator_are_the_known_ones(C: int) -> None:
     """The mean interval at c = Cα* is α*, and the cost is that of the table."""
     alpha, cost = FIXED_POINTS[C]
-    found = sweep(DOUBLE, [C * alpha], trigger=IntegralTrigger(1.0, h_max=2.0), cycles=300_000)[0]
+    found = sweep_thresholds(DOUBLE, [C * alpha], trigger=IntegralTrigger(1.0, h_max=2.0), cycles=300_000)[0]
     assert near(found.interval, alpha, 0.001)
     assert near(found.cost, cost - JUMP_COST, 0.001 * (1 + C))
 
@@ -68,7 +75,7 @@ def test_the_fixed_points_of_the_double_integrator_are_the_known_ones(C: int) ->
     [IntegralTrigger(5.0, h_max=0.3), IntegralTrigger(9.0, 0.2, 0.1), LevelTrigger(np.eye(2), 0.4, h_max=0.2)],
     ids=["linear", "saturating", "level"],
 )
-def test_no_cycle_ends_before_something_has_jumped(law: str, trigger: Trigger) -> None:
+def test_no_cycle_ends_before_something_has_jumped(law: str, trigger: CycleTrigger) -> None:
     """The second property of consistency, in every one of 200,000 cycles, many of which end at h_max."""
     process = JumpProcess(DOUBLE.A, Jumps(5.0, np.diag([0.0, 0.5]), law), DOUBLE.S)
     assert estimate_cycles(process, trigger, cycles=200_000).undisturbed == 0
@@ -77,7 +84,7 @@ def test_no_cycle_ends_before_something_has_jumped(law: str, trigger: Trigger) -
 def test_a_cycle_that_ends_without_a_jump_is_counted() -> None:
     """An error that starts far out, which no jump has brought there."""
     program = cycle_program(DOUBLE, IntegralTrigger(5.0, h_max=2.0))
-    states = start(DOUBLE, program, 500, 0)
+    states = start_cycles(DOUBLE, program, 500, 0)
     for row, state in zip(states, program.states, strict=True):
         if state.name == "error":
             row[:] = 30.0
@@ -175,11 +182,11 @@ def test_a_standard_error_is_met() -> None:
     ],
     ids=LAWS,
 )
-def test_the_parity_build_has_the_bits_of_numpy(A: Array, law: str, trigger: Trigger) -> None:
+def test_the_parity_build_has_the_bits_of_numpy(A: Array, law: str, trigger: CycleTrigger) -> None:
     """And the fast build decides alike, but for rare roundings."""
     process = JumpProcess(A, Jumps(5.0, np.array([[0.2, 0.1], [0.1, 0.5]]), law), np.eye(2))  # type: ignore[arg-type]
     program, paths = cycle_program(process, trigger), 21
-    states = start(process, program, paths, 3)
+    states = start_cycles(process, program, paths, 3)
     expected = interpreter.run(program, states, 150)
     parity, fast = [Kernel(program, build).run(program, states, 150) for build in ("parity", "fast")]
     for name, value in expected.outputs.items():
@@ -225,7 +232,7 @@ def test_jumps_have_their_covariance_and_their_law(law: str, W: Array) -> None:
 
 def test_the_jumps_are_the_same_whatever_the_trigger() -> None:
     """Neighbouring values of c differ by much less than their standard errors say."""
-    one, other = sweep(DOUBLE, [9.0, 9.001], trigger=IntegralTrigger(1.0, h_max=2.0), cycles=100_000)
+    one, other = sweep_thresholds(DOUBLE, [9.0, 9.001], trigger=IntegralTrigger(1.0, h_max=2.0), cycles=100_000)
     change = other.interval.value - one.interval.value
     assert 0 < change < 0.2 * one.interval.standard_error
 
@@ -276,9 +283,9 @@ def test_units_of_time_and_error_decide_nothing() -> None:
 
 def test_pieces_end_where_the_series_is_exact_to_rounding() -> None:
     """Integrators in any order need no short pieces; the rest is cut to a quarter of its time constant."""
-    assert Motion(np.array([[0.0, 0.0], [1e3, 0.0]]), 1.0, 64.0).longest == 64.0
-    assert Motion(np.array([[0.0, 1e6], [0.0, -1.0]]), 1.0, 64.0).longest > 1e-4
-    assert Motion(-50 * np.eye(2), 1.0, 64.0).longest == pytest.approx(0.25 / 50)
+    assert TaylorMotion(np.array([[0.0, 0.0], [1e3, 0.0]]), 1.0, 64.0).longest == 64.0
+    assert TaylorMotion(np.array([[0.0, 1e6], [0.0, -1.0]]), 1.0, 64.0).longest > 1e-4
+    assert TaylorMotion(-50 * np.eye(2), 1.0, 64.0).longest == pytest.approx(0.25 / 50)
 
 
 @pytest.mark.parametrize(
@@ -331,4 +338,4 @@ def test_a_sweep_over_no_list_is_refused() -> None:
     """One number, or nothing."""
     for wrong in (1.0, None):
         with pytest.raises(ProblemError, match="cs "):
-            sweep(DOUBLE, wrong)
+            sweep_thresholds(DOUBLE, wrong)

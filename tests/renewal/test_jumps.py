@@ -12,7 +12,15 @@ from scipy.stats import poisson, qmc
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.plant import Jumps
 from taciturn.renewal import jumps as quadrature
-from taciturn.renewal._jump_density import SPLIT, CompoundPoissonNoise, Density, Fineness, eased, flow, gauss
+from taciturn.renewal._jump_density import (
+    TABLES_MEET,
+    CompoundPoissonNoise,
+    Density,
+    Fineness,
+    eased,
+    legendre_nodes,
+    plane_flow,
+)
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 from taciturn.renewal.jumps import solve_jumps
 
@@ -30,7 +38,7 @@ KNOWN = {
 def exponential(A: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return e^{At} for many times, in one or two dimensions."""
     if len(A) == 2:
-        return flow(A, times)
+        return plane_flow(A, times)
     return np.exp(A[0, 0] * times)[:, None, None]
 
 
@@ -50,11 +58,11 @@ def consistent(period: float) -> tuple[Chain, float]:
     weight = found.L.T @ found.H @ found.L
     nodes, weights = leggauss(20)
     times, weights = period * (nodes + 1) / 2, weights * period / 2
-    moves = flow(A, times)
+    moves = plane_flow(A, times)
     Gamma = np.einsum("k,kji,jl,klm->im", weights, moves, weight, moves)
 
     def noise(until: float) -> np.ndarray:
-        moves = flow(A, times * until / period)
+        moves = plane_flow(A, times * until / period)
         return rate * until / period * np.einsum("k,kij,jl,kml->im", weights, moves, W, moves)
 
     over = sum(w * noise(t) for t, w in zip(times, weights, strict=True))
@@ -131,7 +139,7 @@ def test_a_double_integrator_costs_what_is_known(period: float) -> None:
 def mass_on_rays(density: Density, within: np.ndarray) -> float:
     """Return the integral of a density over the set e'Me ≤ 1, along the rays from 0 that it is tabulated on."""
     found = 0.0
-    shares, share_weights = gauss(40)
+    shares, share_weights = legendre_nodes(40)
     for sector, (low, high) in enumerate(density.sectors):
         angles = low + (high - low) * eased(shares)
         weights = (high - low) * 6 * shares * (1 - shares) * share_weights
@@ -139,10 +147,10 @@ def mass_on_rays(density: Density, within: np.ndarray) -> float:
         ends = np.minimum(np.einsum("ri,ij,rj->r", rays, within, rays) ** -0.5, density.reach)
         table = density.rays(angles, sector)
         for outer in range(2):
-            last = np.clip(np.sqrt(ends / density.reach), SPLIT * outer, SPLIT + SPLIT * outer)
-            nodes, node_weights = gauss(80)
-            width = (last - SPLIT * outer)[:, None]
-            roots = SPLIT * outer + width * nodes
+            last = np.clip(np.sqrt(ends / density.reach), TABLES_MEET * outer, TABLES_MEET + TABLES_MEET * outer)
+            nodes, node_weights = legendre_nodes(80)
+            width = (last - TABLES_MEET * outer)[:, None]
+            roots = TABLES_MEET * outer + width * nodes
             mass = table.density(roots, density.reach * roots**2, outer) * 2 * density.reach * roots * width
             found += 2 * float(weights @ mass @ node_weights)
     return found

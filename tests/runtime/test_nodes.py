@@ -178,7 +178,7 @@ def test_a_lost_packet_degrades_where_none_may_be_lost_until_it_is_forgotten() -
     node.step(1, packets=[data(1, 2)])
     assert node.degraded
     assert node.reasons == {"lost": 1}
-    last = int(np.ceil(7 * node.policy.settling)) + 2
+    last = int(np.ceil(7 * node.policy.theory.settling)) + 2
     for tick in range(2, last + 1):
         node.step(tick)
     assert not node.degraded
@@ -337,5 +337,5 @@ def test_a_packet_that_is_read_before_it_is_sent_is_that_of_the_tick_before() ->
         Send("controller", "actuator", ("command",), "send"),
     )
     plant = Plant([[1.05]], [[1.0]], [[0.1]])
-    policy = Policy("late", steps, plant, 1.0, sites=(frozenset({"sensor", "controller"}),))
+    policy = Policy("late", steps, plant, sites=(frozenset({"sensor", "controller"}),))
     assert_same(taciturn.close(plant, policy, Network("udp", 0.2), Cost(one, one)), 500, 1, fast=False)

@@ -23,7 +23,7 @@ from taciturn.study.channel.loop_classes import gather
 from taciturn.study.channel.prices import Curves
 from taciturn.study.channel.schedulers import SCHEDULERS
 from taciturn.study.channel.share import share_channel
-from taciturn.study.channel.simulated import ERROR, Group, SharedChannel, contend, measure_freely
+from taciturn.study.channel.simulated import RULE_ERROR, Group, SharedChannel, contend, measure_freely
 
 UNIT = np.eye(1)
 WALK = Problem(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "all-time", {})
@@ -86,14 +86,14 @@ def test_loops_that_never_wait_cost_what_the_renewal_equations_say() -> None:
     F, Gamma = np.array([[1.1, 0.3], [0.0, 0.8]]), np.array([[1.0, 0.2], [0.2, 0.5]])
     noise = 0.2 * np.eye(2)
     exact = solve_gaussian(Chain(F, noise, Gamma, 1.5, Gamma))
-    sends, costs = measure_freely(Group(F, noise, Gamma, Form((ERROR,), Gamma, -1.5), 4096), 600, seed=1)
+    sends, costs = measure_freely(Group(F, noise, Gamma, Form((RULE_ERROR,), Gamma, -1.5), 4096), 600, seed=1)
     for values, expected in ((costs, exact.excess), (sends, exact.rate)):
         assert abs(values.mean() - expected) < 4 * values.std(ddof=1) / np.sqrt(len(values))
 
 
 def test_the_machine_and_numpy_take_the_same_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without llvmlite the channel runs in NumPy: the same sends, the same costs to rounding."""
-    group = Group(np.array([[1.1]]), UNIT, UNIT, Form((ERROR,), UNIT, -2.0), 50)
+    group = Group(np.array([[1.1]]), UNIT, UNIT, Form((RULE_ERROR,), UNIT, -2.0), 50)
     fast = SharedChannel([group], MostUrgent(10), channels=2, seed=4).run(60)
     monkeypatch.setattr("taciturn.program.machine.available", lambda: False)
     slow = SharedChannel([group], MostUrgent(10), channels=2, seed=4).run(60)
@@ -361,7 +361,7 @@ def test_progress_only_grows_and_ends_at_one() -> None:
 def test_loops_of_different_numbers_run_as_each_would_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Constants of each path, of all paths, or NumPy: the same sends, and the same costs to rounding."""
     groups = [
-        Group(UNIT * (1.1 + i / 9), UNIT * (1.5 + i), UNIT, Form((ERROR,), UNIT * (1.2 + i / 7), -2.1 - i), 3 + i)
+        Group(UNIT * (1.1 + i / 9), UNIT * (1.5 + i), UNIT, Form((RULE_ERROR,), UNIT * (1.2 + i / 7), -2.1 - i), 3 + i)
         for i in range(4)
     ]
     channel = SharedChannel(groups, MostUrgent(5), channels=3, seed=4)

@@ -57,7 +57,7 @@ def test_the_clocks_of_the_two_masses_are_those_of_their_policies() -> None:
     assert middle.shares == pytest.approx((0.5, 0.5))
     for rate, cycle in ((2 / 7, (4, 3)), (3 / 11, (4, 4, 3))):
         found = hold.at(rate)
-        exact = design.periodic(problem.plant, problem.cost, every=cycle).closed_form
+        exact = design.periodic(problem.plant, problem.cost, every=cycle).theory.closed_form
         assert found is not None
         assert exact is not None
         assert found.cost <= exact.cost * (1 + 1e-9)
@@ -83,8 +83,8 @@ def test_no_cycle_is_below_the_fair_clock_and_the_clock_is_a_cycle_or_two(system
     problem = of_plant(system, "hold")
     for point in found.points:
         policy = design.periodic(problem.plant, problem.cost, every=point.cycle)
-        assert policy.closed_form is not None
-        assert point.cost == pytest.approx(policy.closed_form.cost, rel=1e-9)
+        assert policy.theory.closed_form is not None
+        assert point.cost == pytest.approx(policy.theory.closed_form.cost, rel=1e-9)
     sent = sum(share * point.rate for share, point in zip(found.shares, found.points, strict=True))
     assert sent <= rate * (1 + 1e-9)
     assert found.cost >= problem.design().cost_all_time * (1 - 1e-9)
@@ -95,8 +95,8 @@ def test_no_cycle_is_below_the_fair_clock_and_the_clock_is_a_cycle_or_two(system
                 policy = design.periodic(problem.plant, problem.cost, every=cycle)
             except taciturn.UnstableError:
                 continue
-            assert policy.closed_form is not None
-            assert found.cost <= policy.closed_form.cost * (1 + 1e-6)
+            assert policy.theory.closed_form is not None
+            assert found.cost <= policy.theory.closed_form.cost * (1 + 1e-6)
 
 
 ROTATION = Problem(  # a turn of a quarter in each step: every second interval loses a mode
@@ -116,8 +116,8 @@ def cheapest_at_its_own_rate(problem: Problem, cycle: tuple[int, ...]) -> None:
         return
     found = fair(problem).at(len(cycle) / sum(cycle))
     assert found is not None
-    assert policy.closed_form is not None
-    assert found.cost <= policy.closed_form.cost * (1 + 1e-9)
+    assert policy.theory.closed_form is not None
+    assert found.cost <= policy.theory.closed_form.cost * (1 + 1e-9)
 
 
 @law(3, 60, system=systems(states=4, inputs=2), cycle=st.lists(st.integers(1, 12), min_size=1, max_size=2))
@@ -161,7 +161,7 @@ def test_the_weaker_clock_measures_only_when_it_sends() -> None:
     state = ContinuousPlant(TANK.A, TANK.B, TANK.W)
     full = Problem(state, WEIGHTS, Network(), "excess", {"theta": 0.1, "period": 1.0})
     same = fair(full).at(0.25)
-    cycle = design.periodic(state, WEIGHTS, period=1.0, every=4).closed_form
+    cycle = design.periodic(state, WEIGHTS, period=1.0, every=4).theory.closed_form
     assert same is not None
     assert cycle is not None
     assert same.cost == pytest.approx(cycle.cost, rel=1e-9)
@@ -173,11 +173,11 @@ def test_a_sensor_that_is_scheduled_has_a_clock_of_queries() -> None:
     cost = Cost([[1.0]], [[1.0]])
     problem = Problem(plant, cost, Network(), "variance", {"threshold": 3.0})
     policy = problem.design()
-    assert policy.closed_form is not None
-    found = fair(problem).at(policy.closed_form.rates["sensor"])
+    assert policy.theory.closed_form is not None
+    found = fair(problem).at(policy.theory.closed_form.rates["sensor"])
     assert found is not None
     assert found.words == "queries"
-    assert found.cost == pytest.approx(policy.closed_form.cost, rel=1e-9)
+    assert found.cost == pytest.approx(policy.theory.closed_form.cost, rel=1e-9)
     outputs = taciturn.evaluate(Problem(plant, cost, Network(), "send-on-delta", {"delta": 2.0}), steps=200_000)
     assert outputs.clock is not None
     assert outputs.clock.words == "queries"
@@ -242,15 +242,15 @@ def test_a_real_period_measures_as_often_as_the_policy_does() -> None:
         assert found is not None
         spaced = taciturn.design.periodic(plant, cost, period=1 / rate / samples, every=samples)
         alone = taciturn.design.periodic(plant, cost, period=1 / rate)
-        assert found.cost <= spaced.closed_form.cost * (1 + 1e-12)
-        assert spaced.closed_form.cost < 0.99 * alone.closed_form.cost
+        assert found.cost <= spaced.theory.closed_form.cost * (1 + 1e-12)
+        assert spaced.theory.closed_form.cost < 0.99 * alone.theory.closed_form.cost
 
 
 def test_a_model_runs_between_the_sends_of_a_real_period_of_a_known_state_too() -> None:
     """Three sends per second, between those of three and four steps: the input follows the model meanwhile."""
     problem = taciturn.load("wiener-double-integrator").changed({"actuation": "model"})
     found = fair(problem).at(3.0)
-    spaced = design.periodic(problem.plant, problem.cost, period=1 / 9, every=3, actuation="model").closed_form
+    spaced = design.periodic(problem.plant, problem.cost, period=1 / 9, every=3, actuation="model").theory.closed_form
     assert found is not None
     assert spaced is not None
     assert found.cost <= spaced.cost * (1 + 1e-9)

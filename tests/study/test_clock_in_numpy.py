@@ -142,8 +142,8 @@ def exact(problem: Problem, cycle: tuple[int, ...], model: bool) -> float:
         assert clock is not None
         return clock.cost
     policy = design.periodic(problem.plant, problem.cost, every=cycle, period=problem.parameters.get("period"))
-    assert policy.closed_form is not None
-    return policy.closed_form.cost
+    assert policy.theory.closed_form is not None
+    return policy.theory.closed_form.cost
 
 
 @pytest.mark.parametrize("case", few(CASES, quick=1, start=1))

@@ -15,9 +15,9 @@ from taciturn._text import percent, wrapped_text
 from taciturn.analyse.limits import LowerBound
 from taciturn.renewal.policy import EventPolicy
 from taciturn.study.clock import Timed
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation, bound_at_rate, evaluation_records, periodic_cost
 from taciturn.study.fair import fair_clock
-from taciturn.study.lines import bound_at_rate, evaluation_records, percent_above, periodic_cost, rounded
+from taciturn.study.lines import percent_above, rounded
 from taciturn.study.lower import contradicted
 
 SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])

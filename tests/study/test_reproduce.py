@@ -305,8 +305,8 @@ def test_the_course_of_a_sampled_plant_settles_at_its_cost_per_second() -> None:
     policy = taciturn.design.periodic(plant, cost, period=0.5)
     found = course(taciturn.close(plant, policy), 60, paths=20_000, seed=2)
     assert (found.sends["actuator"] == 1).all()
-    assert policy.closed_form is not None
-    assert (np.abs(found.cost[40:] - policy.closed_form.cost) <= 4.5 * found.standard_error[40:]).all()
+    assert policy.theory.closed_form is not None
+    assert (np.abs(found.cost[40:] - policy.theory.closed_form.cost) <= 4.5 * found.standard_error[40:]).all()
 
 
 def test_a_course_is_what_its_seed_says_and_refuses_nonsense() -> None:

@@ -139,7 +139,7 @@ DECIDED = {
 def test_the_trigger_of_a_trajectory_is_the_one_that_decides(kind: str) -> None:
     """Whatever else a policy decides, its packets are sent exactly when the value exceeds the threshold."""
     plant = taciturn.Plant([[1.1]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
-    policy = CATALOGUE[kind](plant, taciturn.Cost([[1.0]], [[1.0]]), **DECIDED[kind])
+    policy = CATALOGUE[kind].design(plant, taciturn.Cost([[1.0]], [[1.0]]), **DECIDED[kind])
     assert isinstance(policy, taciturn.Policy)
     path = taciturn.simulate(taciturn.close(plant, policy), 200, seed=3)
     (sent,) = path.sends.values()

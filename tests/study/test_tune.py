@@ -11,11 +11,12 @@ from counts import few
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
-from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.problem.parameters import check_parameters
 from taciturn.study.tuning import search
 from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.search import Goal, Search
+from taciturn.study.tuning.search import Search
+from taciturn.study.tuning.tuned import Goal
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
@@ -49,7 +50,7 @@ def test_a_rate_is_met_wherever_the_search_starts(kind: str) -> None:
     assert found.confidence == (1 if rate.standard_error == 0 else pytest.approx(0.99, abs=0.013))
     assert found.evaluation.reached
     assert found.beyond is None
-    assert found.parameter.name == TRADEOFF_PARAMETERS[kind][0].name
+    assert found.parameter.name == CATALOGUE[kind].tuning[0].name
     again = taciturn.evaluate(found.problem, standard_error=3e-3, seed=7)
     other = next(iter(again.rates.values()))
     assert abs(other.value - 0.4) <= 5 * np.hypot(rate.standard_error, other.standard_error) + 1e-8
@@ -87,13 +88,13 @@ def test_percent_are_of_sending_always() -> None:
     ):
         found, same = tune(problem, **percent), tune(problem, **number)
         assert found.parameter.value == pytest.approx(same.parameter.value, rel=1e-9)
-    assert budget_of(integrator, TRADEOFF_PARAMETERS["consistent"][0], "rate", "30%") == pytest.approx(
+    assert budget_of(integrator, CATALOGUE["consistent"].tuning[0], "rate", "30%") == pytest.approx(
         3.0
     )  # ten looks a second
     excess = with_policy("excess", integrator, delta=None)
-    assert budget_of(excess, TRADEOFF_PARAMETERS["excess"][0], "rate", "50%") == pytest.approx(5.0)
+    assert budget_of(excess, CATALOGUE["excess"].tuning[0], "rate", "50%") == pytest.approx(5.0)
     mission = taciturn.load("rover")
-    assert budget_of(mission, TRADEOFF_PARAMETERS["remote-lqg"][0], "rate", "50%") == 0.5
+    assert budget_of(mission, CATALOGUE["remote-lqg"].tuning[0], "rate", "50%") == 0.5
 
 
 @pytest.mark.parametrize(
@@ -263,10 +264,9 @@ def test_a_period_may_be_shorter_than_the_one_to_start_from() -> None:
 
 
 def test_every_kind_has_a_knob_that_it_knows() -> None:
-    """The catalogue and its tuning parameters name the same kinds and their own parameters."""
-    assert set(TRADEOFF_PARAMETERS) == set(CATALOGUE)
-    for kind, tunings in TRADEOFF_PARAMETERS.items():
-        for tuning in tunings:
+    """The tuning parameters of a kind are among its own parameters."""
+    for kind in CATALOGUE.values():
+        for tuning in kind.tuning:
             with pytest.raises(ProblemError) as caught:
                 check_parameters(kind, {tuning.name: "word"})
             assert "not a parameter" not in str(caught.value)
@@ -299,7 +299,7 @@ def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatc
         raise ProblemError("enough")
 
     monkeypatch.setattr(search, "look_at", look_at)
-    looking = Search(MASSES, TRADEOFF_PARAMETERS["lqg"][0], Goal("rate", 0.3, None), 0, told.append)
+    looking = Search(MASSES, CATALOGUE["lqg"].tuning[0], Goal("rate", 0.3, None), 0, told.append)
     assert [looking.look(value) for value in (1.0, 2.0)] == [None, None]
     first, second = 1 - search.LEFT, 1 - search.LEFT**2
     assert told == pytest.approx([first / 2, first, (first + second) / 2, second])

@@ -99,7 +99,7 @@ def test_a_packet_that_nobody_receives_cannot_be_lost() -> None:
     place: frozenset[NodeName] = frozenset({"sensor", "controller", "actuator"})
     send, hold = Send("sensor", "sensor", ("y",)), Assign("actuator", "input", {"y": -0.5 * ONE})
     heard = Assign("actuator", "input", ({"input": 0 * ONE}, {"y": -0.5 * ONE}), Received("sensor"))
-    deaf, hearing = (Policy("mine", (send, last), SCALAR, 1.0, ("sensor",), (place,)) for last in (hold, heard))
+    deaf, hearing = (Policy("mine", (send, last), SCALAR, sites=(place,)) for last in (hold, heard))
     lossy, weights = Network("udp", sensor_loss=0.1), Cost(ONE, ONE)
     with pytest.raises(ProblemError, match="no node of mine receives a packet on the sensor link; expected"):
         close(SCALAR, deaf, lossy, weights)
@@ -151,7 +151,7 @@ def test_a_function_of_the_design_alone_is_refused() -> None:
 
 def test_a_kind_that_is_unknown_is_refused_when_the_problem_is_made() -> None:
     """And not when it is designed."""
-    with pytest.raises(ProblemError, match=r"policy.kind is 'decay'; expected one of all-time, periodic, lqg"):
+    with pytest.raises(ProblemError, match=r"policy.kind is 'decay'; expected one of absolute, all-time"):
         Problem(FULL, COST, Network(), "decay")
 
 

@@ -48,9 +48,9 @@ def test_the_collocated_controllers() -> None:
     """At the actuator J ≤ J_all + ζ, exact; at the sensor J ≤ (1+θ) J_all."""
     plant, cost = Plant([[2.0]], [[1.0]], [[0.01]], [[3.0]], [[0.02]]), Cost([[1.0]], [[2.0]])
     actuator = design.remote_lqg(plant, cost, zeta=1.5, controller="actuator")
-    assert actuator.closed_form is not None
+    assert actuator.theory.closed_form is not None
     assert actuator.guarantee is not None
-    assert actuator.cost_all_time < actuator.closed_form.cost <= actuator.guarantee.cost
+    assert actuator.cost_all_time < actuator.theory.closed_form.cost <= actuator.guarantee.cost
     assert actuator.guarantee.cost == pytest.approx(0.481486 + 1.5, abs=5e-7)
     sensor = design.remote_lqg(plant, cost, theta=0.2, controller="sensor")
     assert sensor.guarantee is not None

@@ -51,7 +51,7 @@ def test_the_wiener_rows_without_simulation(checks: float, delta: float, rate: f
     assert decision.options["send"].constant == pytest.approx(delta, rel=6e-6)
     found = solve_renewal(loop)
     assert found.rate * checks == pytest.approx(rate, abs=0.51e-8)
-    assert loop.policy.identity.constant + found.excess == pytest.approx(cost, abs=0.51e-7)
+    assert loop.policy.theory.identity.constant + found.excess == pytest.approx(cost, abs=0.51e-7)
 
 
 @pytest.mark.parametrize(("period", "rate", "cost"), GOLDEN)
@@ -60,7 +60,7 @@ def test_eleven_digits(period: float, rate: float, cost: float) -> None:
     loop = wiener(period)
     found = solve_renewal(loop)
     assert found.rate == pytest.approx(rate, abs=1e-11)
-    assert loop.policy.identity.constant + found.excess == pytest.approx(cost, abs=3e-11)
+    assert loop.policy.theory.identity.constant + found.excess == pytest.approx(cost, abs=3e-11)
     assert found.rate_error < 1e-8
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.analyse.inequalities import Inequalities, Inequality, Solution, Square, Widest
+from taciturn.analyse.inequalities import Inequalities, Inequality, Square, Unknowns, Widest
 from taciturn.analyse.switched import Switched
 from taciturn.errors import ProblemError
 
@@ -48,7 +48,7 @@ class Certificate(Displayed):
     """
 
     inequalities: Inequalities
-    solution: Solution
+    solution: Unknowns
 
     @property
     def matrices(self) -> tuple[Array, ...]:

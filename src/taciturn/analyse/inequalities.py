@@ -32,7 +32,7 @@ class Inequality(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(Displayed):
+class Unknowns(Displayed):
     """Values of the unknowns of matrix inequalities: symmetric matrices and non-negative scalars."""
 
     matrices: tuple[Array, ...]
@@ -53,7 +53,7 @@ class Inequalities(Displayed):
     scalars: int
     listed: tuple[Inequality, ...]
 
-    def minimise(self, weights: Mapping[int, float], margin: float) -> Solution | None:
+    def minimise(self, weights: Mapping[int, float], margin: float) -> Unknowns | None:
         """Return the solution with the least Σ weight·scalar that satisfies every inequality with a margin, or None.
 
         Args:
@@ -67,25 +67,25 @@ class Inequalities(Displayed):
         found = Minimum(objective, blocks, signed).at(0.0)
         return None if found is None else self.solution(found)
 
-    def shortfall(self, solution: Solution) -> float:
+    def shortfall(self, solution: Unknowns) -> float:
         """Return 0 if a solution provably satisfies every inequality; otherwise the largest possible violation."""
         if len(solution.scalars) and not solution.scalars.min() >= 0:
             return float("inf")
         with np.errstate(all="ignore"):  # an overflow makes the proof fail
             return max((_shortfall(one, solution) for one in self.listed), default=0.0)
 
-    def raised(self, solution: Solution, index: int) -> Solution:
+    def raised(self, solution: Unknowns, index: int) -> Unknowns:
         """Return a solution with one scalar increased until the scalar inequalities that contain it hold."""
         scalars = np.array(solution.scalars)
         for one in self.listed:
             weight = sum(float(S[0, 0]) for j, S in one.scalars if j == index)
             if len(one.constant) == 1 and weight > 0:
-                value, size, operations = _evaluated(one, Solution(solution.matrices, scalars))
+                value, size, operations = _evaluated(one, Unknowns(solution.matrices, scalars))
                 least = float(value[0, 0]) - 8 * _gamma(operations) * float(size[0, 0])
                 scalars[index] += max(0.0, -least) / weight * (1 + 4 * UNIT)
-        return Solution(solution.matrices, scalars)
+        return Unknowns(solution.matrices, scalars)
 
-    def value(self, position: int, solution: Solution) -> Array:
+    def value(self, position: int, solution: Unknowns) -> Array:
         """Return the left-hand side of an inequality, computed for a given solution."""
         return _evaluated(self.listed[position], solution)[0]
 
@@ -95,7 +95,7 @@ class Inequalities(Displayed):
         first = sum(size * (size + 1) // 2 for size in self.sizes)
         return range(first, first + self.scalars)
 
-    def solution(self, values: Array) -> Solution:
+    def solution(self, values: Array) -> Unknowns:
         """Return a solution (matrices and scalars) from the vector of all unknowns."""
         matrices: list[Array] = []
         at = 0
@@ -105,7 +105,7 @@ class Inequalities(Displayed):
             P[rows, columns] = P[columns, rows] = values[at : at + len(rows)]
             matrices.append(P)
             at += len(rows)
-        return Solution(tuple(matrices), np.maximum(values[at:], 0.0))
+        return Unknowns(tuple(matrices), np.maximum(values[at:], 0.0))
 
     def block(self, one: Inequality) -> tuple[Array, Array]:
         """Return the coefficient matrix of the unknowns in an inequality, (n², unknowns), and its constant."""
@@ -143,13 +143,13 @@ class Widest:
         blocks.append((objective[None], 0 * objective[None], np.ones((1, 1))))
         self._first, self._minimum = first, Minimum(objective, blocks, first.signed)
 
-    def at(self, share: float) -> Solution | None:
+    def at(self, share: float) -> Unknowns | None:
         """Return the solution at a parameter from 0 (first list) to 1 (last list), or None if no margin is positive."""
         found = self._minimum.at(share)
         return None if found is None or found[-1] <= 0 else self._first.solution(found[:-1])
 
 
-def _shortfall(one: Inequality, solution: Solution) -> float:
+def _shortfall(one: Inequality, solution: Unknowns) -> float:
     """Return 0 if the inequality provably holds; otherwise how far its least eigenvalue may be below 0.
 
     Every entry is computed with at most k operations, so its error is at most γ = ku/(1 − ku) times the sum of the
@@ -172,7 +172,7 @@ def _shortfall(one: Inequality, solution: Solution) -> float:
     return 0.0
 
 
-def _evaluated(one: Inequality, solution: Solution) -> tuple[Array, Array, int]:
+def _evaluated(one: Inequality, solution: Unknowns) -> tuple[Array, Array, int]:
     """Return the left side, the sum of the absolute values of its terms, and the number of operations per entry."""
     value, size, terms = np.array(one.constant), np.abs(one.constant), 1
     for weight, k, T in one.squares:

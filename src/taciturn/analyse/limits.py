@@ -18,7 +18,7 @@ from taciturn.model.theory import Reset
 if TYPE_CHECKING:
     from taciturn.renewal.optimal import Optimum
 
-USUAL = 0.999  # default confidence of a bound
+LEVEL = 0.999  # default confidence level of a bound
 CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8
 FIRST = 1.5  # initial ratio of the price to the threshold with about the same rate
@@ -49,7 +49,7 @@ class LowerBound(Displayed):
 
 
 def bound_below(
-    loop: Loop, rate: float, confidence: float = USUAL, seed: int = 0, progress: Progress | None = None
+    loop: Loop, rate: float, confidence: float = LEVEL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
     """Return a lower bound on the cost of every send schedule of a loop's controller, at a given rate per step.
 
@@ -152,7 +152,7 @@ def resets(loop: Loop) -> Reset:
             f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, which a lower bound "
             "requires"
         )
-    if loop.policy.reset is None or loop.horizon is not None:
+    if loop.policy.theory.reset is None or loop.horizon is not None:
         raise ProblemError(
             "a lower bound requires that a send resets the error that determines the cost, but a send of "
             f"{loop.policy.kind} does not reset it; expected a policy with actuation = 'model', or the policy "
@@ -162,7 +162,7 @@ def resets(loop: Loop) -> Reset:
         raise ProblemError(
             "the noise consists of jumps; expected Gaussian noise for optimal schedules and lower bounds"
         )
-    return loop.policy.reset
+    return loop.policy.theory.reset
 
 
 def _price_of(F: Array, reset: Reset, rate: float, told: Stages) -> float:

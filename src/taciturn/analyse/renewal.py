@@ -124,10 +124,10 @@ class ConditionalSampling:
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
         """Set up the chain without a simulation."""
-        from taciturn.renewal.paths import least_work
+        from taciturn.renewal.paths import fewest_operations
 
         self.chain, self.seed, self.progress = chain_of(loop), seed, progress
-        self.least = least_work(self.chain)
+        self.least = fewest_operations(self.chain)
 
     @cached_property
     def pilot(self) -> PathAnswer:
@@ -256,8 +256,8 @@ def chain_of(loop: Loop) -> Chain:
     Psi, delta, Gamma = weights
     if delta <= 0:
         raise NoQuadratureError(f"the threshold is {delta:g}; expected a threshold above 0, or method 'simulation'")
-    assert policy.reset is not None
-    noise = policy.reset.covariance if problem.jumps is None else problem.jumps
+    assert policy.theory.reset is not None
+    noise = policy.theory.reset.covariance if problem.jumps is None else problem.jumps
     return Chain(problem.plant.A, noise, Psi, delta, Gamma)
 
 
@@ -268,11 +268,11 @@ def decides_alone(policy: object) -> bool:
 
 def _weights(policy: Policy) -> tuple[Array, float, Array] | None:
     """Return Ψ, δ and Γ, or None if the decision or the cost identity depends on another signal than the error."""
-    identity, decisions = policy.identity, policy.decisions
-    if policy.reset is None or identity is None or identity.on is None or list(decisions) != [identity.on]:
+    identity, decisions = policy.theory.identity, policy.decisions
+    if policy.theory.reset is None or identity is None or identity.on is None or list(decisions) != [identity.on]:
         return None
     forms = [*decisions[identity.on].options.values(), *identity.forms]
-    parts = [_parts(form, policy.reset.signals) for form in forms]
+    parts = [_parts(form, policy.theory.reset.signals) for form in forms]
     if len(parts) != 4 or None in parts:
         return None
     (Psi, offset), (sent, delta), (Gamma, kept), (resent, none) = (part for part in parts if part is not None)

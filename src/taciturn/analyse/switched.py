@@ -79,7 +79,7 @@ def switched_innovations(loop: Loop) -> Switched:
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
-    innovations = loop.policy.innovations
+    innovations = loop.policy.theory.innovations
     if not loop.reducible or innovations is None:
         raise ProblemError(
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
@@ -110,7 +110,7 @@ def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[S
     Raises:
         ProblemError: the step is not linear.
     """
-    plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.innovations
+    plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
     begins = [partial(_FixedStep, loop.policy.kind, case) for case in cases]
     if whole or innovations is None:
         programs = [loop.whole_program(supplied=True, begin=begin) for begin in begins]

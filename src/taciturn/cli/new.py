@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,17 +14,9 @@ from taciturn.cli.frame import EXAMPLE, Kind, app
 from taciturn.cli.questions import Questions
 
 if TYPE_CHECKING:
+    from taciturn.design.kind import Kind as PolicyKind
     from taciturn.problem.given import Given
 
-GOALS = {
-    "excess": "few packets with a bound on the cost: at most 1 + θ times the cost of sending every sample",
-    "near-optimal": "a price per packet, with cost + price × rate close to its minimum",
-    "consistent": "a cost proved to be no higher than that of periodic control at the same rate",
-    "lqg": "the bound of excess, with the trigger of the thesis and an actuator that holds its input",
-    "remote-lqg": "a sensor that is queried by a schedule, and inputs that are sent when needed",
-    "send-on-delta": "a simple sensor that sends when an output has changed by Δ",
-    "lossy-lqg": "a link that drops packets, with a price per packet",
-}
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
 
 
@@ -93,31 +85,35 @@ class _Interview:
     def complete(self, dt: float | None, kind: str | None) -> str:
         """Ask for all missing values, and return the text of the problem file."""
         from taciturn.errors import TaciturnError
+        from taciturn.problem.parameters import find_kind
+        from taciturn.problem.suggested import over_losses
 
         questions = self.questions
-        if kind is not None:
-            _expect_kind(kind)
+        chosen = None if kind is None else find_kind(kind, "the kind")
         if questions.yes:
             self._expect_all(dt)
         self._ask_time(dt)
         self._ask_plant()
         self._ask_cost()
         try:
-            self.draft.expect_fit(kind or "")
+            if chosen is not None:
+                self.draft.expect_fit(chosen)
         except TaciturnError as error:
             self.questions.tell(error)
-            kind = None
-        if kind == "lossy-lqg" or (kind is None and not questions.yes):
-            self._ask_network("ideal" if kind is None else "udp")
+            chosen = None
+        if chosen is not None and chosen.uses_network:
+            self._ask_network("udp", [chosen])
+        elif chosen is None and not questions.yes:
+            self._ask_network("ideal", over_losses())
         while True:
-            policy = self._ask_policy(kind)
+            policy = self._ask_policy(chosen)
             try:
                 return self.draft.write(policy, self.name)
             except TaciturnError as error:
                 self.questions.tell(error)
-                kind = None
+                chosen = None
                 if self.draft.network:  # its losses may be too high for any policy
-                    self._ask_network("ideal")
+                    self._ask_network("ideal", over_losses())
 
     def _expect_all(self, dt: float | None) -> None:
         """Raise an error if the file lacks a value without default."""
@@ -175,8 +171,8 @@ class _Interview:
         if self._has("N"):
             self._take("N", "N")
 
-    def _ask_network(self, default: str) -> None:
-        """Ask for the network; only the policy kind lossy-lqg allows packet dropouts."""
+    def _ask_network(self, default: str, kinds: Sequence[PolicyKind]) -> None:
+        """Ask for the network; packets may be dropped if one of these kinds fits the plant and the cost."""
         from taciturn._arrays import number
         from taciturn.errors import ProblemError
 
@@ -184,11 +180,9 @@ class _Interview:
             word = text.lower()
             if word not in ("ideal", "tcp", "udp"):
                 raise ProblemError(f"the network is {text!r}; expected ideal, tcp or udp")
-            if word != "ideal" and not self.draft.fits("lossy-lqg"):
-                raise ProblemError(
-                    f"the network is {word}, but the policy for this network, lossy-lqg, requires a discrete-time "
-                    "model, a measurement of the full state, and N = 0; expected ideal"
-                )
+            if word != "ideal" and not any(self.draft.fits(kind) for kind in kinds):
+                needs = " or ".join(f"{kind.name}, requires {kind.requires}" for kind in kinds)
+                raise ProblemError(f"the network is {word}, but the policy for this network, {needs}; expected ideal")
             return word
 
         ask = self.questions.ask
@@ -206,41 +200,45 @@ class _Interview:
 
             self.draft.network[name] = ask(name, f"Share of the {what} that is dropped", read, usual)
 
-    def _ask_policy(self, kind: str | None) -> dict[str, Any]:
+    def _ask_policy(self, kind: PolicyKind | None) -> dict[str, Any]:
         """Ask for the goal, and for the parameters of its policy."""
         from taciturn.problem.parameters import check_parameter
-        from taciturn.problem.suggested import needed_parameters, suggest_value
-        from taciturn.problem.written import parameter_notes
+        from taciturn.problem.suggested import needed_parameters, over_losses, suggest_value
 
         if kind is None and self.draft.network:
-            self.questions.say("the policy for this network is lossy-lqg")
-            kind = "lossy-lqg"
+            kind = next(kind for kind in over_losses() if self.draft.fits(kind))
+            self.questions.say(f"the policy for this network is {kind.name}")
         chosen = kind or self._ask_kind()
-        policy: dict[str, Any] = {"kind": chosen}
-        plant, cost, notes = self.draft.made_plant(), self.draft.made_cost(), parameter_notes(chosen)
-        for name in needed_parameters(chosen, self.draft.continuous):
-            usual = suggest_value(name, plant, cost, policy.get("period"))
+        policy: dict[str, Any] = {"kind": chosen.name}
+        plant, cost = self.draft.made_plant(), self.draft.made_cost()
+        needed = needed_parameters(chosen, self.draft.continuous)
+        for name in needed:
+            usual = suggest_value(chosen, name, plant, cost, policy.get("period"))
 
             def read(text: str, name: str = name) -> Any:
                 return check_parameter(chosen, name, parse_number(text))
 
-            question = f"{name}: {notes.get(name, '')}"
+            question = f"{name}: {chosen.notes.get(name, '')}"
             policy[name] = self.questions.ask(name, question, read, None if usual is None else f"{usual:g}")
-        if chosen == "excess":  # fewer packets than with a held input
-            policy["actuation"] = "model"
-        return policy
+        return policy | {name: usual for name, usual in chosen.usual.items() if name not in (*needed, *chosen.asked)}
 
-    def _ask_kind(self) -> str:
+    def _ask_kind(self) -> PolicyKind:
         from taciturn.errors import ProblemError
+        from taciturn.problem.parameters import find_kind
+        from taciturn.problem.suggested import offered_kinds
 
-        fitting = [kind for kind in GOALS if self.draft.fits(kind)]
+        offered, wrong = offered_kinds()
+        for sentence in wrong:
+            self.questions.say(sentence)
+        fitting = [kind for kind in offered if self.draft.fits(kind)]
         for i, kind in enumerate(fitting):
-            self.questions.say(f"{i + 1}  {kind:14s} {GOALS[kind]}")
+            self.questions.say(f"{i + 1}  {kind.name:14s} {kind.goal}")
 
-        def read(text: str) -> str:
+        def read(text: str) -> PolicyKind:
             if not text.isdecimal():
-                self.draft.expect_fit(_expect_kind(text))
-                return text
+                kind = find_kind(text, "the kind")
+                self.draft.expect_fit(kind)
+                return kind
             if not 1 <= int(text) <= len(fitting):
                 raise ProblemError(f"the goal is {text}; expected a number from 1 to {len(fitting)}, or a policy kind")
             return fitting[int(text) - 1]
@@ -262,14 +260,3 @@ class _Interview:
             self.draft.keep(key, self.given.arrays[key])
         except TaciturnError as error:
             raise ProblemError(f"{self.source}: {error}") from None
-
-
-def _expect_kind(kind: str) -> str:
-    from taciturn.design.catalogue import CATALOGUE
-    from taciturn.errors import ProblemError
-    from taciturn.problem.tables import suggest
-
-    if kind not in CATALOGUE:
-        near = suggest(kind, list(CATALOGUE))
-        raise ProblemError(f"the kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
-    return kind

@@ -181,7 +181,7 @@ def sweep(
 
 def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
     """Return the error message for cells whose simulation ended before it settled or reached its standard error."""
-    from taciturn.simulation.sampling import BUDGET
+    from taciturn.simulation.sampling import MOST_OPERATIONS
 
     cells = [found.isel(dict(zip(found.sizes, place, strict=True))) for place in zip(*missed.nonzero(), strict=True)]
     shown = [
@@ -194,7 +194,7 @@ def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
     if steps is not None:
         return f"the loop has not settled in {count} within {steps} steps: {listed}; give more --steps"
     return (
-        f"the standard error was not reached in {count} within {BUDGET / 1e9:g} billion steps each: {listed}; "
+        f"the standard error was not reached in {count} within {MOST_OPERATIONS / 1e9:g} billion steps each: {listed}; "
         "give a larger --standard-error"
     )
 
@@ -278,7 +278,7 @@ def channel(
     """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
     from taciturn._figure import check_format, save
-    from taciturn.analyse.limits import USUAL
+    from taciturn.analyse.limits import LEVEL
     from taciturn.study.record import origin
     from taciturn.study.sweeping.workers import processes
 
@@ -294,7 +294,7 @@ def channel(
             seed=seed,
             standard_error=standard_error,
             ticks=ticks,
-            confidence=USUAL if confidence is None else confidence,
+            confidence=LEVEL if confidence is None else confidence,
             executor=executor,
             progress=progress,
         )

@@ -7,13 +7,6 @@ from pathlib import Path
 
 from taciturn._plugins import problem_folders
 
-KINDS = (
-    "all-time", "periodic", "lqg", "remote-lqg", "lossy-lqg", "integral", "consistent", "excess", "optimal",
-    "near-optimal", "absolute", "relative", "mixed", "dynamic", "send-on-delta", "variance", "rollout",
-    "self-triggered", "stochastic", "periodic-schedule", "downsampled",
-)  # fmt: skip
-"""The policy kinds, copied from the catalogue, whose import is too slow for completion; a test compares both."""
-
 
 def complete_file(incomplete: str) -> list[str]:
     """Return the built-in problems and TOML files with this prefix; if there are none, the shell completes folders."""
@@ -35,4 +28,8 @@ def complete_from(*words: str) -> Callable[[str], list[str]]:
     return complete
 
 
-complete_kind = complete_from(*KINDS)
+def complete_kind(incomplete: str) -> list[str]:
+    """Return the policy kinds with this prefix; no kind is imported."""
+    from taciturn.design.catalogue import CATALOGUE
+
+    return complete_from(*CATALOGUE)(incomplete)

@@ -8,51 +8,52 @@ certainty-equivalent designs share ``certainty``: with the error e of the actuat
 
 so every trigger that bounds this square bounds the cost (``bounds``). ``estimation`` writes the filters at sensor or
 actuator, ``prediction`` the policies that predict in continuous time, and ``prices`` the costs that a schedule of
-queries weighs. ``catalogue`` lists the policy kinds with their design functions and main parameters. A new policy
-requires a file in this package, a line in the catalogue, and a test of its theorem.
+queries weighs. A kind is a file in ``kinds`` that ends with the record of the kind (``kind``); ``catalogue`` lists
+these files and the kinds of other packages. A new kind requires a file in ``kinds`` and a test of its theorem.
+
+The design functions are attributes of this package: ``design.lqg`` is the one of the kind ``lqg``. A kind is imported
+when its function is used for the first time.
 """
 
-from taciturn.design.absolute import absolute
-from taciturn.design.consistent import consistent
-from taciturn.design.downsampled import downsampled
-from taciturn.design.dynamic import dynamic
-from taciturn.design.excess import excess
-from taciturn.design.integral import integral
-from taciturn.design.lossy_lqg import lossy_lqg
-from taciturn.design.lqg import lqg
-from taciturn.design.mixed import mixed
-from taciturn.design.near_optimal import near_optimal
-from taciturn.design.optimal import optimal
-from taciturn.design.periodic import all_time, periodic
-from taciturn.design.periodic_schedule import periodic_schedule
-from taciturn.design.relative import relative
-from taciturn.design.remote_lqg import remote_lqg
-from taciturn.design.rollout import rollout
-from taciturn.design.self_triggered import self_triggered
-from taciturn.design.send_on_delta import send_on_delta
-from taciturn.design.stochastic import stochastic
-from taciturn.design.variance import variance
+from __future__ import annotations
 
-__all__ = [
-    "absolute",
-    "all_time",
-    "consistent",
-    "downsampled",
-    "dynamic",
-    "excess",
-    "integral",
-    "lossy_lqg",
-    "lqg",
-    "mixed",
-    "near_optimal",
-    "optimal",
-    "periodic",
-    "periodic_schedule",
-    "relative",
-    "remote_lqg",
-    "rollout",
-    "self_triggered",
-    "send_on_delta",
-    "stochastic",
-    "variance",
-]
+from typing import TYPE_CHECKING
+
+from taciturn.design.catalogue import CATALOGUE, own_kinds
+
+if TYPE_CHECKING:  # for type checkers and editors; the functions are found by the catalogue
+    from taciturn.design.kinds.absolute import absolute as absolute
+    from taciturn.design.kinds.all_time import all_time as all_time
+    from taciturn.design.kinds.consistent import consistent as consistent
+    from taciturn.design.kinds.downsampled import downsampled as downsampled
+    from taciturn.design.kinds.dynamic import dynamic as dynamic
+    from taciturn.design.kinds.excess import excess as excess
+    from taciturn.design.kinds.integral import integral as integral
+    from taciturn.design.kinds.lossy_lqg import lossy_lqg as lossy_lqg
+    from taciturn.design.kinds.lqg import lqg as lqg
+    from taciturn.design.kinds.mixed import mixed as mixed
+    from taciturn.design.kinds.near_optimal import near_optimal as near_optimal
+    from taciturn.design.kinds.optimal import optimal as optimal
+    from taciturn.design.kinds.periodic import periodic as periodic
+    from taciturn.design.kinds.periodic_schedule import periodic_schedule as periodic_schedule
+    from taciturn.design.kinds.relative import relative as relative
+    from taciturn.design.kinds.remote_lqg import remote_lqg as remote_lqg
+    from taciturn.design.kinds.rollout import rollout as rollout
+    from taciturn.design.kinds.self_triggered import self_triggered as self_triggered
+    from taciturn.design.kinds.send_on_delta import send_on_delta as send_on_delta
+    from taciturn.design.kinds.stochastic import stochastic as stochastic
+    from taciturn.design.kinds.variance import variance as variance
+
+__all__ = [name.replace("-", "_") for name in own_kinds()]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> object:
+    kind = name.replace("_", "-")
+    if name.startswith("_") or "-" in name or kind not in CATALOGUE:
+        raise AttributeError(f"module 'taciturn.design' has no attribute {name!r}")
+    globals()[name] = CATALOGUE[kind].design
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *(kind.replace("-", "_") for kind in CATALOGUE)})

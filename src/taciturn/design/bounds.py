@@ -11,9 +11,9 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.lqg.discrete import Discrete
-from taciturn.model.policy import Guarantee
+from taciturn.model.theory import Guarantee
 
-LARGEST = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
+LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:

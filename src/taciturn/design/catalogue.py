@@ -1,107 +1,98 @@
-"""Catalogue of all policy kinds, with the design function and the tuning parameters of each kind."""
+"""Catalogue of all policy kinds: those of the folder ``kinds``, and those that installed packages register.
+
+A package registers a kind by an entry point of the group ``taciturn.kinds``: its name is the name of the kind, and its
+value is the place of the ``Kind``, ``module:KIND``. A kind is imported at its first use.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TypeAlias
+import pkgutil
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from taciturn._display import Displayed
-from taciturn.design.absolute import absolute
-from taciturn.design.consistent import consistent
-from taciturn.design.downsampled import downsampled
-from taciturn.design.dynamic import dynamic
-from taciturn.design.excess import excess
-from taciturn.design.integral import integral
-from taciturn.design.lossy_lqg import lossy_lqg
-from taciturn.design.lqg import lqg
-from taciturn.design.mixed import mixed
-from taciturn.design.near_optimal import near_optimal
-from taciturn.design.optimal import optimal
-from taciturn.design.periodic import all_time, periodic
-from taciturn.design.periodic_schedule import periodic_schedule
-from taciturn.design.relative import relative
-from taciturn.design.remote_lqg import remote_lqg
-from taciturn.design.rollout import rollout
-from taciturn.design.self_triggered import self_triggered
-from taciturn.design.send_on_delta import send_on_delta
-from taciturn.design.stochastic import stochastic
-from taciturn.design.variance import variance
-from taciturn.model.policy import LinkName, Policy
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn._plugins import find_plugins, package_of
+from taciturn.errors import ProblemError
 
-AnyPolicy: TypeAlias = Policy | EventPolicy | OptimalPolicy
-CATALOGUE: Mapping[str, Callable[..., AnyPolicy]] = {
-    "all-time": all_time,
-    "periodic": periodic,
-    "lqg": lqg,
-    "remote-lqg": remote_lqg,
-    "lossy-lqg": lossy_lqg,
-    "integral": integral,
-    "consistent": consistent,
-    "excess": excess,
-    "optimal": optimal,
-    "near-optimal": near_optimal,
-    "absolute": absolute,
-    "relative": relative,
-    "mixed": mixed,
-    "dynamic": dynamic,
-    "send-on-delta": send_on_delta,
-    "variance": variance,
-    "rollout": rollout,
-    "self-triggered": self_triggered,
-    "stochastic": stochastic,
-    "periodic-schedule": periodic_schedule,
-    "downsampled": downsampled,
-}
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from taciturn.design.kind import Kind
+
+GROUP = "taciturn.kinds"
 
 
-@dataclass(frozen=True, repr=False)
-class TradeoffParameter(Displayed):
-    """The main parameter of a policy kind, by which the cost of the policy is traded against its send rate.
+class Catalogue(Mapping[str, "Kind"]):
+    """The policy kinds by name; an iteration gives the names, and imports no kind."""
 
-    Args:
-        name: key of ``[policy]``; if several of the kind's parameters are given, the first is varied.
-        link: the link whose rate the parameter changes; default the only link that the policy decides.
-        least: lower limit, which an integer parameter may equal and a real parameter must exceed.
-        whole: whether the parameter is an integer.
-        falls: whether the rate decreases when the parameter increases.
-        continuous: whether it applies to continuous-time plants (True), discrete-time plants (False) or both (None).
-        cycles: whether the parameter may also be a list of integers; the exact costs select the best list.
+    def __iter__(self) -> Iterator[str]:
+        """Return the names: those of this package, then those of other packages, each in alphabetical order."""
+        own = own_kinds()
+        return iter((*own, *(name for name in find_plugins(GROUP) if name not in own)))
+
+    def __len__(self) -> int:
+        """Return the number of kinds."""
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a kind with this name."""
+        return name in own_kinds() or name in find_plugins(GROUP)
+
+    def __getitem__(self, name: str, /) -> Kind:
+        """Return the record of a kind.
+
+        Raises:
+            KeyError: if there is no such kind.
+            ProblemError: if two packages register this kind, or the record cannot be imported.
+        """
+        return _kind(name)
+
+
+CATALOGUE: Mapping[str, Kind] = Catalogue()
+
+
+@cache
+def own_kinds() -> tuple[str, ...]:
+    """Return the names of the kinds of this package, from the files of the folder ``kinds``."""
+    folder = str(Path(__file__).parent / "kinds")
+    return tuple(sorted(module.name.replace("_", "-") for module in pkgutil.iter_modules([folder])))
+
+
+@cache
+def _kind(name: str) -> Kind:
+    entries = find_plugins(GROUP).get(name, ())
+    packages = [package_of(entry) for entry in entries] + ["taciturn itself"] * (name in own_kinds())
+    if len(packages) > 1:
+        raise ProblemError(
+            f"the policy kind {name} is registered by {' and by '.join(packages)}; expected one kind of this name: "
+            "rename the kind, or remove a package"
+        )
+    if name in own_kinds():
+        kind: Kind = pkgutil.resolve_name(f"taciturn.design.kinds.{name.replace('-', '_')}:KIND")
+        return kind
+    if not entries:
+        raise KeyError(name)
+    return _loaded(entries[0])
+
+
+def _loaded(entry: EntryPoint) -> Kind:
+    """Return the record that an entry point names.
+
+    Raises:
+        ProblemError: if the record cannot be imported, is no record, or has another name.
     """
+    from taciturn.design.kind import Kind
 
-    name: str
-    link: LinkName | None = None
-    least: float = 0.0
-    whole: bool = False
-    falls: bool = True
-    continuous: bool | None = None
-    cycles: bool = False
-
-
-TRADEOFF_PARAMETERS: Mapping[str, tuple[TradeoffParameter, ...]] = {
-    "all-time": (TradeoffParameter("period", continuous=True),),
-    "periodic": (
-        TradeoffParameter("every", least=1, whole=True, cycles=True),
-        TradeoffParameter("period", continuous=True),
-    ),
-    "lqg": (TradeoffParameter("theta"),),
-    "remote-lqg": (TradeoffParameter("theta", "actuator"), TradeoffParameter("zeta", "sensor")),
-    "lossy-lqg": (TradeoffParameter("price"),),
-    "integral": (TradeoffParameter("slope"),),
-    "consistent": (TradeoffParameter("delta"),),
-    "excess": (TradeoffParameter("delta"), TradeoffParameter("theta")),
-    "optimal": (TradeoffParameter("price"),),
-    "near-optimal": (TradeoffParameter("price"),),
-    "absolute": (TradeoffParameter("threshold"),),
-    "relative": (TradeoffParameter("sigma"),),
-    "mixed": (TradeoffParameter("threshold"),),
-    "dynamic": (TradeoffParameter("sigma"),),
-    "send-on-delta": (TradeoffParameter("delta"),),
-    "variance": (TradeoffParameter("threshold"),),
-    "rollout": (TradeoffParameter("every", least=2, whole=True),),
-    "self-triggered": (TradeoffParameter("beta", least=1.0),),
-    "stochastic": (TradeoffParameter("scale", falls=False),),
-    "periodic-schedule": (TradeoffParameter("sends", least=1, whole=True, falls=False),),
-    "downsampled": (TradeoffParameter("threshold"),),
-}
+    try:
+        found = entry.load()
+    except Exception as error:  # whatever the code of the package raises
+        got = f"cannot be loaded ({type(error).__name__}: {error})"
+    else:
+        if isinstance(found, Kind) and found.name == entry.name:
+            return found
+        got = f"names the kind {found.name}" if isinstance(found, Kind) else f"names a {type(found).__name__}"
+    raise ProblemError(
+        f"the policy kind {entry.name} of {package_of(entry)} {got}; expected its entry point {entry.value!r} to name "
+        "a Kind with this name: repair or remove the package"
+    )

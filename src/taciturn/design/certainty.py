@@ -25,22 +25,9 @@ from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
-from taciturn.model.policy import (
-    Assign,
-    ClosedForm,
-    Decide,
-    Guarantee,
-    Identity,
-    LinkName,
-    Location,
-    NodeName,
-    Policy,
-    Received,
-    Send,
-    Step,
-)
+from taciturn.model.policy import Assign, Decide, LinkName, Location, NodeName, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
-from taciturn.model.theory import Reset
+from taciturn.model.theory import ClosedForm, Guarantee, Identity, Reset, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
@@ -221,20 +208,22 @@ def certainty_policy(
         kind=kind,
         steps=steps,
         model=problem.plant,
-        cost_all_time=problem.per_unit(certainty.cost_all_time),
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(certainty.cost_all_time),
+            noise_cost=problem.noise_cost,
+            settling=slower * certainty.settling,
+            guarantee=guarantee,
+            identity=identity,
+            innovations=certainty.estimation.innovations,
+            closed_form=closed_form,
+            reset=reset,
+            fixed_rates=fixed_rates or {},
+        ),
         sites=COLLOCATED,
         locations=locations,
         initial=initial,
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=slower * certainty.settling,
-        cost=problem.cost,
-        guarantee=guarantee,
-        identity=identity,
-        innovations=certainty.estimation.innovations,
-        closed_form=closed_form,
-        fixed_rates=fixed_rates or {},
-        reset=reset,
         notes=notes,
     )
 
@@ -265,17 +254,18 @@ def sensor_policy(
         kind=kind,
         steps=steps_at_the_actuator(problem.plant, estimation, certainty.regulator.L),
         model=problem.plant,
-        cost_all_time=problem.per_unit(certainty.cost_all_time),
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(certainty.cost_all_time),
+            noise_cost=problem.noise_cost,
+            settling=settling,
+            closed_form=closed_form,
+            fixed_rates={} if schedule is None else {"sensor": schedule.rate},
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=locations,
         initial=estimation.initial,
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=settling,
-        cost=problem.cost,
-        closed_form=closed_form,
-        fixed_rates={} if schedule is None else {"sensor": schedule.rate},
         schedule=schedule,
     )
 

@@ -10,7 +10,8 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.lqg.kalman import Filter
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Assign, Innovations, Step
+from taciturn.model.policy import Assign, Step
+from taciturn.model.theory import Innovations
 
 ESTIMATE, HELD = "estimate", "held"
 

@@ -15,7 +15,7 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
-from taciturn.model.theory import Guarantee, Identity, Reset
+from taciturn.model.theory import Guarantee, Identity, Reset, Theory
 from taciturn.model.trigger import Form, Trigger
 
 ERROR = "error"
@@ -79,18 +79,19 @@ def predicted_policy(
         kind=kind,
         steps=predicted_steps(closed, rule),
         model=problem.plant,
-        cost_all_time=base,
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=base,
+            noise_cost=problem.noise_cost,
+            settling=1 / (1 - problem.slowest(closed)),
+            guarantee=guarantee,
+            identity=Identity(base, (Form((ERROR,), predicted.Gamma / problem.tick), Form()), SEND),
+            reset=predicted.reset,
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         initial={"prediction": problem.plant.mean, "forecast": problem.plant.mean},
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - problem.slowest(closed)),
-        cost=problem.cost,
         prediction=predicted.prediction,
-        guarantee=guarantee,
-        identity=Identity(base, (Form((ERROR,), predicted.Gamma / problem.tick), Form()), SEND),
-        reset=predicted.reset,
         notes=notes,
     )
 

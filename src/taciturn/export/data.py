@@ -15,8 +15,8 @@ from taciturn._display import Displayed
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.policy import Policy
-from taciturn.model.wire import CODES, KINDS, LARGEST, LINKS, Encoding, PacketKind
-from taciturn.program.c import CONSTANTS, REAL, array, literal
+from taciturn.model.wire import CODES, FULL_SCALE, KINDS, LINKS, Encoding, PacketKind
+from taciturn.program.c import CONSTANTS, REAL, c_literal, constant_array
 from taciturn.program.draws import seed_generators
 from taciturn.program.layout import Layout
 from taciturn.program.node import NodeProgram
@@ -115,7 +115,7 @@ class NodeData(Displayed):
             for (kind, link), (encoding, entries) in self._shapes.items()
         ]
         found.append(
-            array("tac_shape", "shapes", [
+            constant_array("tac_shape", "shapes", [
                 f"{{{_KIND[kind]}, {_LINK[link]}, {_ENCODED[encoding.name]}, {entries}u, {steps}}}"
                 for kind, link, encoding, entries, steps in shapes
             ])
@@ -128,7 +128,7 @@ class NodeData(Displayed):
         sends = [f"{{{_LINK[one.link]}, {one.size}u, {one.at}u}}" for one in layout.departures]
         clocks: list[str] = []
         for i, place in enumerate(self.program.clocks):
-            found.append(array("uint16_t", f"clock{i}", [f"{int(value)}u" for value in place.table]))
+            found.append(constant_array("uint16_t", f"clock{i}", [f"{int(value)}u" for value in place.table]))
             clocks.append(f"{{clock{i}, {len(place.table)}u, {place.period}u, {place.initial}u}}")
         for kind, name, values in (
             ("tac_channel_data", "channels", channels),
@@ -138,7 +138,7 @@ class NodeData(Displayed):
             (REAL, "start", self._print(self._start)),
         ):
             if values:
-                found.append(array(kind, name, values))
+                found.append(constant_array(kind, name, values))
         return found
 
     def text(self) -> str:
@@ -166,11 +166,13 @@ class NodeData(Displayed):
     def _print_steps(self, found: list[str], name: str, encoding: Encoding) -> str:
         """Define the arrays of the quantisation steps of an encoding, and return their names."""
         names = [f"{name}_per_unit", f"{name}_per_step"][: len(_steps(encoding))]
-        found += [array(REAL, one, self._print(steps)) for one, steps in zip(names, _steps(encoding), strict=True)]
+        found += [
+            constant_array(REAL, one, self._print(steps)) for one, steps in zip(names, _steps(encoding), strict=True)
+        ]
         return ", ".join(names or ["NULL", "NULL"])
 
     def _print(self, values: Iterable[Any]) -> list[str]:
-        return [literal(float(value), self.precision) for value in values]
+        return [c_literal(float(value), self.precision) for value in values]
 
     def _bytes(self, values: Iterable[float]) -> bytes:
         return np.array(list(values), dtype=np.dtype(self.precision).newbyteorder(">")).tobytes()
@@ -179,7 +181,7 @@ class NodeData(Displayed):
 def _steps(encoding: Encoding) -> list[list[float]]:
     """Return steps per unit and units per step of every entry, or nothing if an encoding has no steps."""
     scales = encoding.full_scale if encoding.name == "int16" else ()
-    return [[LARGEST / scale for scale in scales], [scale / LARGEST for scale in scales]] if scales else []
+    return [[FULL_SCALE / scale for scale in scales], [scale / FULL_SCALE for scale in scales]] if scales else []
 
 
 def _truth(value: bool) -> str:

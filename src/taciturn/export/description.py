@@ -24,7 +24,7 @@ _STARTS = {"number": "0", "truth": "false"}  # start values of inputs
 
 
 @dataclass(frozen=True, repr=False)
-class Variable(Displayed):
+class UnitVariable(Displayed):
     """A variable of a functional mock-up unit (FMU).
 
     Args:
@@ -58,43 +58,43 @@ def may_lose(loop: Loop) -> bool:
     return loop.network.protocol != "ideal"
 
 
-def list_variables(loop: Loop) -> tuple[Variable, ...]:
+def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     """Return the variables of the FMU for the policy of a loop, except the time."""
     links, first, model = used_links(loop), REFERENCES, loop.policy.model
     predicts = loop.policy.prediction is not None  # the input of the plant is then u = L x̂
     applied, where = ("Predicted state", "of the actuator's model") if predicts else ("Input", "of the plant")
     found = [
-        Variable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
+        UnitVariable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
         for i in range(model.outputs)
     ]
     if may_lose(loop):
         found += [
-            Variable(
+            UnitVariable(
                 f"lost_{link}", first["lost"] + LINKS.index(link), "truth", "input",
                 f"A packet that is sent on the {link} link in the next step is dropped",
             )
             for link in links
         ]  # fmt: skip
     found += [
-        Variable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"{applied} {i + 1} {where}")
+        UnitVariable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"{applied} {i + 1} {where}")
         for i in range(model.inputs)
     ]
     for link in links:
         found += [
-            Variable(
+            UnitVariable(
                 f"sent_{link}", first["sent"] + LINKS.index(link), "truth", "output",
                 f"A packet was sent on the {link} link in the last step",
             ),
-            Variable(
+            UnitVariable(
                 f"sends_{link}", first["sends"] + LINKS.index(link), "count", "output",
                 f"Number of packets sent on the {link} link so far",
             ),
         ]  # fmt: skip
     what = "An assumption of the theory of the policy was violated, for example by an unexpected packet loss"
-    return (*found, Variable("degraded", first["degraded"], "truth", "output", what))
+    return (*found, UnitVariable("degraded", first["degraded"], "truth", "output", what))
 
 
-def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple[str, ...], ticks: int) -> bytes:
+def describe_unit(loop: Loop, name: str, version: Version, token: str, sources: tuple[str, ...], ticks: int) -> bytes:
     """Return the XML model description of a functional mock-up unit.
 
     Args:
@@ -142,7 +142,7 @@ def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
     return _text(root)
 
 
-def _list(root: Xml.Element, variables: tuple[Variable, ...], version: Version) -> None:
+def _list(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Version) -> None:
     listed = Xml.SubElement(root, "ModelVariables")
     if version == "3.0":
         time = {"name": "time", "valueReference": str(REFERENCES["time"]), "causality": "independent"}
@@ -162,7 +162,7 @@ def _list(root: Xml.Element, variables: tuple[Variable, ...], version: Version) 
             )
 
 
-def _structure(root: Xml.Element, variables: tuple[Variable, ...], version: Version) -> None:
+def _structure(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Version) -> None:
     """List the outputs without dependencies: only a step changes them, so they do not depend on current inputs."""
     structure = Xml.SubElement(root, "ModelStructure")
     for old, new in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):

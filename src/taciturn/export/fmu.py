@@ -22,19 +22,19 @@ from taciturn.errors import ProblemError
 from taciturn.export.description import (
     REFERENCES,
     Version,
-    describe,
     describe_build,
+    describe_unit,
     list_variables,
     may_lose,
     tick_length,
     used_links,
 )
-from taciturn.export.folder import CORE, EXCHANGE, FLAGS, MARK, ROWS, print_folder
+from taciturn.export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, print_folder
 from taciturn.export.node import CNode
 from taciturn.loop import Loop
 from taciturn.model.packets import fingerprint
 from taciturn.model.wire import LINKS
-from taciturn.program.c import literal
+from taciturn.program.c import c_literal
 
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
@@ -182,7 +182,7 @@ def print_fmu(
     compiled = tuple(sorted(file for file in texts if file.endswith(".c")))
     ticks = min(ROWS, loop.horizon or ROWS)
     held = {
-        "modelDescription.xml": describe(loop, name, version, token, compiled, ticks),
+        "modelDescription.xml": describe_unit(loop, name, version, token, compiled, ticks),
         "documentation/index.html": _print_page(loop, name).encode(),
         "documentation/licenses/license.txt": _LICENSES.encode(),
         "documentation/licenses/apache-2.0.txt": (core / "LICENSE").read_bytes(),
@@ -252,7 +252,7 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
 def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     """Return C source of the function that starts the nodes, and of the list of links."""
     used = used_links(loop)
-    lines = [f'{MARK}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
+    lines = [f'{GENERATED_BY}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
     lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in LINKS if link != 'plant')}}};"]
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
@@ -264,7 +264,7 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
     """Return a C header with the token of the unit, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
-        mark=MARK, token=token, stamp=digest[:16], tick=literal(tick_length(loop), "float64"),
+        mark=GENERATED_BY, token=token, stamp=digest[:16], tick=c_literal(tick_length(loop), "float64"),
         measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
         references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in REFERENCES.items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from taciturn.errors import ProblemError
 from taciturn.export.folder import CORE_SOURCES, FLAGS, CFolder
 
-Level = Literal["-O2", "-Os"]
+Optimisation = Literal["-O2", "-Os"]
 PACKAGES = {  # Debian packages
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "arm-none-eabi-size": "binutils-arm-none-eabi",
@@ -67,7 +67,7 @@ class Sizes(NamedTuple):
     memory: int
 
 
-def measure_sizes(target: Target, folder: CFolder, level: Level = "-O2") -> dict[str, Sizes]:
+def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") -> dict[str, Sizes]:
     """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic).
 
     Args:
@@ -108,7 +108,7 @@ def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
 
 
 def compile_sources(
-    target: Target, sources: Sequence[str], into: Path, level: Level, flags: Sequence[str] = ()
+    target: Target, sources: Sequence[str], into: Path, level: Optimisation, flags: Sequence[str] = ()
 ) -> list[str]:
     """Compile C files in a folder, with warnings as errors, and return the names of the objects.
 

@@ -18,7 +18,7 @@ from taciturn.program.ir import Program
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Vector(Displayed):
+class RecordedRun(Displayed):
     """A recorded run of a closed loop, step by step.
 
     Args:
@@ -43,7 +43,7 @@ class Vector(Displayed):
         return np.hstack([self.measured, self.drawn, self.arrived, self.sent, self.applied])
 
 
-def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> Vector:
+def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> RecordedRun:
     """Run the bit-exact build of a loop's program, and return its measurements, losses, decisions and inputs.
 
     Args:
@@ -70,7 +70,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
     links: tuple[LinkName, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
-    vector = Vector(
+    vector = RecordedRun(
         links,
         _columns([found[f"y {i}"] for i in range(plant.outputs)], ticks),
         _columns([inputs[i] for i in own], ticks),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import TINY, Array, ArrayLike, Bits, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, Bits, symmetrised
 from taciturn._modes import ROUNDOFF, reach
 
 CRUMB = 1e-13  # cost relative to the products in its sum, below which it counts as their rounding
@@ -179,7 +179,7 @@ def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
 def principal_axes(of: Axes, K: Array) -> Axes:
     """Return the principal axes of a cost-to-go K, each scaled to unit cost; K is given in the coordinates ``of``."""
     values, vectors = np.linalg.eigh(K)
-    largest = float(values[-1]) if values[-1] > TINY else 1.0
+    largest = float(values[-1]) if values[-1] > NO_VARIANCE else 1.0
     units = _power_of_two(np.sqrt(np.maximum(values, FLAT * largest)))
     return Axes(of.T @ vectors * units, (vectors / units).T @ of.inverse, of.units)
 

@@ -8,7 +8,7 @@ from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
 from taciturn._modes import Modes
 from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._newton import Answer, Solution, Time
+from taciturn.lqg._newton import Gains, Solution, Time
 from taciturn.lqg._worth import Worth
 
 
@@ -37,15 +37,15 @@ class _Flow(Time):
     def summed(self, F: Array, stage: Array) -> Array:
         return _scipy.continuous_lyapunov(F.T, stage)
 
-    def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
+    def answer(self, given: Quadratic, K: Array, L: Array) -> Gains:
         best = -np.linalg.solve(given.R, given.B.T @ K + given.N.T)
         inverse = np.linalg.inv(given.R)
-        return Answer(K, np.asarray(best, dtype=np.float64), given.R, np.asarray(inverse, dtype=np.float64))
+        return Gains(K, np.asarray(best, dtype=np.float64), given.R, np.asarray(inverse, dtype=np.float64))
 
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
         return symmetrised(F.T @ K + K @ F + stage), np.sqrt(np.maximum(np.diag(K), 0.0))
 
-    def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
+    def missed(self, given: Quadratic, F: Array, found: Gains) -> Array:
         return given.R @ found.L + given.B.T @ found.K + given.N.T
 
     def step(self, F: Array) -> Array:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, is_definite, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, is_definite, symmetrised
 from taciturn._modes import Modes, summed
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._doubling import double
-from taciturn.lqg._newton import Answer, Solution, Time
+from taciturn.lqg._newton import Gains, Solution, Time
 from taciturn.lqg._worth import Worth
 
 MARGIN = 1e-10  # least distance to the unit circle of a closed loop that counts as stable
@@ -32,7 +32,7 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     H = symmetrised(R + B.T @ K @ B)
     diagonal = H.diagonal()
     products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(R.diagonal())
-    kept = diagonal > np.maximum(1e-14 * products, TINY)
+    kept = diagonal > np.maximum(1e-14 * products, NO_VARIANCE)
     scale = 1 / np.sqrt(diagonal) if kept.all() else np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     # If R is definite, every direction counts; otherwise a small eigenvalue may be the error of a computed K.
@@ -69,7 +69,7 @@ class _Steps(Time):
 
     def rough(self, given: Quadratic) -> Array | None:
         worth, reached = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B)), float(np.sum(given.B**2))
-        last = given.Q + (LAST * worth / reached if reached > TINY else 0.0) * np.eye(len(given.A))
+        last = given.Q + (LAST * worth / reached if reached > NO_VARIANCE else 0.0) * np.eye(len(given.A))
         return double(given.A, given.B, given.Q, given.N, last, *price(given.B, last, given.R))
 
     def pace(self, modes: Modes) -> Array:
@@ -81,16 +81,16 @@ class _Steps(Time):
     def summed(self, F: Array, stage: Array) -> Array:
         return summed(F.T, stage)
 
-    def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
+    def answer(self, given: Quadratic, K: Array, L: Array) -> Gains:
         H, inverse = price(given.B, K, given.R)
         best = -inverse @ (given.B.T @ K @ given.A + given.N.T)
-        return Answer(K, best + (np.eye(len(H)) - inverse @ H) @ L, H, inverse)
+        return Gains(K, best + (np.eye(len(H)) - inverse @ H) @ L, H, inverse)
 
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
         root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         return symmetrised(F.T @ K @ F + stage - K), np.abs(F).T @ root
 
-    def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
+    def missed(self, given: Quadratic, F: Array, found: Gains) -> Array:
         return given.R @ found.L + given.N.T + given.B.T @ found.K @ F
 
     def step(self, F: Array) -> Array:

@@ -69,7 +69,7 @@ class Flow:
         return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (len(off), *parts.shape))), dtype=np.float64)
 
 
-def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
+def riccati_flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
     """Return the closed form of the filter Riccati recursion, up to the step after which its terms are negligible.
 
     Args:

@@ -70,7 +70,7 @@ def repeat(once: Interval, times: int) -> Interval:
         once = compose(once, once)
 
 
-def integrate(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
+def integrate_interval(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
     """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt.
 
     Φ = e^{Fh}, M_h = ∫ e^{F't}Me^{Ft}dt, G_h = ∫ e^{Ft}Ge^{F't}dt, c = ∫ tr(M G_t)dt. They are computed by

@@ -10,9 +10,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, exceeds, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, exceeds, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import ROUNDOFF, TOLERANCE, Modes, bound_residual, eigenvalues, radius
+from taciturn._modes import COST_ERROR, ROUNDOFF, Modes, bound_residual, eigenvalues, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg._axes import (
     Axes,
@@ -62,7 +62,7 @@ class Solution(Displayed):
     @property
     def relative(self) -> Array:
         """Bound on the relative error of the cost-to-go of each state, (n,)."""
-        return self.error.diagonal() / np.maximum(self.unit, TINY)
+        return self.error.diagonal() / np.maximum(self.unit, NO_VARIANCE)
 
     @property
     def doubt(self) -> float:
@@ -86,7 +86,7 @@ class Solution(Displayed):
     @property
     def sound(self) -> bool:
         """Whether the residual and the error bound of this Riccati solution are within the tolerances."""
-        return self.residual <= RESIDUAL and self.doubt <= TOLERANCE
+        return self.residual <= RESIDUAL and self.doubt <= COST_ERROR
 
 
 def refuse_doubtful(found: Solution, what: str, remedy: str, A: Array | None) -> None:
@@ -106,10 +106,10 @@ def refuse_doubtful(found: Solution, what: str, remedy: str, A: Array | None) ->
     failed: list[str] = []
     if not found.residual <= RESIDUAL:
         failed.append(f"its relative residual is {found.residual:.1e} (at most {RESIDUAL:.0e})")
-    if not found.doubt <= TOLERANCE:
+    if not found.doubt <= COST_ERROR:
         worst = int(np.argmax(found.relative))
         failed.append(
-            f"its solution has a relative error of up to {found.doubt:.1e} (at most {TOLERANCE:.0e}), most of it in "
+            f"its solution has a relative error of up to {found.doubt:.1e} (at most {COST_ERROR:.0e}), most of it in "
             f"state {worst + 1}"
         )
     growth = 1.0 if A is None else radius(A)
@@ -124,7 +124,7 @@ def _along(axes: Axes, K: Array, _: Quadratic) -> Axes:
     return principal_axes(axes, K)
 
 
-class Answer(NamedTuple):
+class Gains(NamedTuple):
     """Optimal gain L for a cost-to-go K, the weight H of a deviation from the optimal input, and the inverse of H."""
 
     K: Array
@@ -161,7 +161,7 @@ class Time(ABC):
         """Return the cost-to-go of a stable closed loop with a given stage cost, by a Lyapunov equation."""
 
     @abstractmethod
-    def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
+    def answer(self, given: Quadratic, K: Array, L: Array) -> Gains:
         """Return the optimal gain for a cost-to-go; in directions in which all gains are optimal, L is unchanged."""
 
     @abstractmethod
@@ -172,7 +172,7 @@ class Time(ABC):
         """
 
     @abstractmethod
-    def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
+    def missed(self, given: Quadratic, F: Array, found: Gains) -> Array:
         """Return the residual of the gain equation: H L = −(B'KA + N'), or R L = −(B'K + N') in continuous time."""
 
     @abstractmethod
@@ -248,7 +248,7 @@ class Time(ABC):
         here, found = axes.problem(given), None
         for _ in range(3):
             F = here.under(L)[0]
-            inner = units_of(self.step(F), K, H, np.maximum(rounding_floor(here, K, L), TINY))
+            inner = units_of(self.step(F), K, H, np.maximum(rounding_floor(here, K, L), NO_VARIANCE))
             axes, L = axes.then(inner), inner.gain(L)
             here = axes.problem(given)
             found = self._settled(here, L)
@@ -266,7 +266,7 @@ class Time(ABC):
         if found is not None:
             yield self.judged(given, turned, here, *found)
 
-    def _settled(self, given: Quadratic, L: Array) -> tuple[Answer, float] | None:
+    def _settled(self, given: Quadratic, L: Array) -> tuple[Gains, float] | None:
         """Iterate K = cost of the gain L, L = best gain for K, from a stabilising L; None if this does not converge.
 
         Returns:
@@ -290,11 +290,13 @@ class Time(ABC):
             stalled = change <= 1e-5 * size and change >= 0.9 * last
             if done or change <= 1e-14 * size or stalled:
                 slowest = self.slowest(given.A + given.B @ L)
-                return (found, slowest) if slowest < self.edge - self.margin(given) and exceeds(K, -TOLERANCE) else None
+                return (
+                    (found, slowest) if slowest < self.edge - self.margin(given) and exceeds(K, -COST_ERROR) else None
+                )
             previous = K
         return None
 
-    def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Answer, slowest: float) -> Solution:
+    def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Gains, slowest: float) -> Solution:
         """Return a Riccati solution with its error bound, evaluated in the coordinates of the solver.
 
         Args:

@@ -53,7 +53,7 @@ class Discrete(Displayed):
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
-        return self.plant.short(self.prediction)
+        return self.plant.short(None if self.prediction is None else len(self.prediction.L))
 
     @cached_property
     def moving(self) -> Bits:

@@ -10,7 +10,7 @@ from taciturn._arrays import Array, ArrayLike, number, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import balancing
 from taciturn.errors import ProblemError
-from taciturn.lqg._interval import Interval, integrate
+from taciturn.lqg._interval import Interval, integrate_interval
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 
 GRID = 400  # intervals at which the cost is evaluated
@@ -128,7 +128,7 @@ class PredictionCost(Displayed):
             return None
 
     def _over(self, length: float) -> Interval:
-        return integrate(self.A, self.S, self.W, number("length", length, 0.0), balancing(self.A))
+        return integrate_interval(self.A, self.S, self.W, number("length", length, 0.0), balancing(self.A))
 
 
 def prediction_cost(

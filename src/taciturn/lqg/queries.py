@@ -13,7 +13,7 @@ from taciturn._display import Displayed
 from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
-from taciturn.lqg._flow import flow
+from taciturn.lqg._flow import riccati_flow
 from taciturn.lqg._repetition import Repetition
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.plant import Plant
@@ -140,7 +140,7 @@ class QueryValue:
     def __init__(self, predictor: Predictor, weights: Weights) -> None:
         """Compute the parts that are common to all covariances."""
         self._predictor, self._weights, self._done = predictor, weights, 0.0
-        self._flow = flow(predictor.plant, weights.discount, weights.horizon)
+        self._flow = riccati_flow(predictor.plant, weights.discount, weights.horizon)
         if self._flow is not None and weights.horizon is None:
             self._weighed = self._flow.weighed(weights.P, weights.discount)
 

@@ -10,8 +10,8 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import (
+    COST_ERROR,
     SCATTER,
-    TOLERANCE,
     Modes,
     eigenvalues,
     lost_modes,
@@ -251,10 +251,10 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
     Raises:
         UnstableError: the error may be larger than 1e-6 of the cost.
     """
-    if not doubt <= TOLERANCE * abs(cost):
+    if not doubt <= COST_ERROR * abs(cost):
         raise UnstableError(
             f"the cost of sending every sample is {cost:.6g}, with an error of up to {doubt:.1e}; expected an error of "
-            f"at most {TOLERANCE:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its "
+            f"at most {COST_ERROR:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its "
             "rounding error dominates; give these modes noise W, or remove them from the plant"
         )
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
-from taciturn._modes import TOLERANCE, balancing, pace
+from taciturn._modes import COST_ERROR, balancing, pace
 from taciturn.errors import ProblemError
 from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._interval import Interval, Sampled, integrate, repeat, split
+from taciturn.lqg._interval import Interval, Sampled, integrate_interval, repeat, split
 
 __all__ = ["Sampled", "sample", "sample_prediction"]
 
@@ -115,21 +115,21 @@ def sample_prediction(
 
 def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
     """Return the integrals over a period; a long period is also computed in three parts, to check its accuracy."""
-    whole = integrate(F, M, G, period, units)
+    whole = integrate_interval(F, M, G, period, units)
     if pace(F) * period < LONG:
         return whole
     with np.errstate(over="ignore", invalid="ignore"):
-        thirds = repeat(integrate(F, M, G, period / 3, units), 3)
+        thirds = repeat(integrate_interval(F, M, G, period / 3, units), 3)
     scaled = [each.Phi / units[:, None] * units for each in (whole, thirds)]
     off = [float(np.abs(scaled[0] - scaled[1]).max(initial=0.0) / np.abs(scaled[0]).max(initial=1e-300))]
     for one, other in ((whole.M, thirds.M), (whole.G, thirds.G)):
         spread = np.sqrt(np.maximum(np.diag(one), 0.0))
         spread = np.where(spread > 0, spread, np.inf)
         off.append(float(np.abs((one - other) / spread / spread[:, None]).max(initial=0.0)))
-    if not max(off) <= TOLERANCE:
+    if not max(off) <= COST_ERROR:
         raise ProblemError(
             f"period is {period:g}, which is {pace(F) * period:.1e} time constants of the fastest mode, so the sampled "
-            f"plant has a relative error of {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, or a "
+            f"plant has a relative error of {max(off):.1e} (at most {COST_ERROR:.0e}); expected a shorter period, or a "
             "plant without that mode"
         )
     return whole

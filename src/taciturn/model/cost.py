@@ -79,17 +79,20 @@ class Cost(Displayed):
         ):
             object.__setattr__(self, key, value)
 
-    def summary(self) -> Mapping[str, object]:
+    def summary(self) -> Mapping[str, str | Array | None]:
         """Return the type and the weights of the cost by name."""
-        from taciturn.model.display import cost_rows  # imported here, since that module imports this one
-
-        return cost_rows(self)
+        N = self.N if self.N.any() else None
+        return {"kind": self.short(), "Q": self.Q, "R": self.R, "N": N, "terminal": self.terminal}
 
     def short(self) -> str:
-        """Return the type of the cost as text."""
-        from taciturn.model.display import cost_text  # imported here, since that module imports this one
-
-        return cost_text(self)
+        """Return the type of the cost as text: an average, a total or a discounted sum of the quadratic form."""
+        kind = "an average"
+        if self.horizon is not None:
+            kind = f"a finite-horizon run of {self.horizon} steps"
+        elif self.discount < 1:
+            kind = f"a discounted sum, factor {self.discount:g} per step"
+        cross = " + 2x'Nu" if self.N.any() else ""
+        return f"{kind} of x'Qx + u'Ru{cross}"
 
     @property
     def mission(self) -> bool:

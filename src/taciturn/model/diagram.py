@@ -11,8 +11,21 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn._figure import Arrow, Size, draw_lanes
-from taciturn.model.policy import Acknowledged, Assign, Decide, Evaluate, Location, Policy, Send
-from taciturn.model.steps import ENDS, NODES, LinkName, NodeName
+from taciturn.model.location import Location
+from taciturn.model.plant import Prediction
+from taciturn.model.steps import (
+    ENDS,
+    NODES,
+    Acknowledged,
+    Assign,
+    Decide,
+    Evaluate,
+    LinkName,
+    NodeName,
+    Send,
+    Step,
+    site_of,
+)
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 if TYPE_CHECKING:
@@ -188,11 +201,21 @@ class Diagram(Displayed):
         return draw_lanes([place.lines for place in self.places], arrows, ax, figsize)
 
 
-def draw_diagram(policy: Policy) -> Diagram:
+def draw_diagram(
+    steps: Sequence[Step],
+    sites: Sequence[frozenset[NodeName]],
+    locations: Sequence[Location],
+    sizes: Mapping[str, int],
+    prediction: Prediction | None = None,
+) -> Diagram:
     """Return the nodes of a policy and the links between them, derived from its policy steps.
 
     Args:
-        policy: any policy; only its steps, sites and locations are used.
+        steps: policy steps within a sampling step, in order.
+        sites: groups of nodes at the same site; other nodes are alone.
+        locations: finite discrete states.
+        sizes: number of entries of each signal, by name.
+        prediction: the model of an actuator that predicts between steps, or None.
 
     Returns:
         The diagram, which can be printed or plotted.
@@ -200,40 +223,35 @@ def draw_diagram(policy: Policy) -> Diagram:
     Example:
         >>> from taciturn import Cost, Plant, design
         >>> policy = design.lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
-        >>> draw_diagram(policy).links[0].condition
+        >>> draw_diagram(policy.steps, policy.sites, policy.locations, policy.sizes).links[0].condition
         'if send, by estimate, candidate, error'
     """
-    sites: list[frozenset[NodeName]] = []
-    for node in NODES:
-        if policy.site(node) not in sites:
-            sites.append(policy.site(node))
-    model = policy.prediction
-    applied, predicted = (policy.model.inputs, 0) if model is None else model.L.shape
+    applied, predicted = (sizes["input"], 0) if prediction is None else prediction.L.shape
     places = tuple(
         Place(
             tuple(node for node in NODES if node in site),
-            policy.model.outputs if "sensor" in site else 0,
-            tuple(step.decision for step in policy.steps if isinstance(step, Decide) and step.at in site),
+            sizes["y"] if "sensor" in site else 0,
+            tuple(step.decision for step in steps if isinstance(step, Decide) and step.at in site),
             *((applied, predicted) if "actuator" in site else (0, 0)),
         )
-        for site in sites
+        for site in dict.fromkeys(site_of(node, sites) for node in NODES)
     )
-    return Diagram(places, tuple(_link(policy, step) for step in policy.steps if isinstance(step, Send)))
+    return Diagram(places, tuple(_link(step, steps, locations, sizes) for step in steps if isinstance(step, Send)))
 
 
-def _link(policy: Policy, step: Send) -> Link:
-    payload = {name: policy.sizes[name] for name in step.payload}
-    conditions = [other.on for other in policy.steps if isinstance(other, Assign | Evaluate)]
-    conditions += [location.on for location in policy.locations]
+def _link(step: Send, steps: Sequence[Step], locations: Sequence[Location], sizes: Mapping[str, int]) -> Link:
+    payload = {name: sizes[name] for name in step.payload}
+    conditions = [other.on for other in steps if isinstance(other, Assign | Evaluate)]
+    conditions += [location.on for location in locations]
     told = any(isinstance(on, Acknowledged) and on.link == step.link for on in conditions)
     ends = (step.link, step.at, ENDS[step.link], payload)
     if step.on is None:
         return Link(*ends, "always", acknowledged=told)
-    trigger = policy.decisions[step.on]
+    trigger = next(other.trigger for other in steps if isinstance(other, Decide) and other.decision == step.on)
     labels = step.labels or trigger.labels[1:]
     decided = (step.on, labels, tuple(label for label in trigger.labels if label not in labels))
     read_by = {by for form in trigger.options.values() for by in _tables(form)}
-    tables = [location for location in policy.locations if location.name in read_by]
+    tables = [location for location in locations if location.name in read_by]
     turning = tuple(location.name for location in tables if len(location.table) > 1)
     if trigger.reads or any(location.on is not None for location in tables):
         return Link(*ends, "decision", *decided, (*trigger.reads, *turning), acknowledged=told)

@@ -1,58 +1,82 @@
-"""Descriptions of plants, costs, networks and matrices for ``taciturn show``, Python and notebooks."""
+"""Descriptions of plants and matrices for ``taciturn show``, Python and notebooks."""
 
 from __future__ import annotations
+
+from typing import ClassVar
 
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text
-from taciturn._text import Lines, percent
-from taciturn.model.cost import Cost
-from taciturn.model.network import Network
-from taciturn.model.plant import ContinuousPlant, Plant, Prediction
+from taciturn._text import Lines
 from taciturn.model.trigger import Matrix, Scheduled
 
 BLUR = 1e-6  # relative difference below which poles are considered equal
 WIDEST = 12  # largest number of columns of a matrix that is printed in full
-Rows = dict[str, str | Array | None]
+NamedRows = dict[str, str | Array | None]
 
 
-def plant_size(plant: Plant | ContinuousPlant, prediction: Prediction | None = None) -> str:
-    """Return the numbers of states, inputs and outputs of a plant as text.
+class DisplayedPlant(Displayed):
+    """Base class of plants that print a summary before their matrices.
 
-    Args:
-        plant: the plant.
-        prediction: the model of an actuator that predicts, whose state then replaces the input of the sampled plant.
+    A plant in continuous time replaces the description of its noise, a plant in discrete time that of its time base.
     """
-    inputs = plant.inputs if prediction is None else len(prediction.L)
-    sizes = ((plant.states, "state"), (inputs, "input"), (plant.C.shape[0], "output"))
-    return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in sizes)
 
+    A: Array
+    B: Array
+    C: Array
+    W: Array
+    V: Array
+    mean: Array
+    covariance: Array
+    input_limit: Array | None
+    full_state: bool
+    continuous: ClassVar[bool] = True
 
-def plant_rows(plant: Plant | ContinuousPlant) -> Rows:
-    """Return the size, time base, poles, measurement, noise and matrices of a plant by name."""
-    if isinstance(plant, ContinuousPlant):
-        time, jumps = "continuous in time", plant.jumps
-    else:
-        time = "discrete in time" + ("" if plant.dt is None else f", {plant.dt:g} s per step")
-        time, jumps = time + ("" if plant.function is None else ", not linear"), None
-    return {
-        "size": plant_size(plant),
-        "time": time,
-        "poles": _poles(plant.A, isinstance(plant, ContinuousPlant)),
-        "measured": "the full state, exactly" if plant.full_state else "y = C x + v",
-        "noise": None
-        if jumps is None
-        else f"{jumps.rate:g} jumps per second, {jumps.distribution}, W is rate times covariance",
-        "A": plant.A,
-        "B": plant.B,
-        "C": None if plant.full_state else plant.C,
-        "W": plant.W,
-        "V": None if plant.full_state else plant.V,
-        "mean": plant.mean if plant.mean.any() else None,
-        "covariance": plant.covariance if plant.covariance.any() else None,
-        "input limit": plant.input_limit,
-    }
+    @property
+    def states(self) -> int:
+        """Number of states n."""
+        return self.A.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs m."""
+        return self.B.shape[1]
+
+    @property
+    def time(self) -> str:
+        """Description of the time base."""
+        return "continuous in time"
+
+    @property
+    def noise(self) -> str | None:
+        """Description of noise that is not Gaussian, or None."""
+        return None
+
+    def summary(self) -> NamedRows:
+        """Return the size, time base, poles, measurement, noise and matrices of the plant by name."""
+        return {
+            "size": self.short(),
+            "time": self.time,
+            "poles": _poles(self.A, self.continuous),
+            "measured": "the full state, exactly" if self.full_state else "y = C x + v",
+            "noise": self.noise,
+            "A": self.A,
+            "B": self.B,
+            "C": None if self.full_state else self.C,
+            "W": self.W,
+            "V": None if self.full_state else self.V,
+            "mean": self.mean if self.mean.any() else None,
+            "covariance": self.covariance if self.covariance.any() else None,
+            "input limit": self.input_limit,
+        }
+
+    def short(self, inputs: int | None = None) -> str:
+        """Return the numbers of states, inputs and outputs as text; a given number of inputs replaces that of B."""
+        counts = (self.states, self.inputs if inputs is None else inputs, self.C.shape[0])
+        named = zip(counts, ("state", "input", "output"), strict=True)
+        return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in named)
 
 
 def _poles(A: Array, continuous: bool) -> str:
@@ -63,39 +87,6 @@ def _poles(A: Array, continuous: bool) -> str:
     stable = "marginally stable" if abs(margin) < BLUR else "stable" if margin < 0 else "unstable"
     shown = (complex(p.real) if abs(p.imag) < BLUR * abs(p) else complex(p) for p in poles)
     return f"{stable}: {', '.join(map(mode_text, shown))}"
-
-
-def cost_text(cost: Cost) -> str:
-    """Return the type of a cost as text: an average, a total or a discounted sum of the quadratic form."""
-    kind = "an average"
-    if cost.horizon is not None:
-        kind = f"a finite-horizon run of {cost.horizon} steps"
-    elif cost.discount < 1:
-        kind = f"a discounted sum, factor {cost.discount:g} per step"
-    cross = " + 2x'Nu" if cost.N.any() else ""
-    return f"{kind} of x'Qx + u'Ru{cross}"
-
-
-def cost_rows(cost: Cost) -> Rows:
-    """Return the type and the weights of a cost by name."""
-    N = cost.N if cost.N.any() else None
-    return {"kind": cost_text(cost), "Q": cost.Q, "R": cost.R, "N": N, "terminal": cost.terminal}
-
-
-def network_text(network: Network) -> str:
-    """Return the protocol, losses, delay and encoding of a network in one line of text."""
-    if network.protocol == "ideal":
-        text = "ideal: every packet arrives"
-    else:
-        told = "acknowledged" if network.protocol == "tcp" else "no acknowledgement"
-        losses = [
-            f"{link} drops {percent(network.loss(link))}{' in bursts' if network.burst(link) else ''}"
-            for link in ("actuator", "sensor")
-        ]
-        text = f"{network.protocol} ({told}); {', '.join(losses)}"
-    if network.delay:
-        text += f"; {network.delay} step{'s' * (network.delay > 1)} of delay"
-    return text + (f"; numbers as {network.payload}" if network.payload != "float64" else "")
 
 
 def matrix_lines(name: str, value: Matrix) -> Lines:

@@ -10,7 +10,7 @@ from taciturn._display import Displayed
 from taciturn._text import measured_text, negligible, number_text
 
 Method: TypeAlias = Literal["exact", "quadrature", "bound", "simulation"]
-EXACT = 1e-14  # relative errors up to here are those of arithmetic; the number is printed with six digits
+EXACT_SHARE = 1e-14  # relative errors up to here are those of arithmetic; the number is printed with six digits
 Part: TypeAlias = Literal["value", "standard_error", "method", "error"]
 
 
@@ -58,5 +58,5 @@ class Estimate(Displayed):
         """Return the value with as many digits as its standard error, or its claimed error, supports."""
         spread = self.standard_error or self.error
         if negligible(spread, self.value):
-            return number_text(self.value, 6 if spread <= EXACT * abs(self.value) else 9)
+            return number_text(self.value, 6 if spread <= EXACT_SHARE * abs(self.value) else 9)
         return measured_text(self.value, spread)

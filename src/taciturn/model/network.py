@@ -10,6 +10,7 @@ import numpy as np
 
 from taciturn._arrays import Array, choice, count, instance, number
 from taciturn._display import Displayed
+from taciturn._text import percent
 from taciturn.errors import ProblemError
 from taciturn.model.wire import CODES, Encoding, EncodingName
 
@@ -121,9 +122,18 @@ class Network(Displayed):
 
     def short(self) -> str:
         """Return the protocol, losses, delay and encoding of the network as text."""
-        from taciturn.model.display import network_text  # imported here, since that module imports this one
-
-        return network_text(self)
+        if self.protocol == "ideal":
+            text = "ideal: every packet arrives"
+        else:
+            told = "acknowledged" if self.protocol == "tcp" else "no acknowledgement"
+            losses = [
+                f"{link} drops {percent(self.loss(link))}{' in bursts' if self.burst(link) else ''}"
+                for link in ("actuator", "sensor")
+            ]
+            text = f"{self.protocol} ({told}); {', '.join(losses)}"
+        if self.delay:
+            text += f"; {self.delay} step{'s' * (self.delay > 1)} of delay"
+        return text + (f"; numbers as {self.payload}" if self.payload != "float64" else "")
 
     def encoding(self, link: str) -> Encoding:
         """Return the encoding of the payloads of a link.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol, cast, runtime_checkable
+from typing import ClassVar, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,29 +12,14 @@ from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, 
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Slow, lost_modes, mode_text, pace
 from taciturn.errors import ProblemError
+from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
 
 JumpDistribution = Literal["normal", "uniform", "two-point"]
 
 
-class _Shown(Displayed):
-    """Base class of plants that print a summary before their matrices."""
-
-    def summary(self) -> Mapping[str, object]:
-        """Return the size, time base, poles, measurement, noise and matrices of the plant by name."""
-        from taciturn.model.display import plant_rows  # imported here, since that module imports this one
-
-        return plant_rows(cast("Plant | ContinuousPlant", self))
-
-    def short(self, prediction: Prediction | None = None) -> str:
-        """Return the numbers of states, inputs and outputs as text; a given prediction is not counted as an input."""
-        from taciturn.model.display import plant_size  # imported here, since that module imports this one
-
-        return plant_size(cast("Plant | ContinuousPlant", self), prediction)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Plant(_Shown):
+class Plant(DisplayedPlant):
     """A discrete-time plant x⁺ = A x + B u + w, y = C x + v, with white w ~ N(0, W) and v ~ N(0, V).
 
     Args:
@@ -73,6 +57,7 @@ class Plant(_Shown):
     input_limit: Array | None
     function: Dynamics | None
     full_state: bool
+    continuous: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -95,14 +80,10 @@ class Plant(_Shown):
         _refuse_lost_modes(self, continuous=False)
 
     @property
-    def states(self) -> int:
-        """Number of states n."""
-        return self.A.shape[0]
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs m."""
-        return self.B.shape[1]
+    def time(self) -> str:
+        """Description of the time base."""
+        per = "" if self.dt is None else f", {self.dt:g} s per step"
+        return f"discrete in time{per}{'' if self.function is None else ', not linear'}"
 
     @property
     def outputs(self) -> int:
@@ -181,7 +162,7 @@ class JumpNoise(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ContinuousPlant(_Shown):
+class ContinuousPlant(DisplayedPlant):
     """A continuous-time plant dx = (A x + B u) dt + noise with the sampled measurement y = C x + v.
 
     Args:
@@ -242,14 +223,11 @@ class ContinuousPlant(_Shown):
         _refuse_lost_modes(self, continuous=True)
 
     @property
-    def states(self) -> int:
-        """Number of states n."""
-        return self.A.shape[0]
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs m."""
-        return self.B.shape[1]
+    def noise(self) -> str | None:
+        """Description of the jumps, or None."""
+        if self.jumps is None:
+            return None
+        return f"{self.jumps.rate:g} jumps per second, {self.jumps.distribution}, W is rate times covariance"
 
 
 @runtime_checkable

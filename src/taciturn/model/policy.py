@@ -1,4 +1,4 @@
-"""Policies as data: nodes that compute, decide and exchange packets, and the guarantee that holds for them.
+"""Policies as data: nodes that compute, decide and exchange packets, and the theory that holds for them.
 
 A policy lists the policy steps of all nodes within one sampling step, in order. A signal that is read before it is
 assigned has its value of the previous sampling step. Memories and delays are expressed by this order. The signal
@@ -11,13 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from taciturn._arrays import Array, array, number
 from taciturn._display import Displayed
 from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.diagram import Diagram, draw_diagram
 from taciturn.model.location import Location as Location
 from taciturn.model.location import joint_cycle
 from taciturn.model.network import Network
@@ -39,17 +38,16 @@ from taciturn.model.steps import (
     Send,
     Step,
     assigned,
+    site_of,
 )
 from taciturn.model.steps import Acknowledged as Acknowledged
 from taciturn.model.steps import Received as Received
 from taciturn.model.steps import Terms as Terms
-from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations, Reset
+from taciturn.model.theory import Guarantee, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger, shape_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from taciturn.model.diagram import Diagram
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,21 +58,14 @@ class Policy(Displayed):
         kind: name of the policy kind in the catalogue.
         steps: policy steps within a sampling step, in order.
         model: the discrete-time plant for which the policy was designed.
-        cost_all_time: cost of sending at every step, in the units of the cost.
-        scheduled: links whose rate the policy decides.
+        theory: what is known about the policy, such as a bound on its cost; default: nothing.
         sites: groups of nodes at the same site, which have access to the same signals.
         locations: finite discrete states.
         initial: initial values of memories by signal; default 0.
         tick: seconds per step; 1 if time is counted in steps.
-        noise_cost: inter-sample noise cost per step that no policy can change.
         network: the network for which the policy was designed.
-        settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
-        cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
         prediction: the model of an actuator that predicts in continuous time between steps, or None.
-        guarantee, identity, innovations, closed_form: theoretical results, or None if they are unknown.
-        reset: the error that every send sets to zero, or None.
         tracking: the signals of a reference that the policy tracks, or None.
-        fixed_rates: rates by link that the design fixes, in sends per step.
         schedule: the offline schedule of a link, or None.
         notes: remarks that a reader of the results should know.
 
@@ -86,24 +77,14 @@ class Policy(Displayed):
     kind: str
     steps: tuple[Step, ...]
     model: Plant
-    cost_all_time: float
-    scheduled: tuple[LinkName, ...] = ("actuator",)
+    theory: Theory = field(default_factory=Theory)
     sites: tuple[frozenset[NodeName], ...] = ()
     locations: tuple[Location, ...] = ()
     initial: Mapping[str, Array] = field(default_factory=lambda: {})
     tick: float = 1.0
-    noise_cost: float = 0.0
     network: Network = field(default_factory=Network)
-    settling: float = 0.0
-    cost: Cost | None = None
     prediction: Prediction | None = None
-    guarantee: Guarantee | None = None
-    identity: Identity | None = None
-    innovations: Innovations | None = None
-    closed_form: ClosedForm | None = None
-    reset: Reset | None = None
     tracking: Tracking | None = None
-    fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
     schedule: Schedule | None = None
     notes: tuple[str, ...] = ()
     sizes: Mapping[str, int] = field(init=False)
@@ -111,13 +92,8 @@ class Policy(Displayed):
     def __post_init__(self) -> None:
         """Check that all parts of the policy are consistent."""
         number("tick", self.tick, 0.0)
-        self._check_costs()
-        if self.cost is None and (self.identity or self.guarantee or self.closed_form):
-            raise ProblemError(
-                f"{self.kind} has an identity, a guarantee or a closed form, but no cost; expected the cost to which "
-                "they refer"
-            )
-        self._check_theory()
+        computed = [name for step in self.steps if isinstance(step, Apply) for name in step.signals]
+        self.theory.check(self.kind, computed[0] if computed else None)
         sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
         for step in self.steps:
             for name, size in assigned(step).items():
@@ -167,10 +143,10 @@ class Policy(Displayed):
         per = None if self.tick == 1 else f"{self.tick:g} s"
         return {
             "kind": self.kind,
-            "cost_all_time": self.cost_all_time,
+            "cost_all_time": self.theory.cost_all_time,
             "guarantee": None if proved is None else f"at most {proved.cost:.6g}: {proved.statement}",
             "period": per,
-            "plant": self.model.short(self.prediction),
+            "plant": self.model.short(None if self.prediction is None else len(self.prediction.L)),
             "decisions": [f"{name}: {' or '.join(one.labels)}" for name, one in self.decisions.items()],
             "links": [f"{link.name}: {link.packet}, {link.condition}" for link in self.diagram().links],
             "network": self.network.short(),
@@ -180,6 +156,36 @@ class Policy(Displayed):
     def short(self) -> str:
         """Return the policy kind."""
         return self.kind
+
+    @property
+    def cost(self) -> Cost | None:
+        """The cost for which the policy was designed, or None."""
+        return self.theory.cost
+
+    @property
+    def cost_all_time(self) -> float:
+        """Cost of sending at every step, in the units of the cost.
+
+        Raises:
+            ProblemError: the theory of the policy does not contain it.
+        """
+        if self.theory.cost_all_time is None:
+            raise ProblemError(
+                f"the cost of sending every sample is unknown for {self.kind}; expected Theory(cost_all_time=…) in the "
+                "policy"
+            )
+        return self.theory.cost_all_time
+
+    @property
+    def guarantee(self) -> Guarantee | None:
+        """The proven upper bound on the cost, or None."""
+        return self.theory.guarantee
+
+    @property
+    def scheduled(self) -> tuple[LinkName, ...]:
+        """The links on which a decision sends; without decisions, all links."""
+        sends = [step for step in self.steps if isinstance(step, Send)]
+        return tuple(step.link for step in sends if step.on is not None) or tuple(step.link for step in sends)
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:
@@ -201,7 +207,7 @@ class Policy(Displayed):
 
     def site(self, node: NodeName) -> frozenset[NodeName]:
         """Return the nodes at the same site as this node."""
-        return next((site for site in self.sites if node in site), frozenset({node}))
+        return site_of(node, self.sites)
 
     def diagram(self) -> Diagram:
         """Return the nodes and links of the policy as a diagram that can be printed or plotted.
@@ -211,9 +217,7 @@ class Policy(Displayed):
             >>> [link.packet for link in load("rover").design().diagram().links]
             ['command (1)', 'y (1)']
         """
-        from taciturn.model.diagram import draw_diagram  # imported here, since that module imports this one
-
-        return draw_diagram(self)
+        return draw_diagram(self.steps, self.sites, self.locations, self.sizes, self.prediction)
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of the nodes and of the packets that they exchange within a step."""
@@ -264,8 +268,10 @@ class Policy(Displayed):
 
     def __str__(self) -> str:
         """Return the kind, the cost of sending every sample, the guarantee and the diagram as text."""
-        proved = "" if self.guarantee is None else f"; {self.guarantee.statement}: at most {self.guarantee.cost:.6g}"
-        return f"{self.kind}: J_all = {self.cost_all_time:.6g}{proved}\n{self.diagram().text()}"
+        all_time, proved = self.theory.cost_all_time, self.guarantee
+        known = [] if all_time is None else [f"J_all = {all_time:.6g}"]
+        known += [] if proved is None else [f"{proved.statement}: at most {proved.cost:.6g}"]
+        return f"{self.kind}{': ' if known else ''}{'; '.join(known)}\n{self.diagram().text()}"
 
     def _check_form(self, form: Form) -> None:
         self._check_schedule(form.Psi)
@@ -289,28 +295,3 @@ class Policy(Displayed):
                 f"a table has {len(value.values)} entries selected by the location {value.by!r}, but {got}; "
                 "expected one entry per state of the location"
             )
-
-    def _check_theory(self) -> None:
-        """Reject theory for linear steps if a step of the policy is a function."""
-        names = ("innovations", "identity", "reset", "closed_form", "guarantee")
-        claims = [name for name in names if getattr(self, name) is not None]
-        functions = [step for step in self.steps if isinstance(step, Apply)]
-        if claims and functions:
-            raise ProblemError(
-                f"{self.kind} computes {next(iter(functions[0].signals))} by a function and has {claims[0]}, which "
-                f"holds for linear steps only; expected no {claims[0]}"
-            )
-
-    def _check_costs(self) -> None:
-        costs = {
-            "cost of sending every sample": self.cost_all_time,
-            "inter-sample noise cost": self.noise_cost,
-            "guaranteed cost": 0.0 if self.guarantee is None else self.guarantee.cost,
-            "cost": 0.0 if self.closed_form is None else self.closed_form.cost,
-        }
-        for name, value in costs.items():
-            if not np.isfinite(value):
-                raise ProblemError(
-                    f"the {name} of {self.kind} is {value:g}; expected a finite number: "
-                    "scale the problem, or send more often"
-                )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -180,6 +180,11 @@ class Send(Displayed):
 
 
 Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
+
+
+def site_of(node: NodeName, sites: Sequence[frozenset[NodeName]]) -> frozenset[NodeName]:
+    """Return the nodes at the same site as a node; a node that is in none of the given sites is alone."""
+    return next((site for site in sites if node in site), frozenset({node}))
 
 
 def assigned(step: Step) -> Mapping[str, int]:

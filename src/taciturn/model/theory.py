@@ -1,12 +1,17 @@
-"""Theoretical results about a policy: bounds, identities and closed forms."""
+"""The theory of a policy: the cost it was designed for, its bounds, identities and closed forms."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+from taciturn.model.cost import Cost
+from taciturn.model.steps import LinkName
 from taciturn.model.trigger import Form
 
 
@@ -112,3 +117,69 @@ class Linearisation(Displayed):
 
     cost_all_time: float
     cost_bound: float | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Theory(Displayed):
+    """The known properties of a policy in a loop with the plant, network and cost of its design.
+
+    Every argument may be omitted. A policy without theory is simulated, run and exported like any other.
+
+    Args:
+        cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
+        cost_all_time: cost of sending at every step, in the units of the cost, or None if it is unknown.
+        noise_cost: inter-sample noise cost per step of a continuous plant, which no policy can change.
+        settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
+        guarantee: proven upper bound on the cost, or None.
+        identity: exact identity for the cost, or None.
+        innovations: white innovations of the policy's filter, or None.
+        closed_form: exact cost and rates, or None.
+        reset: the error that every send sets to zero, or None.
+        fixed_rates: rates by link that the design fixes, in sends per step.
+    """
+
+    cost: Cost | None = None
+    cost_all_time: float | None = None
+    noise_cost: float = 0.0
+    settling: float = 0.0
+    guarantee: Guarantee | None = None
+    identity: Identity | None = None
+    innovations: Innovations | None = None
+    closed_form: ClosedForm | None = None
+    reset: Reset | None = None
+    fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
+
+    def check(self, kind: str, nonlinear: str | None) -> None:
+        """Check this theory for a policy of a given kind.
+
+        Args:
+            kind: name of the policy kind.
+            nonlinear: a signal that the policy computes by a function, or None if all its steps are linear.
+
+        Raises:
+            ProblemError: a cost is not finite, the cost of the design is missing, or the policy is not linear.
+        """
+        costs = {
+            "cost of sending every sample": self.cost_all_time,
+            "inter-sample noise cost": self.noise_cost,
+            "guaranteed cost": self.guarantee and self.guarantee.cost,
+            "cost": self.closed_form and self.closed_form.cost,
+        }
+        for name, value in costs.items():
+            if value is not None and not np.isfinite(value):
+                raise ProblemError(
+                    f"the {name} of {kind} is {value:g}; expected a finite number: "
+                    "scale the problem, or send more often"
+                )
+        if self.cost is None and (self.identity or self.guarantee or self.closed_form):
+            raise ProblemError(
+                f"{kind} has an identity, a guarantee or a closed form, but no cost; expected the cost to which "
+                "they refer"
+            )
+        names = ("innovations", "identity", "reset", "closed_form", "guarantee")
+        claims = [name for name in names if getattr(self, name) is not None]
+        if claims and nonlinear is not None:
+            raise ProblemError(
+                f"{kind} computes {nonlinear} by a function and has {claims[0]}, which holds for linear steps only; "
+                f"expected no {claims[0]}"
+            )

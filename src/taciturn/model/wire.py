@@ -25,7 +25,7 @@ EITHER: frozenset[PacketKind] = frozenset({"mark", "challenge", "answer"})  # ki
 PROOFS: frozenset[PacketKind] = frozenset({"challenge", "answer"})  # kinds whose payload is a nonce
 VERSION = 2
 AUTHENTICATED = 0x80  # flag in the encoding field for a datagram with a tag
-LARGEST = 32767  # integer that represents the full scale
+FULL_SCALE = 32767  # integer that represents the full scale
 # adding and subtracting these constants rounds to the nearest integer, ties to even
 ROUNDERS = {"float64": 1.5 * 2.0**52, "float32": 1.5 * 2.0**23}
 CRC_SIZE, TAG_SIZE = 4, 16
@@ -133,8 +133,8 @@ class Encoding(Displayed):
         if self.name == "float32":
             return exact.astype(np.float32).astype(np.float64)
         if self.name == "int16":
-            step = np.array(self.full_scale) / LARGEST
-            return np.clip(np.rint(exact * (LARGEST / np.array(self.full_scale))), -LARGEST, LARGEST) * step
+            step = np.array(self.full_scale) / FULL_SCALE
+            return np.clip(np.rint(exact * (FULL_SCALE / np.array(self.full_scale))), -FULL_SCALE, FULL_SCALE) * step
         return exact
 
 

@@ -17,21 +17,18 @@ For the opposite direction, ``draft`` builds a problem part by part from text (`
 
 from __future__ import annotations
 
-import inspect
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, cast
-
-from pydantic import ValidationError
 
 from taciturn._arrays import Array, instance, quoted
 from taciturn._display import Displayed
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
-from taciturn.design.catalogue import CATALOGUE, AnyPolicy
+from taciturn._pydantic import ValidationError, validate
+from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
@@ -42,9 +39,9 @@ from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, read_function, refuse_functions
-from taciturn.problem.parameters import check_parameters, expect_kind, read_policy
+from taciturn.problem.parameters import check_parameters, find_kind, read_policy
 from taciturn.problem.tables import (
-    IDEAL,
+    IDEAL_LINKS,
     BurstTable,
     File,
     InitialTable,
@@ -70,12 +67,13 @@ class Problem(Displayed):
         plant: the plant for which the policy is designed.
         cost: the cost.
         network: the network, ``Network()`` for ideal links.
-        kind: policy kind, a key of the catalogue.
+        kind: name of the policy kind.
         parameters: parameters of the policy; default none.
         actual: the simulated plant, if it differs from ``plant``.
         reference: the reference to track, or None.
         source: tables of the problem file, needed to change single keys.
         name: name of the problem file, for messages.
+        own: the policy kind, if the catalogue does not contain it.
 
     Raises:
         ProblemError: if ``network`` is not a Network, or the policy kind is unknown.
@@ -90,11 +88,17 @@ class Problem(Displayed):
     reference: Reference | None = None
     source: Mapping[str, Any] | None = None
     name: str = ""
+    own: Kind | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
         instance("network", self.network, Network)
-        expect_kind(self.kind)
+        instance("own", self.own or self.record, Kind)
+
+    @property
+    def record(self) -> Kind:
+        """The record of the policy kind."""
+        return self.own if self.own is not None and self.own.name == self.kind else find_kind(self.kind)
 
     def summary(self) -> Mapping[str, object]:
         """Return the policy kind, parameters, plants, cost, network and reference by name."""
@@ -123,7 +127,7 @@ class Problem(Displayed):
         if isinstance(policy, OptimalPolicy):
             raise ProblemError(
                 f"{policy.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
-                "near-optimal"
+                f"{policy.instead}"
             )
         if isinstance(policy, EventPolicy):
             raise ProblemError(
@@ -142,13 +146,14 @@ class Problem(Displayed):
         try:
             return self._designed()
         except TaciturnError as error:
-            key = "policy." if str(error).partition(" ")[0] in _named(self.kind) else ""
+            key = "policy." if str(error).partition(" ")[0] in self.record.arguments else ""
             raise type(error)(f"{self.name}: {key}{error}" if self.name else str(error)) from None
 
     def _designed(self) -> AnyPolicy:
-        parameters = check_parameters(self.kind, self.parameters)
-        design, used = CATALOGUE[self.kind], _used(self.kind, self.network, self.reference)
-        policy = design(self.plant, self.cost, **used, **parameters)
+        kind = self.record
+        parameters = check_parameters(kind, self.parameters)
+        used = _used(kind, self.network, self.reference)
+        policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
             check_network(policy, self.network)
         else:
@@ -201,18 +206,12 @@ class Problem(Displayed):
                     del table[key]
         tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}
         if touched:
-            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual))
+            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own)
             kept = [name for table, names in PARTS.items() if table not in touched for name in names]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
-        kind, parameters = read_policy(tables["policy"], CHANGED)  # plant, cost and network are unchanged
+        kind, parameters = read_policy(tables["policy"], CHANGED, self.own)  # plant, cost and network are unchanged
         source = None if self.source is None else tables
         return replace(self, kind=kind, parameters=parameters, source=source, name=CHANGED)
-
-
-def expect_problem(name: str, value: object) -> None:
-    """Raise a ``ProblemError`` if a value is not a Problem."""
-    if not isinstance(value, Problem):
-        raise ProblemError(f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file")
 
 
 def load(path: str | Path, *, functions: bool = True) -> Problem:
@@ -237,15 +236,16 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
     """
     instance("path", path, str, Path)
     file = Path(path)
-    built_in = dict(sorted((found.stem, found) for folder in problem_folders() for found in folder.glob("*.toml")))
     try:
         if not file.is_file():
-            file = built_in.get(str(path), file)
+            names = (folder / f"{path}.toml" for folder in problem_folders())
+            file = next((found for found in names if found.name == f"{path}.toml" and found.is_file()), file)
         tables = tomllib.loads(read_text(file, LARGEST))
     except FileNotFoundError:
+        built_in = sorted(found.stem for folder in problem_folders() for found in folder.glob("*.toml"))
         raise ProblemError(
             f"there is no file {str(path)!r}; expected a problem file, or one of the built-in problems "
-            f"{', '.join(built_in)}{suggest(str(path), list(built_in))}"
+            f"{', '.join(built_in)}{suggest(str(path), built_in)}"
         ) from None
     except UnicodeDecodeError as error:
         raise ProblemError(f"{str(path)!r} is not UTF-8 text ({error.reason}); expected a TOML file") from None
@@ -260,61 +260,59 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
     return parse(locate_functions(tables, file.parent), str(path))
 
 
-def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | None = None) -> Problem:
+def parse(
+    tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | None = None, own: Kind | None = None
+) -> Problem:
     """Return the problem that the tables of a file define.
 
     Args:
         tables: the tables as read from TOML.
         name: name of the file, for messages.
         known: functions of plants that were already read, by their names in the tables.
+        own: a policy kind that the catalogue does not contain.
 
     Raises:
         ProblemError: if a key is unknown or missing, or the data are inconsistent.
     """
     try:
-        file = File.model_validate(tables)
+        file: File = validate(File, tables)
     except ValidationError as error:
         raise ProblemError(f"{name}: {first_mistake(error, File)}") from None
-    kind, parameters = read_policy(file.policy, name)
+    kind, parameters = read_policy(file.policy, name, own)
     try:
+        record = own if own is not None and own.name == kind else find_kind(kind)
         if file.reference is not None:
-            _expect(kind, "reference", "[reference]", "no reference: remove it")
-        cost = Cost(**{key: value for key, value in file.cost.model_dump().items() if value is not None})
+            _expect(record, "reference", "[reference]", "no reference: remove it")
+        cost = Cost(**{key: value for key, value in vars(file.cost).items() if value is not None})
         plant = _plant(file.plant, known or {})
         actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant, known or {})
-        reference = None if file.reference is None else Reference(**file.reference.model_dump())
-        network = _network(file.network, kind)
-        return Problem(plant, cost, network, kind, parameters, actual, reference, _copied(tables), name)
+        reference = None if file.reference is None else Reference(**vars(file.reference))
+        network = _network(file.network, record)
+        return Problem(plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 
 
-@cache
-def _named(kind: str) -> frozenset[str]:
-    """Return the names of all parameters of a policy kind's design function."""
-    return frozenset(inspect.signature(CATALOGUE[kind]).parameters)
-
-
-def _used(kind: str, network: Network, reference: Reference | None) -> dict[str, Any]:
+def _used(kind: Kind, network: Network, reference: Reference | None) -> dict[str, Any]:
     """Return the network and reference arguments of a policy kind's design function.
 
     Raises:
         ProblemError: if the kind does not use the given network or reference.
     """
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
-    unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(usual, key)]
+    unusual = [key for key in NetworkTable.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
     if unusual:
-        _expect(kind, "network", f"network.{unusual[0]}", IDEAL)
+        _expect(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
     if reference is not None:
         _expect(kind, "reference", "[reference]", "no reference: remove it")
     offered = {"network": network, "reference": reference}
-    return {key: value for key, value in offered.items() if key in _named(kind)}
+    return {key: value for key, value in offered.items() if key in kind.arguments}
 
 
-def _expect(kind: str, name: str, given: str, expected: str) -> None:
+def _expect(kind: Kind, name: str, given: str, expected: str) -> None:
     """Raise a ``ProblemError`` if the policy kind has no parameter of this name."""
-    if name not in _named(kind):
-        raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}")
+    if name not in kind.arguments:
+        raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
 
 
 def _plant(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:
@@ -365,12 +363,12 @@ def _jumps(table: JumpsTable) -> Jumps:
     return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
 
 
-def _network(table: NetworkTable | None, kind: str) -> Network:
+def _network(table: NetworkTable | None, kind: Kind) -> Network:
     if table is None:
         return Network()
-    lost = [key for key in table.model_fields_set if key.endswith(("_loss", "_burst")) and getattr(table, key)]
+    lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
-        _expect(kind, "network", f"network.{lost[0]}", IDEAL)
+        _expect(kind, "network", f"network.{lost[0]}", IDEAL_LINKS)
     return Network(
         cast("Any", table.protocol),
         table.actuator_loss,
@@ -386,7 +384,7 @@ def _network(table: NetworkTable | None, kind: str) -> Network:
 
 def _burst(link: str, table: BurstTable | None) -> Burst | None:
     try:
-        return None if table is None else Burst(**table.model_dump())
+        return None if table is None else Burst(**vars(table))
     except ProblemError as error:
         raise ProblemError(f"network.{link}_burst: {error}") from None
 

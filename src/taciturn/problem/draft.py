@@ -11,8 +11,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike
 from taciturn._display import Displayed
-from taciturn.design.lossy_lqg import refuse_what_is_not_covered
-from taciturn.design.prediction import refuse_what_is_not_predicted
+from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -21,7 +20,6 @@ from taciturn.problem.matrices import square_matrix
 from taciturn.problem.written import problem_text
 
 COST = ("Q", "R", "N")
-PREDICTED, LOSSY = ("consistent", "integral"), "lossy-lqg"
 
 
 @dataclass(repr=False)
@@ -87,7 +85,7 @@ class Draft(Displayed):
         """Return the cost as far as it is known; an unknown weight R is the identity."""
         return self._cost(self.cost)
 
-    def fits(self, kind: str) -> bool:
+    def fits(self, kind: Kind) -> bool:
         """Return whether a policy kind accepts this plant and cost, according to a quick check."""
         try:
             self.expect_fit(kind)
@@ -95,17 +93,14 @@ class Draft(Displayed):
             return False
         return True
 
-    def expect_fit(self, kind: str) -> None:
+    def expect_fit(self, kind: Kind) -> None:
         """Reject a policy kind that does not accept this plant and cost, according to a quick check.
 
         Raises:
-            ProblemError: if the kind predicts in continuous time or is designed for lossy links, and the plant or the
-                cost does not allow it.
+            ProblemError: if the check of the kind refuses the plant or the cost.
         """
-        if kind in PREDICTED:
-            refuse_what_is_not_predicted(kind, self.made_plant(), self.made_cost())
-        if kind == LOSSY:
-            refuse_what_is_not_covered(self.made_plant(), self.made_cost())
+        if kind.check is not None:
+            kind.check(self.made_plant(), self.made_cost())
 
     def write(self, policy: Mapping[str, Any], name: str) -> str:
         """Return the text of a problem file, after reading it back and designing its policy as a check.

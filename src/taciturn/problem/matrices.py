@@ -93,12 +93,12 @@ def matrix_text(value: ArrayLike) -> str:
         >>> matrix_text([[0.0, 1.5], [1e-9, -2.0]])
         '[[0, 1.5], [1e-09, -2]]'
     """
-    rows = [f"[{', '.join(number_text(entry) for entry in row)}]" for row in np.atleast_2d(np.asarray(value))]
+    rows = [f"[{', '.join(exact_number_text(entry) for entry in row)}]" for row in np.atleast_2d(np.asarray(value))]
     line = f"[{', '.join(rows)}]"
     return line if len(line) <= LONGEST else "[\n" + "".join(f"  {row},\n" for row in rows) + "]"
 
 
-def number_text(value: float) -> str:
+def exact_number_text(value: float) -> str:
     """Return a number in TOML notation with full precision; an integer is written without a decimal point."""
     exact = float(value)
     return str(int(exact)) if math.isfinite(exact) and exact == int(exact) and abs(exact) < 1e15 else repr(exact)

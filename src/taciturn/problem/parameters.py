@@ -2,67 +2,78 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, cast, get_type_hints
+from typing import Any, cast
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from taciturn._arrays import Array, ArrayLike, quoted
+from taciturn._pydantic import ValidationError, validate
 from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.problem.tables import Rows, ours, suggest
 
 
-def read_policy(table: Mapping[str, Any], name: str) -> tuple[str, dict[str, Any]]:
+def read_policy(table: Mapping[str, Any], name: str, own: Kind | None = None) -> tuple[str, dict[str, Any]]:
     """Return the kind and the parameters in a ``[policy]`` table.
+
+    Args:
+        table: the table.
+        name: name of the file, for messages.
+        own: a kind that the catalogue does not contain, or None.
 
     Raises:
         ProblemError: if the kind or a parameter does not exist.
     """
-    kind = table.get("kind")
-    if not isinstance(kind, str) or kind not in CATALOGUE:
-        got = f"is {quoted(kind)}" if "kind" in table else "is missing"
-        near = suggest(kind, list(CATALOGUE)) if isinstance(kind, str) else ""
-        raise ProblemError(f"{name}: policy.kind {got}; expected one of {', '.join(CATALOGUE)}{near}")
     parameters = {key: value for key, value in table.items() if key != "kind"}
     try:
+        if "kind" not in table:
+            raise ProblemError(f"policy.kind is missing; expected one of {', '.join(CATALOGUE)}")
+        kind = own if own is not None and own.name == table["kind"] else find_kind(table["kind"])
         check_parameters(kind, parameters)
     except ProblemError as error:
         raise ProblemError(f"{name}: {error}") from None
-    return kind, parameters
+    return kind.name, parameters
 
 
-def expect_kind(kind: str) -> None:
-    """Raise a ``ProblemError`` if the catalogue does not contain a policy kind."""
-    if kind not in CATALOGUE:
-        near = suggest(str(kind), list(CATALOGUE))
-        raise ProblemError(f"policy.kind is {quoted(kind)}; expected one of {', '.join(CATALOGUE)}{near}")
+def find_kind(kind: object, what: str = "policy.kind") -> Kind:
+    """Return the record of a policy kind.
+
+    Args:
+        kind: name of the kind.
+        what: what states the name, for the message.
+
+    Raises:
+        ProblemError: if the catalogue does not contain the kind, or its record cannot be imported.
+    """
+    if not isinstance(kind, str) or kind not in CATALOGUE:
+        near = suggest(str(kind), list(CATALOGUE)) if isinstance(kind, str) else ""
+        raise ProblemError(f"{what} is {quoted(kind)}; expected one of {', '.join(CATALOGUE)}{near}")
+    return CATALOGUE[kind]
 
 
-def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def check_parameters(kind: Kind, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters of a policy kind, checked against its design function.
 
     Raises:
         ProblemError: if a parameter is unknown, missing, or of the wrong type.
     """
-    expect_kind(kind)
     known = _accepted(kind)
     for key in parameters:
         if key not in known:
             expected = f"one of {', '.join(known)}" if known else "no parameters"
             raise ProblemError(
-                f"policy.{key} is not a parameter of {kind}; expected {expected}{suggest(key, list(known))}"
+                f"policy.{key} is not a parameter of {kind.name}; expected {expected}{suggest(key, list(known))}"
             )
     for key, (_, needed) in known.items():
         if needed and key not in parameters:
-            raise ProblemError(f"policy.{key} is missing; {kind} requires it")
+            raise ProblemError(f"policy.{key} is missing; {kind.name} requires it")
     return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
 
 
-def check_parameter(kind: str, key: str, value: object) -> Any:
+def check_parameter(kind: Kind, key: str, value: object) -> Any:
     """Return a parameter of a policy kind, checked against its design function.
 
     Raises:
@@ -71,19 +82,20 @@ def check_parameter(kind: str, key: str, value: object) -> Any:
     if isinstance(value, np.ndarray):
         return cast("Array", value)
     try:
-        return _accepted(kind)[key][0].validate_python(value, strict=True)
+        return validate(_accepted(kind)[key][0], value)
     except ValidationError as error:
         raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
 
 
 @cache
-def _accepted(kind: str) -> dict[str, tuple[TypeAdapter[Any], bool]]:
-    """Return the validator of each parameter of a policy kind, and whether the parameter is required."""
-    design = CATALOGUE[kind]
-    hints = get_type_hints(design)
+def _accepted(kind: Kind) -> dict[str, tuple[Any, bool]]:
+    """Return the type of each parameter of a policy kind, and whether the parameter is required."""
     return {
-        key: (TypeAdapter[Any](Rows if hints[key] == ArrayLike | None else hints[key]), value.default is value.empty)
-        for key, value in inspect.signature(design).parameters.items()
-        if value.kind is value.KEYWORD_ONLY
-        and key not in ("network", "reference")  # matrices are written as lists of rows
+        key: (_as_rows(kind.hints.get(key, Any)), value.default is value.empty)
+        for key, value in kind.parameters.items()
     }
+
+
+def _as_rows(hint: Any) -> Any:
+    """Return the type that a file has in place of a matrix: a list of rows."""
+    return Rows if hint == ArrayLike | None else hint

@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
-from typing import Any
-
-from pydantic import BaseModel, ConfigDict, ValidationError
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, get_args, get_type_hints
 
 from taciturn._arrays import quoted
+from taciturn._pydantic import ValidationError
 
 Rows = list[list[float]]
-IDEAL = (
+IDEAL_LINKS = (
     "ideal links: remove it, or use the kind lossy-lqg, which is designed for lossy links; "
     "`taciturn network FILE --loss P` drops packets of policies of any kind"
 )
 
 
-class Table(BaseModel):
-    """The base class of all tables, which rejects unknown keys and numbers that are given as text."""
-
-    # strict: the text "1" is not accepted as a number; defer_build: validators are built on first use
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True, defer_build=True)
-
-
-class InitialTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class InitialTable:
     """The keys of the table ``[plant.initial]``."""
 
     mean: list[float] | None = None
     covariance: Rows | None = None
 
 
-class JumpsTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class JumpsTable:
     """The keys of the table ``[plant.jumps]``."""
 
     rate: float
@@ -40,7 +34,8 @@ class JumpsTable(Table):
     distribution: str = "normal"
 
 
-class PlantTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class PlantTable:
     """The keys of the table ``[plant.actual]``, all of which ``[plant]`` also has."""
 
     A: Rows
@@ -55,13 +50,15 @@ class PlantTable(Table):
     jumps: JumpsTable | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
 class NominalPlantTable(PlantTable):
     """The keys of the table ``[plant]``."""
 
     actual: PlantTable | None = None
 
 
-class CostTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class CostTable:
     """The keys of the table ``[cost]``."""
 
     Q: Rows
@@ -72,7 +69,8 @@ class CostTable(Table):
     discount: float | None = None
 
 
-class BurstTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class BurstTable:
     """The keys of the tables ``[network.actuator_burst]`` and ``[network.sensor_burst]``."""
 
     to_bad: float
@@ -81,7 +79,8 @@ class BurstTable(Table):
     loss_bad: float
 
 
-class NetworkTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class NetworkTable:
     """The keys of the table ``[network]``."""
 
     protocol: str = "ideal"
@@ -95,14 +94,16 @@ class NetworkTable(Table):
     sensor_range: float | list[float] | None = None
 
 
-class ReferenceTable(Table):
+@dataclass(frozen=True, kw_only=True)
+class ReferenceTable:
     """The keys of the table ``[reference]``."""
 
     states: Rows
     inputs: Rows
 
 
-class File(Table):
+@dataclass(frozen=True, kw_only=True)
+class File:
     """The tables of a complete problem file."""
 
     plant: NominalPlantTable
@@ -112,7 +113,7 @@ class File(Table):
     policy: dict[str, Any]
 
 
-def first_mistake(error: ValidationError, root: type[BaseModel]) -> str:
+def first_mistake(error: ValidationError, root: type) -> str:
     """Return the first mistake as one clause: its location, the mistake, and a suggested correction."""
     mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
     first = mistakes[0]
@@ -127,20 +128,22 @@ def first_mistake(error: ValidationError, root: type[BaseModel]) -> str:
     return f"{where} is {quoted(first['input'])}; {ours(first['msg'])}"
 
 
-def _keys_at(root: type[BaseModel], path: Sequence[str]) -> list[str]:
-    model = root
+def _keys_at(root: type, path: Sequence[str]) -> list[str]:
+    table = root
     for part in path:
-        annotations = str(model.model_fields[part].annotation)
-        model = next(m for m in _MODELS if m.__name__ in annotations.replace("|", " ").replace("'", " ").split(".")[-1])
-    return list(model.model_fields)
+        hint = get_type_hints(table)[part]
+        table = next(kind for kind in (hint, *get_args(hint)) if is_dataclass(kind))
+    return [field.name for field in fields(table)]
 
 
-def _required(root: type[BaseModel], path: Sequence[str]) -> str:
+def _required(root: type, path: Sequence[str]) -> str:
     return "a file with the tables [plant], [cost] and [policy]" if len(path) == 1 else f"it in [{'.'.join(path[:-1])}]"
 
 
 def suggest(word: str, names: Sequence[str], similarity: float = 0.5) -> str:
     """Return a question that suggests the name that a word abbreviates, or the most similar one; empty if none is."""
+    import difflib  # which only a mistake needs
+
     lowered = {name.lower(): name for name in names}
     short = "".join(f"{re.escape(letter)}.*" for letter in word.lower()) if len(word) > 2 else "$"
     near = [name for name in lowered if re.match(short, name)]
@@ -163,6 +166,3 @@ _WORDS = (
     ("Input should be a valid", "expected a"),
     ("Input should be", "expected"),
 )
-_MODELS: tuple[type[BaseModel], ...] = (
-    File, NominalPlantTable, PlantTable, InitialTable, JumpsTable, CostTable, NetworkTable, BurstTable, ReferenceTable,
-)  # fmt: skip

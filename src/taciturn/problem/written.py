@@ -2,45 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 from collections.abc import Mapping
-from functools import cache
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
 
-from taciturn.design.catalogue import CATALOGUE
-from taciturn.errors import ProblemError
-from taciturn.problem.matrices import matrix_text, number_text
+from taciturn.design.kind import Kind
+from taciturn.problem.matrices import exact_number_text, matrix_text
+from taciturn.problem.parameters import find_kind
 
 WIDTH = 98  # characters of a comment line
-MISSIONS = ("remote-lqg", "lossy-lqg")  # kinds that support a finite horizon
 PER = {True: "per second", False: "per step"}
-
-
-def parameter_notes(kind: str) -> Mapping[str, str]:
-    """Return the description of each parameter of a policy kind, from the docstring of its design function.
-
-    Raises:
-        ProblemError: if there is no such kind.
-
-    Example:
-        >>> parameter_notes("lqg")["theta"]
-        'the share θ ≥ 0; 0 sends at every step'
-    """
-    return _arguments(_expect_kind(kind))
-
-
-def kind_note(kind: str) -> str:
-    """Return the description of a policy kind, from the first sentence of its design function's docstring.
-
-    Raises:
-        ProblemError: if there is no such kind.
-    """
-    text = inspect.getdoc(CATALOGUE[_expect_kind(kind)]) or ""
-    return text.partition("\n")[0].removeprefix("Design ").rstrip(".:")
 
 
 def problem_text(tables: Mapping[str, Any], name: str) -> str:
@@ -54,6 +27,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         The text of the file in TOML, with exactly the given tables.
     """
     plant, policy = tables["plant"], tables["policy"]
+    kind = find_kind(policy["kind"], "the kind")
     continuous = "dt" not in plant
     per = PER[continuous]
     rule = "dx/dt = A x + B u + w" if continuous else "x⁺ = A x + B u + w"
@@ -84,7 +58,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
     about = {"Q": "weight of the state", "R": "weight of the input", "N": "cross weight"}
     lines += _table(tables["cost"], about)
-    if policy["kind"] in MISSIONS:
+    if "horizon" in kind.costs:
         lines += _offered({"horizon": ("60", "steps of a finite-horizon run; without this key the cost is an average")})
     if "network" in tables:
         lines += ["", "# the links between sensor, controller and actuator", "[network]"]
@@ -95,9 +69,9 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
             "delay": "steps from a measurement to the input that uses it: 0 or 1",
         }
         lines += _table(tables["network"], about)
-    lines += ["", *_comment(kind_note(policy["kind"])), "[policy]"]
-    lines += _table(policy, parameter_notes(policy["kind"]))
-    lines += _offered(_optional(policy["kind"], policy, continuous))
+    lines += ["", *_comment(kind.about), "[policy]"]
+    lines += _table(policy, kind.notes)
+    lines += _offered(_optional(kind, policy, continuous))
     return "\n".join(lines) + "\n"
 
 
@@ -114,15 +88,14 @@ def _offered(keys: Mapping[str, tuple[str, str]]) -> list[str]:
     return [line for key, (value, note) in keys.items() for line in [*_comment(note), f"# {key} = {value}"]]
 
 
-def _optional(kind: str, given: Mapping[str, Any], continuous: bool) -> dict[str, tuple[str, str]]:
+def _optional(kind: Kind, given: Mapping[str, Any], continuous: bool) -> dict[str, tuple[str, str]]:
     """Return the optional parameters of a policy kind, with placeholders."""
-    notes, found = parameter_notes(kind), dict[str, tuple[str, str]]()
-    for name, parameter in inspect.signature(CATALOGUE[kind]).parameters.items():
-        known = name in given or name in ("network", "reference") or (name == "period" and not continuous)
-        if parameter.kind is parameter.KEYWORD_ONLY and not known:
+    found: dict[str, tuple[str, str]] = {}
+    for name, parameter in kind.parameters.items():
+        if name not in given and (name != "period" or continuous):
             default: Any = parameter.default
             shown = "…" if default is None or default is parameter.empty else _value(default)
-            found[name] = (shown, notes.get(name, ""))
+            found[name] = (shown, kind.notes.get(name, ""))
     return found
 
 
@@ -130,28 +103,9 @@ def _value(value: object) -> str:
     if isinstance(value, bool | str):
         return f'"{value}"' if isinstance(value, str) else str(value).lower()
     if isinstance(value, int | float):
-        return number_text(value)
+        return exact_number_text(value)
     return matrix_text(np.asarray(value))
 
 
 def _comment(text: str) -> list[str]:
     return [f"# {line}" for line in wrap(text, WIDTH)]
-
-
-def _expect_kind(kind: str) -> str:
-    if kind not in CATALOGUE:
-        raise ProblemError(f"the kind is {kind!r}; expected one of {', '.join(CATALOGUE)}")
-    return kind
-
-
-@cache
-def _arguments(kind: str) -> dict[str, str]:
-    """Return the Args section of a design function's docstring as descriptions by parameter name."""
-    text = inspect.getdoc(CATALOGUE[kind]) or ""
-    section = re.search(r"\nArgs:\n(.*?)\n\n", text, re.DOTALL)
-    found: dict[str, str] = {}
-    for name, note in re.findall(
-        r"^    (\w+): (.*?)(?=^    \w+:|\Z)", section[1] + "\n" if section else "", re.M | re.S
-    ):
-        found[name] = " ".join(note.replace("`", "").split()).rstrip(".")
-    return found

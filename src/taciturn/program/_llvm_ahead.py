@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from taciturn.program.ir import Program
 
-FREE = ("const", "word", "half")  # operations that need no instructions in the step
+FREE_OPERATIONS = ("const", "word", "half")  # operations that need no instructions in the step
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ def find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int
         op = program.ops[index]
         if op.name == "state" and program.states[op.arguments[0]].word:
             words.add(index)
-        elif op.name not in (*FREE, "state", "input", "product", "entry"):
-            computed = [i for i in reads[index] if program.ops[i].name not in FREE]
+        elif op.name not in (*FREE_OPERATIONS, "state", "input", "product", "entry"):
+            computed = [i for i in reads[index] if program.ops[i].name not in FREE_OPERATIONS]
             if computed and found.union(words).issuperset(computed):
                 found.add(index)
     # values that the step itself reads: for next states, outputs, sums, and operations that do not run ahead

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
-from taciturn.program._llvm_lines import Lines, columns_of
+from taciturn.program._llvm_lines import CodeLines, tile_columns
 from taciturn.program.ir import Program, needed
 from taciturn.program.ops import EIGHT, Op, Tile, tiles
 from taciturn.program.target import Target
@@ -54,7 +54,7 @@ def _roots(program: Program) -> list[int]:
     return [*program.following, *program.outputs.values(), *totals]
 
 
-class Body(Lines):
+class Body(CodeLines):
     """Writer of the LLVM IR of one time step, which records the name of each operation's value.
 
     Args:
@@ -209,7 +209,7 @@ class Body(Lines):
         # memory order: constants, tables, matrices; ``before`` is the position of this matrix's first coefficient
         V, program = self.numbers, self.program
         before = len(program.constants) + sum(len(table) for table in program.tables)
-        before += sum(len(columns_of(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
+        before += sum(len(tile_columns(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
         # the vector is stored in memory, so that the loop can index it
         column = self._new(f"getelementptr {V}, ptr %column, i64 0")
         for i, value in enumerate(values):

@@ -1,7 +1,7 @@
 """Generation of LLVM IR for vectors: single instructions, access to memory, and table lookups.
 
-``Lines`` collects lines of LLVM IR. Each value is a vector with one lane per path. Constants, tables and matrices are
-in one array in memory, so that programs that differ only in their numbers share machine code.
+``CodeLines`` collects lines of LLVM IR. Each value is a vector with one lane per path. Constants, tables and matrices
+are in one array in memory, so that programs that differ only in their numbers share machine code.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from taciturn.program.ir import Program
-from taciturn.program.ops import EIGHT, Precision, Rows, Tile, tiles
+from taciturn.program.ops import EIGHT, MatrixRows, Precision, Tile, tiles
 from taciturn.program.target import Target
 
 # The function and the types of numbers and positions, by the number of doubles that one instruction permutes. AVX2 has
@@ -27,21 +27,21 @@ def constants_of(program: Program) -> list[float]:
     These are the constants, the tables, and the tiles of the matrices column by column.
     """
     tables = (value for table in program.tables for value in table)
-    matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in columns_of(matrix, tile))
+    matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in tile_columns(matrix, tile))
     return [*program.constants, *tables, *matrices]
 
 
-def columns_of(matrix: Rows, tile: Tile) -> list[float]:
+def tile_columns(matrix: MatrixRows, tile: Tile) -> list[float]:
     """Return the coefficients of a tile (block) of a matrix, column by column."""
     return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
 
 
-def filled(kind: str, literal: object, lanes: int) -> str:
+def filled_lanes(kind: str, literal: object, lanes: int) -> str:
     """Return an LLVM vector constant with the same number in every lane."""
     return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"
 
 
-class Lines:
+class CodeLines:
     """Lines of LLVM IR for a program, and the types and addresses that they use.
 
     Args:
@@ -73,7 +73,7 @@ class Lines:
         return name
 
     def _every(self, kind: str, literal: str) -> str:
-        return filled(kind, literal, self.lanes)
+        return filled_lanes(kind, literal, self.lanes)
 
     def _splat(self, scalar: str, kind: str) -> str:
         """Return a vector with a scalar in every lane."""
@@ -130,7 +130,7 @@ class Lines:
             return self._new(f"call {V} @{function}({V} {entries}, {U} {words})")
         # AVX2 permutes eight floats. Entry k of four doubles is the pair of floats 2k and 2k + 1, so position k becomes
         # the pair (2k, 2k + 1). Both halves of the table are permuted by the last two bits; the third bit selects one.
-        twice = self._new(f"shl {U} {words}, {filled('i64', 1, wide)}")
+        twice = self._new(f"shl {U} {words}, {filled_lanes('i64', 1, wide)}")
         parts = self._new(f"bitcast {U} {twice} to {places}")
         evens = ", ".join(f"i32 {2 * (k // 2)}" for k in range(8))
         pairs = self._new(f"shufflevector {places} {parts}, {places} poison, {places} <{evens}>")
@@ -143,7 +143,7 @@ class Lines:
             found = self._new(f"call {numbers} @{function}({numbers} {entries}, {places} {chosen})")
             halves.append(self._new(f"bitcast {numbers} {found} to {V}"))
         # bit 2 is shifted to bit 63, the sign
-        sign = self._new(f"shl {U} {words}, {filled('i64', 61, wide)}")
+        sign = self._new(f"shl {U} {words}, {filled_lanes('i64', 61, wide)}")
         upper = self._new(f"icmp slt {U} {sign}, zeroinitializer")
         return self._new(f"select <{wide} x i1> {upper}, {V} {halves[1]}, {V} {halves[0]}")
 

@@ -12,11 +12,11 @@ from taciturn.errors import ProblemError
 from taciturn.program.symbols import (
     FUNCTIONS,
     Symbol,
-    Vector,
+    SymbolicArray,
     compute,
     held,
     is_list,
-    multiply,
+    matrix_product,
     objects,
     recorder_of,
     seen,
@@ -48,7 +48,7 @@ def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: 
 def dot(a: Any, b: Any) -> Any:
     """Return the result of ``np.dot`` for vectors, matrices or scalars."""
     one, other = objects(a), objects(b)
-    return seen(multiply(one, other)) if one.ndim and other.ndim else a * b
+    return seen(matrix_product(one, other)) if one.ndim and other.ndim else a * b
 
 
 def inner(a: Any, b: Any) -> Any:
@@ -123,11 +123,11 @@ def _plainly(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[s
 
 
 def _plain(value: Any) -> Any:
-    """Return an argument with every ``Vector`` replaced by a plain array of objects."""
+    """Return an argument with every ``SymbolicArray`` replaced by a plain array of objects."""
     if is_list(value):
         listed = [_plain(one) for one in value]
         return tuple(listed) if isinstance(value, tuple) else listed
-    return objects(value) if isinstance(value, Vector | Symbol) else value
+    return objects(value) if isinstance(value, SymbolicArray | Symbol) else value
 
 
 FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
@@ -137,7 +137,7 @@ FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
 def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
     if dtype is not None and np.dtype(dtype) == object:
         dtype = None
-    if (isinstance(value, Vector) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
+    if (isinstance(value, SymbolicArray) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
         return seen(np.array(value, object, copy=copy, order=order, ndmin=ndmin))
     return held(np.array(_plain(value), dtype, copy=copy, order=order, ndmin=ndmin))
 

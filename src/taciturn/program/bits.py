@@ -9,7 +9,7 @@ from taciturn.program.ir import Builder
 from taciturn.program.ops import Precision
 
 
-class Layout(NamedTuple):
+class FloatFormat(NamedTuple):
     """Binary format of single-precision or double-precision numbers (IEEE 754).
 
     Args:
@@ -56,26 +56,26 @@ class Layout(NamedTuple):
         return 2 << self.sign
 
 
-LAYOUTS: Mapping[Precision, Layout] = {
-    "float64": Layout("word", 52, 1023),
-    "float32": Layout("half", 23, 127),
+LAYOUTS: Mapping[Precision, FloatFormat] = {
+    "float64": FloatFormat("word", 52, 1023),
+    "float32": FloatFormat("half", 23, 127),
 }
 
 
-def literal(b: Builder, bits: int) -> int:
+def word_of_bits(b: Builder, bits: int) -> int:
     """Return the operation that gives a constant word of bits; a negative integer becomes its two's complement."""
     layout = LAYOUTS[b.precision]
     return b.emit(layout.word, bits % layout.modulus)
 
 
-def absolute(b: Builder, x: int) -> int:
+def absolute_value(b: Builder, x: int) -> int:
     """Return |x|."""
-    return b.emit("number", b.emit("word_and", b.emit("bits", x), literal(b, LAYOUTS[b.precision].magnitude)))
+    return b.emit("number", b.emit("word_and", b.emit("bits", x), word_of_bits(b, LAYOUTS[b.precision].magnitude)))
 
 
 def sign_bit(b: Builder, x: int) -> int:
     """Return the bits of a number with all but the sign bit cleared."""
-    return b.emit("word_and", b.emit("bits", x), literal(b, 1 << LAYOUTS[b.precision].sign))
+    return b.emit("word_and", b.emit("bits", x), word_of_bits(b, 1 << LAYOUTS[b.precision].sign))
 
 
 def signed(b: Builder, x: int, sign: int) -> int:
@@ -99,5 +99,5 @@ def power_of_two(b: Builder, whole: int) -> int:
     """Return the floating-point number 2^k for an integer k that is given by the last bits of a word."""
     # k + bias, shifted to the field of the exponent; higher bits of the word are shifted out
     layout = LAYOUTS[b.precision]
-    biased = b.emit("word_add", whole, literal(b, layout.bias))
+    biased = b.emit("word_add", whole, word_of_bits(b, layout.bias))
     return b.emit("number", b.emit("shift_left", biased, layout.mantissa))

@@ -49,7 +49,7 @@ def print_root(precision: Precision) -> str:
     )  # fmt: skip
 
 
-def literal(value: float, precision: Precision) -> str:
+def c_literal(value: float, precision: Precision) -> str:
     """Return a number as a decimal literal of C99 and C++11, with so many digits that it is exact after rounding."""
     if precision == "float32":
         value = float(np.float32(value))
@@ -59,7 +59,7 @@ def literal(value: float, precision: Precision) -> str:
     return text + ("" if set(text) & set(".e") else ".0") + ("f" if precision == "float32" else "")
 
 
-def array(kind: str, name: str, values: Sequence[str]) -> str:
+def constant_array(kind: str, name: str, values: Sequence[str]) -> str:
     """Return the C definition of an array of constants, with several constants per line."""
     lines, line = list[str](), ""
     for value in values:
@@ -176,7 +176,7 @@ class _Printer:
     def _constant(self, value: float) -> str:
         """Return a number from the array; 0, 1 and the numbers of a generator are written as literals."""
         if value in (0.0, 1.0) or self.words:
-            return literal(value, self.program.precision)
+            return c_literal(value, self.program.precision)
         negative = self._key([-value]) in self.begins  # the negation is exact, and often costs nothing
         return f"-{CONSTANTS}[{self._place([-value])}]" if negative else f"{CONSTANTS}[{self._place([value])}]"
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taciturn.program.bits import LAYOUTS, absolute, literal, nearest, sign_bit, signed
+from taciturn.program.bits import LAYOUTS, absolute_value, nearest, sign_bit, signed, word_of_bits
 from taciturn.program.ir import Builder
 
 _HALF_TURN = (3.141592653589793, 1.2246467991473532e-16)  # π as a double and the remainder
@@ -69,7 +69,7 @@ def cosine(b: Builder, x: int) -> int:
     """
     # cos |x| = sin(|x| + π/2), so that k + 1 determines the sign
     r, rest, quarter = _reduced(b, x)
-    sign = _moved(b, b.emit("word_add", quarter, literal(b, 1)))
+    sign = _moved(b, b.emit("word_add", quarter, word_of_bits(b, 1)))
     return signed(b, b.emit("select", _odd(b, quarter), _sine(b, r, rest), _cosine(b, r, rest)), sign)
 
 
@@ -91,7 +91,7 @@ def arctangent(b: Builder, x: int) -> int:
 
     Source: muller2016
     """
-    return signed(b, _angle(b, absolute(b, x), b.constant(1.0)), sign_bit(b, x))
+    return signed(b, _angle(b, absolute_value(b, x), b.constant(1.0)), sign_bit(b, x))
 
 
 def direction(b: Builder, y: int, x: int) -> int:
@@ -101,7 +101,7 @@ def direction(b: Builder, y: int, x: int) -> int:
 
     Source: muller2016
     """
-    angle = _angle(b, absolute(b, y), absolute(b, x))
+    angle = _angle(b, absolute_value(b, y), absolute_value(b, x))
     # π − angle in the left half-plane; then the sign of y
     left = b.emit("any_bit", sign_bit(b, x))
     behind = _less(b, _HALF_TURN, angle)
@@ -111,7 +111,7 @@ def direction(b: Builder, y: int, x: int) -> int:
 def _reduced(b: Builder, x: int) -> tuple[int, int, int]:
     """Return r, rest, and a word that ends in the bits of the integer k, where |x| = k·π/2 + r + rest, |r| ≤ π/4."""
     # an angle beyond the limit is replaced by ∞, and ∞ − ∞ makes the result NaN
-    f, size = _FORMATS[b.precision], absolute(b, x)
+    f, size = _FORMATS[b.precision], absolute_value(b, x)
     size = b.emit("select", b.emit("greater", size, b.constant(f.limit)), b.constant(inf), size)
     k, quarter = nearest(b, size, 2 / pi)
     # the exact parts have so few bits that nothing is rounded
@@ -130,12 +130,12 @@ def _reduced(b: Builder, x: int) -> tuple[int, int, int]:
 
 def _odd(b: Builder, quarter: int) -> int:
     """Return whether k is odd."""
-    return b.emit("any_bit", b.emit("word_and", quarter, literal(b, 1)))
+    return b.emit("any_bit", b.emit("word_and", quarter, word_of_bits(b, 1)))
 
 
 def _moved(b: Builder, quarter: int) -> int:
     """Return the second-last bit of k as a sign bit: half a turn changes the sign."""
-    second = b.emit("word_and", quarter, literal(b, 2))
+    second = b.emit("word_and", quarter, word_of_bits(b, 2))
     return b.emit("shift_left", second, LAYOUTS[b.precision].sign - 1)
 
 

@@ -58,7 +58,7 @@ def with_draws(program: Program) -> Program:
         if name not in drawn:
             return None
         if not supplied:
-            words.extend(draw(builder, drawn, supplied))
+            words.extend(draw_numbers(builder, drawn, supplied))
         return supplied[name]
 
     result = rebuild(program, substitute, range(len(program.states)))
@@ -68,7 +68,7 @@ def with_draws(program: Program) -> Program:
 def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
     """Return a program that draws ``count`` uniform random numbers per step, as its outputs ``uniform i``."""
     builder, supplied = Builder(precision), dict[str, int]()
-    following = draw(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
+    following = draw_numbers(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
 
 
@@ -96,7 +96,7 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return z ^ (z >> np.uint64(31))
 
 
-def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
+def draw_numbers(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
     """Add the random numbers of a step to the dictionary ``supplied``, and return the next state of the generator."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if name.split()[0] == NORMAL]

@@ -15,11 +15,9 @@ from typing import Any
 from taciturn.errors import ProblemError
 from taciturn.program import circular
 from taciturn.program.bits import LAYOUTS, sign_bit, signed
-from taciturn.program.bits import absolute as _magnitude
-from taciturn.program.exponential import exponential, exponential_less_one, hyperbolic_tangent, logarithm
-from taciturn.program.ir import Builder, Coefficient
-
-Truth = int | bool  # an operation, or a known truth value
+from taciturn.program.bits import absolute_value as _magnitude
+from taciturn.program.exponential import exponential_less_one, exponential_of, hyperbolic_tangent, logarithm
+from taciturn.program.ir import Builder, Coefficient, Truth
 
 
 def add(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
@@ -163,7 +161,7 @@ def hyperbolic_sine(b: Builder, x: Coefficient) -> Coefficient:
 
 def hyperbolic_cosine(b: Builder, x: Coefficient) -> Coefficient:
     """Return cosh x = ½(e^{|x|} + e^{−|x|})."""
-    grown = exponential(b, _magnitude(b, b.value(x)))
+    grown = exponential_of(b, _magnitude(b, b.value(x)))
     return b.scale(0.5, b.emit("add", grown, b.emit("div", b.constant(1.0), grown)))
 
 
@@ -270,7 +268,7 @@ NUMBERS: Mapping[str, Callable[..., Coefficient]] = {  # by the names of NumPy's
     "negative": negate, "positive": _itself, "conjugate": _itself,
     "absolute": _of(_magnitude), "fabs": _of(_magnitude), "sign": sign, "square": square,
     "sqrt": partial(_swapped, power, 0.5), "reciprocal": partial(_swapped, power, -1.0),
-    "exp": _of(exponential), "expm1": _of(exponential_less_one), "log": _of(logarithm),
+    "exp": _of(exponential_of), "expm1": _of(exponential_less_one), "log": _of(logarithm),
     "sinh": hyperbolic_sine, "cosh": hyperbolic_cosine, "tanh": _of(hyperbolic_tangent),
     "sin": _of(circular.sine), "cos": _of(circular.cosine), "tan": _of(circular.tangent),
     "arcsin": arcsine, "arccos": arccosine, "arctan": _of(circular.arctangent), "arctan2": _of(circular.direction),

@@ -1,7 +1,7 @@
 """Execution of programs on the fastest available back end: LLVM, or NumPy if llvmlite is missing.
 
 There are three drivers. ``prepare`` runs many steps of one program. ``Stepper`` runs many programs that differ only in
-their constants. ``Resident`` runs programs that receive inputs at each step.
+their constants. ``StepwiseRunner`` runs programs that receive inputs at each step.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Stepper:
         }
 
 
-class Resident:
+class StepwiseRunner:
     """Runner for simulated paths of programs that advances step by step, with new inputs at each step.
 
     Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import factorial, inf, log
 from typing import NamedTuple
 
-from taciturn.program.bits import LAYOUTS, absolute, literal, nearest, power_of_two, sign_bit, signed
+from taciturn.program.bits import LAYOUTS, absolute_value, nearest, power_of_two, sign_bit, signed, word_of_bits
 from taciturn.program.ir import Builder
 
 
@@ -50,7 +50,7 @@ def falling(b: Builder, x: int) -> int:
     return b.emit("mul", b.polynomial(_series(b, 0), r), power_of_two(b, whole))
 
 
-def exponential(b: Builder, x: int) -> int:
+def exponential_of(b: Builder, x: int) -> int:
     """Return e^x, saturated at e^{−708} and e^{709}, or e^{−87} and e^{88} in single precision.
 
     Source: muller2016
@@ -63,7 +63,7 @@ def exponential(b: Builder, x: int) -> int:
 
 
 def exponential_less_one(b: Builder, x: int) -> int:
-    """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential``.
+    """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential_of``.
 
     Source: muller2016
     """
@@ -79,7 +79,7 @@ def hyperbolic_tangent(b: Builder, x: int) -> int:
     """
     # computed for |x|, where E ≥ 0 and nothing cancels; the sign of x is set at the end. 2|x| is limited to ``flat``,
     # from which on the quotient rounds to 1.
-    twice, flat = b.scale(2.0, absolute(b, x)), b.constant(_FORMATS[b.precision].flat)
+    twice, flat = b.scale(2.0, absolute_value(b, x)), b.constant(_FORMATS[b.precision].flat)
     grown = _less_one(b, b.emit("select", b.emit("greater", twice, flat), flat, twice))
     return signed(b, b.emit("div", grown, b.emit("add", grown, b.constant(2.0))), sign_bit(b, x))
 
@@ -98,16 +98,18 @@ def logarithm(b: Builder, x: int) -> int:
     small = b.emit("greater", b.constant(f.tiny), x)
     lifted = b.emit("select", small, b.scale(2.0**lift, x), x)
     # adding bits(1) − bits(√½) moves the boundary between exponents from 1 down to √½: k = 0 for 1 + f in [√½, √2)
-    offset = b.emit("word_add", b.emit("bits", lifted), literal(b, layout.one - f.root_half))
+    offset = b.emit("word_add", b.emit("bits", lifted), word_of_bits(b, layout.one - f.root_half))
     # the exponent field E = k + bias becomes a number without a conversion: inserted into the last bits of 2^mantissa,
     # it gives 2^mantissa + E exactly
     counter = (layout.bias + layout.mantissa) << layout.mantissa
-    raised = b.emit("number", b.emit("word_or", b.emit("shift_right", offset, layout.mantissa), literal(b, counter)))
+    raised = b.emit(
+        "number", b.emit("word_or", b.emit("shift_right", offset, layout.mantissa), word_of_bits(b, counter))
+    )
     k = b.emit("sub", raised, b.constant(2.0**layout.mantissa + layout.bias))
     k = b.emit("select", small, b.emit("sub", k, b.constant(lift)), k)
     # ``part`` is f, exact; s = f/(2 + f), |s| ≤ 0.172
-    fraction = b.emit("word_and", offset, literal(b, layout.fraction))
-    part = b.emit("sub", b.emit("number", b.emit("word_add", fraction, literal(b, f.root_half))), b.constant(1.0))
+    fraction = b.emit("word_and", offset, word_of_bits(b, layout.fraction))
+    part = b.emit("sub", b.emit("number", b.emit("word_add", fraction, word_of_bits(b, f.root_half))), b.constant(1.0))
     s = b.emit("div", part, b.emit("add", b.constant(2.0), part))
     # log(1 + f) = f − f²/2 + s (f²/2 + R), R = s² (2/3 + 2s²/5 + …): f is exact and by far the largest term for small
     # f, so that the rounding errors of the other terms are negligible

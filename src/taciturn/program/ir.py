@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 
-from taciturn.program.ops import EIGHT, LITERAL, Op, Precision, Rows, State, Total, tiles
+from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Op, Precision, State, Total, tiles
 
 BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
 FULL = 4  # least number of nonzero coefficients of a column that takes part in the loop
 Coefficient = float | int  # a float is a known constant; an int is the index of an operation
+Truth = int | bool  # an operation, or a truth value that is known during the translation
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Program:
     sums: Mapping[str, int]
     outputs: Mapping[str, int]
     precision: Precision = "float64"
-    matrices: tuple[Rows, ...] = ()
+    matrices: tuple[MatrixRows, ...] = ()
 
     @cached_property
     def operations(self) -> int:
@@ -111,7 +112,7 @@ class Builder:
         self.ops: list[Op] = []
         self.constants: list[float] = []
         self.tables: list[tuple[float, ...]] = []
-        self.matrices: list[Rows] = []
+        self.matrices: list[MatrixRows] = []
         self.states: list[State] = []
         self.inputs: list[str] = []
         self._known: dict[tuple[str, tuple[int, ...]], int] = {}
@@ -209,7 +210,7 @@ class Builder:
             for i, (row, rest) in enumerate(zip(rows, alone, strict=True))
         ]
 
-    def product(self, rows: Rows, values: Sequence[int]) -> int:
+    def product(self, rows: MatrixRows, values: Sequence[int]) -> int:
         """Return the product of a constant matrix and a vector of values as one operation."""
         if rows not in self.matrices:
             self.matrices.append(rows)

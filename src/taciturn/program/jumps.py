@@ -16,14 +16,14 @@ from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpDistribution, JumpNoise
 from taciturn.program.draws import NORMAL, minus_two_log
 from taciturn.program.ir import Builder
-from taciturn.program.lower import TimeStep, Vector
+from taciturn.program.lower import Operands, TimeStep
 
 MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
 MOST = 100  # most jumps drawn per step
 ROUNDING = 1e-16  # size below which a term of the power series has no effect
 
 
-def add_jumps(tick: TimeStep, noise: JumpNoise) -> Vector:
+def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
     """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end.
 
     GG' is the covariance of a jump.
@@ -56,11 +56,11 @@ def add_jumps(tick: TimeStep, noise: JumpNoise) -> Vector:
         # once, to the sum of all jumps
         moved = _flow(b, noise.A, half, jump, b.emit("sub", b.constant(half), time))
         total = [b.emit("add", old, tick.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
-    middle = _scipy.exponential(noise.A * half)
+    middle = _scipy.matrix_exponential(noise.A * half)
     return [tick.value(b.combine([float(entry) for entry in row], total)) for row in middle]
 
 
-def _flow(b: Builder, A: Array, reach: float, start: Vector, time: int) -> Vector:
+def _flow(b: Builder, A: Array, reach: float, start: Operands, time: int) -> Operands:
     """Return e^{As} start for a time |s| ≤ reach, by Horner's rule: start + sA(start + sA/2 (start + sA/3 (…)))."""
     result = start
     for k in range(_terms(A, reach), 0, -1):

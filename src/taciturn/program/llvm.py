@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from taciturn.program._llvm_ahead import FREE, Ahead, find_ahead
+from taciturn.program._llvm_ahead import FREE_OPERATIONS, Ahead, find_ahead
 from taciturn.program._llvm_body import Body, Build
 from taciturn.program._llvm_lines import PERMUTES, constants_of
 from taciturn.program.ir import Program
@@ -146,7 +146,7 @@ class _Printer(Body):
         """Write the operations that run ahead; return the names of the values that the step reads."""
         ahead = {*self.ahead.operations}
         if ahead:
-            free = (*FREE, "state")
+            free = (*FREE_OPERATIONS, "state")
             self.operations(i for i in self.printed if i in ahead or self.program.ops[i].name in free)
         return [self.names[i] for i in self.ahead.carried]
 

@@ -33,16 +33,15 @@ from taciturn.model.policy import (
     Terms,
 )
 from taciturn.model.trigger import Form, GaussianTerm, Matrix, Scheduled
-from taciturn.model.wire import LARGEST, ROUNDERS, Encoding
+from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.exponential import falling
-from taciturn.program.ir import Builder, Coefficient, Program
+from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.ops import State
 from taciturn.program.trace import trace
 
-Vector = list[int]
+Operands = list[int]
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
-Truth = int | bool  # an operation, or a truth value that is known during the translation
 
 
 class TimeStep:
@@ -70,8 +69,8 @@ class TimeStep:
         self.payloads = payloads or {}
         self.listening: Mapping[str, Encoding] = {}  # encodings of the packet that the current policy step reads
         self.builder, self.sizes, self.initial = builder, sizes, initial
-        self.signals: dict[str, Vector] = {ONE: [builder.constant(1.0)]}
-        self.memories: dict[str, Vector] = {}
+        self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
+        self.memories: dict[str, Operands] = {}
         self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
         self.arrived: dict[str, Truth] = {}
         self.sent: dict[str, Truth] = {}
@@ -81,15 +80,15 @@ class TimeStep:
         self.locations = {location.name: location for location in locations}
         self.drawn = 0  # number of uniform numbers drawn so far
 
-    def read(self, name: str) -> Vector:
+    def read(self, name: str) -> Operands:
         """Return the value of a signal: from the packet that the current policy step reads, or else from ``recall``."""
         return self.hear(name) if name in self.listening else self.recall(name)
 
-    def hear(self, name: str) -> Vector:
+    def hear(self, name: str) -> Operands:
         """Return the value of a signal in a received packet, as rounded by the packet's encoding."""
         return self.rounded(self.recall(name), self.listening[name])
 
-    def rounded(self, values: Vector, encoding: Encoding) -> Vector:
+    def rounded(self, values: Operands, encoding: Encoding) -> Operands:
         """Return the values of a signal rounded by the encoding of a packet."""
         if encoding.name == "float64":
             return values
@@ -100,12 +99,12 @@ class TimeStep:
     def _whole(self, value: int, scale: float) -> int:
         """Round to an integer multiple of the resolution, scale/LARGEST, ties to even."""
         # a sum with 1.5·2^mantissa has no bits below 1, so that adding and subtracting this number rounds to an integer
-        b, most = self.builder, float(LARGEST)
+        b, most = self.builder, float(FULL_SCALE)
         steps = self.clip(b.scale(most / scale, value), most)
         rounder = b.constant(ROUNDERS[b.precision])
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
-    def clipped(self, values: Vector, limit: Array | None) -> Vector:
+    def clipped(self, values: Operands, limit: Array | None) -> Operands:
         """Return the values of a signal clipped to ± their limits; without limits they are unchanged."""
         return (
             values if limit is None else [self.clip(v, bound) for v, bound in zip(values, limit.tolist(), strict=True)]
@@ -117,7 +116,7 @@ class TimeStep:
         below = self.choose(self.builder.emit("greater", value, high), high, value)
         return self.choose(self.builder.emit("greater", low, below), low, below)
 
-    def recall(self, name: str) -> Vector:
+    def recall(self, name: str) -> Operands:
         """Return the current value of a signal, or the value from the previous time step if it is not assigned yet."""
         if name not in self.signals:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
@@ -158,7 +157,7 @@ class TimeStep:
             self._send(step)
         self.listening = {}
 
-    def combine(self, terms: Terms, rows: int) -> Vector:
+    def combine(self, terms: Terms, rows: int) -> Operands:
         """Return the sum Σ matrix·signal, computed as one matrix [M_1 M_2 …] times one vector."""
         values = [value for name in terms for value in self.read(name)]
         blocks = [self.coefficients(matrix) for matrix in terms.values()]
@@ -176,7 +175,7 @@ class TimeStep:
         fixed = None if constant == 0.0 and isinstance(constant, float) else b.value(constant)
         return self.value(b.add(square, bell, added, fixed))
 
-    def _bell(self, bell: GaussianTerm, values: Vector) -> int:
+    def _bell(self, bell: GaussianTerm, values: Operands) -> int:
         """Return height·exp(−½ v'Πv)."""
         halved = self.value(self.builder.quadratic(self.coefficients(bell.Pi / 2), values))
         return self.builder.scale(bell.height, falling(self.builder, halved))
@@ -236,7 +235,7 @@ class TimeStep:
         order = [following[state.name, state.index] for state in self.builder.states]
         return self.builder.finish(order, sums, outputs)
 
-    def _remember(self, name: str, size: int) -> Vector:
+    def _remember(self, name: str, size: int) -> Operands:
         start = self.initial.get(name)
         keys = [
             (start, i) if isinstance(start, str) else 0.0 if start is None else float(start[i]) for i in range(size)

@@ -18,7 +18,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Generator, Hashable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -112,6 +111,8 @@ class Kernel:
         if workers == 1:
             work(parts[0])
         else:
+            from concurrent.futures import ThreadPoolExecutor  # which short runs do not need
+
             with ThreadPoolExecutor(workers) as pool:  # ctypes releases the interpreter lock
                 list(pool.map(work, parts))
         by_output = outputs.transpose(2, 1, 0, 3).reshape(len(program.outputs), ticks, blocks * lanes)[:, :, :paths]

@@ -28,8 +28,8 @@ from taciturn.model.policy import (
 )
 from taciturn.model.steps import assigned
 from taciturn.program.draws import draw_uniforms
-from taciturn.program.ir import Builder, Program, rebuild
-from taciturn.program.lower import Payloads, TimeStep, Truth, Vector, encode_payloads
+from taciturn.program.ir import Builder, Program, Truth, rebuild
+from taciturn.program.lower import Operands, Payloads, TimeStep, encode_payloads
 from taciturn.program.ops import Precision, State
 
 
@@ -126,7 +126,7 @@ class _Part(TimeStep):
         super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
         self.drawn = drawn
         self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
-        self.packets: dict[str, Vector] = {}  # payload of each packet, rounded by its encoding
+        self.packets: dict[str, Operands] = {}  # payload of each packet, rounded by its encoding
         self._link = ""
 
     def take(self, step: Step) -> None:
@@ -137,10 +137,10 @@ class _Part(TimeStep):
             parts = [self.rounded(self.recall(name), how) for name, how in self.payloads[step.link].items()]
             self.packets[step.link] = [value for part in parts for value in part]
 
-    def hear(self, name: str) -> Vector:
+    def hear(self, name: str) -> Operands:
         return [self.builder.input(f"{self._link} {name} {i}") for i in range(self.sizes[name])]
 
-    def recall(self, name: str) -> Vector:
+    def recall(self, name: str) -> Operands:
         if name == "y" and name not in self.signals:
             self.signals[name] = [self.builder.input(f"y {i}") for i in range(self.sizes[name])]
         return super().recall(name)

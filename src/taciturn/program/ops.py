@@ -109,10 +109,10 @@ class Tile(NamedTuple):
     end: int
 
 
-Rows = tuple[tuple[float, ...], ...]
+MatrixRows = tuple[tuple[float, ...], ...]
 
 
-def tiles(matrix: Rows) -> list[Tile]:
+def tiles(matrix: MatrixRows) -> list[Tile]:
     """Return the tiles (blocks of rows) of a matrix, without blocks of zero rows."""
     found: list[Tile] = []
     for first in range(0, len(matrix), TILE):

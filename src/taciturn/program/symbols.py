@@ -102,11 +102,11 @@ class Number(Symbol):
     """Placeholder of a number whose value is known only when the program runs."""
 
 
-class Truth(Symbol):
+class SymbolicTruth(Symbol):
     """Placeholder of a truth value that is known only when the program runs."""
 
 
-class Vector(np.ndarray[Any, Any]):
+class SymbolicArray(np.ndarray[Any, Any]):
     """A NumPy array whose entries can be placeholders of unknown numbers (symbols)."""
 
     __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
@@ -125,11 +125,11 @@ class Recorder:
         """Start without operations."""
         self.builder, self.name = builder, name
 
-    def symbols(self, values: Sequence[int]) -> Vector:
+    def symbols(self, values: Sequence[int]) -> SymbolicArray:
         """Return a vector of symbols, one for each of the given operations."""
         vector = np.empty(len(values), dtype=object)
         vector[:] = [self.symbol(self._known(value)) for value in values]
-        return vector.view(Vector)
+        return vector.view(SymbolicArray)
 
     def symbol(self, value: Coefficient) -> float | Number:
         """Return a constant unchanged, or the symbol that represents an operation."""
@@ -143,7 +143,7 @@ class Recorder:
         """
         if isinstance(value, Number):
             return value.index
-        if isinstance(value, Truth):
+        if isinstance(value, SymbolicTruth):
             return choose(self.builder, value.index, 1.0, 0.0)
         try:
             found = float(value)  # type: ignore[arg-type]
@@ -157,7 +157,7 @@ class Recorder:
 
     def truth(self, value: object) -> int | bool:
         """Return an array entry as a truth value if it is known, or else as the operation that computes it."""
-        if isinstance(value, Truth):
+        if isinstance(value, SymbolicTruth):
             return value.index
         if isinstance(value, Number):
             return COMPARISONS["not_equal"](self.builder, value.index, 0.0)
@@ -176,9 +176,9 @@ class Recorder:
             return self.symbol(NUMBERS[name](self.builder, *(self.number(value) for value in values)))
         raise self.refused(name)
 
-    def condition(self, truth: int | bool) -> bool | Truth:
+    def condition(self, truth: int | bool) -> bool | SymbolicTruth:
         """Return a known truth value unchanged, or the symbol that represents an operation."""
-        return truth if isinstance(truth, bool) else Truth(self, truth)
+        return truth if isinstance(truth, bool) else SymbolicTruth(self, truth)
 
     def either(self, condition: object, yes: object, no: object) -> object:
         """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
@@ -236,7 +236,7 @@ def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis:
     elif method == "reduce":
         result = _reduced(ufunc, objects(inputs[0]), axis, keepdims)
     elif method == "__call__" and ufunc.__name__ == "matmul":
-        result = multiply(objects(inputs[0]), objects(inputs[1]))
+        result = matrix_product(objects(inputs[0]), objects(inputs[1]))
     elif method == "__call__":
         recorder = recorder_of(inputs)
         rule = np.frompyfunc(lambda *values: recorder.entry(ufunc, *values), len(inputs), 1)
@@ -249,7 +249,7 @@ def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis:
     return out[0]
 
 
-def multiply(A: Objects, B: Objects) -> Any:
+def matrix_product(A: Objects, B: Objects) -> Any:
     """Return the matrix product of vectors and matrices that contain symbols."""
     if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
         raise ProblemError(
@@ -270,10 +270,10 @@ def objects(value: object) -> Objects:
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``Vector``, whose operations are recorded; return other values unchanged."""
+    """Return an array of objects as a ``SymbolicArray``, which records operations; return other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
-    return value.view(Vector) if is_array(value) and value.dtype == object else value
+    return value.view(SymbolicArray) if is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
@@ -295,7 +295,7 @@ def _as_floats(value: Any) -> Any:
     """Return an argument that contains no symbols, with arrays of objects converted to floats."""
     if is_list(value):
         return [_as_floats(one) for one in value]
-    return objects(value).astype(float) if isinstance(value, Vector) else value
+    return objects(value).astype(float) if isinstance(value, SymbolicArray) else value
 
 
 def symbols_in(value: object) -> list[Symbol]:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn.renewal._quadrature_nodes import Window
-from taciturn.renewal._renewal_equations import Solved, gauss
+from taciturn.renewal._quadrature_nodes import ErrorRegion
+from taciturn.renewal._renewal_equations import Solved, gaussian_factors
 from taciturn.renewal._white_coordinates import White
 
 MOST_ENTRIES = 4_000_000  # entries of a table in memory
@@ -198,11 +198,11 @@ class ContinuationRegion:
         for first in range(0, len(x), rows):
             part = order[first : first + rows]
             low, high = np.searchsorted(places, (along[part[0]] - NEAR, along[part[-1]] + NEAR))
-            sums[part] = gauss(z[part], nodes[low:high]) @ coefficients[low:high, :count]
+            sums[part] = gaussian_factors(z[part], nodes[low:high]) @ coefficients[low:high, :count]
         return sums
 
 
-def improve(white: White, solved: Solved, window: Window) -> ContinuationRegion:
+def improve(white: White, solved: Solved, window: ErrorRegion) -> ContinuationRegion:
     """Return the next set of unsent errors, by one policy-iteration step from a solution of the renewal equations.
 
     Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, frozen
-from taciturn.renewal._trigger_check import Grid, Matrix
+from taciturn.renewal._trigger_check import CheckMatrix, GridCheck
 from taciturn.renewal.chain import Intervals
 
 NEGLIGIBLE = 1e-14  # survival probability that counts as 0
@@ -17,7 +17,7 @@ MOST_NODES = 2500  # most nodes of a map that is raised to a power
 MOST_CHECKS = 1 << 22
 
 
-def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) -> Intervals:
+def intervals(start: Array, check: CheckMatrix | GridCheck, checks: Array, mean: float) -> Intervals:
     """Return the distribution of the number of checks between two sends.
 
     It is computed check by check until the probability of no send is negligible, or decreases geometrically.
@@ -37,7 +37,7 @@ def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) ->
     Source: khashooei2017
     """
     survival, error, done = _one_by_one(start, check)
-    if not done and isinstance(check, Matrix) and len(start) <= MOST_NODES:
+    if not done and isinstance(check, CheckMatrix) and len(start) <= MOST_NODES:
         more, error = _many_at_once(error, check.entries)
         survival = np.concatenate([survival, more])
     left = mean - float(survival.sum())
@@ -47,10 +47,10 @@ def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) ->
     return Intervals(frozen(survival), left / (1 + left))
 
 
-def _one_by_one(start: Array, check: Matrix | Grid) -> tuple[Array, Array, bool]:
+def _one_by_one(start: Array, check: CheckMatrix | GridCheck) -> tuple[Array, Array, bool]:
     """Return the survival, the distribution of the unsent error after the last check, and whether it is complete."""
     survival, error = [1.0, float(start.sum())], start
-    steps = STEPS if isinstance(check, Matrix) else SLOW_STEPS
+    steps = STEPS if isinstance(check, CheckMatrix) else SLOW_STEPS
     while survival[-1] > NEGLIGIBLE:
         if len(survival) > steps:
             return np.array(survival), error, False

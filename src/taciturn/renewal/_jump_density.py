@@ -15,8 +15,8 @@ from taciturn._arrays import Array
 from taciturn.renewal._quadrature_nodes import legendre
 from taciturn.renewal.chain import NoQuadratureError
 
-BEYOND = 1e-10  # probability of the larger increments, which are neglected
-SPLIT = 0.5  # value of √(ρ/reach) at which the two radial tables meet
+NEGLECTED_TAIL = 1e-10  # probability of the larger increments, which are neglected
+TABLES_MEET = 0.5  # value of √(ρ/reach) at which the two radial tables meet
 TAPER = 8  # power in the exponent of the window that ends the Fourier sum
 RESOLVED = 1e-6  # largest characteristic function at the highest frequency, relative to its maximum
 
@@ -61,27 +61,27 @@ class CompoundPoissonNoise:
 
     def moved(self, left: Array) -> Array:
         """Return e^{As}G, which maps a jump to its effect on the error s seconds later."""
-        return flow(self.A, left) @ self.G
+        return plane_flow(self.A, left) @ self.G
 
     def covariance(self, times: int = 60) -> Array:
         """Return the covariance of the error increment due to the jumps of one period, (2, 2)."""
-        left, weights = gauss(times, 0.0, self.period)
+        left, weights = legendre_nodes(times, 0.0, self.period)
         moved = self.moved(left)
         return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
 
 
-def gauss(count: int, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
+def legendre_nodes(count: int, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
     """Return nodes and weights of Gauss–Legendre quadrature on an interval."""
     nodes, weights = legendre(count)
     return low + (high - low) * (nodes + 1) / 2, weights * (high - low) / 2
 
 
 def _composite(count: int, edges: Array) -> tuple[Array, Array]:
-    pairs = [gauss(count, float(low), float(high)) for low, high in pairwise(edges)]
+    pairs = [legendre_nodes(count, float(low), float(high)) for low, high in pairwise(edges)]
     return np.concatenate([nodes for nodes, _ in pairs]), np.concatenate([weights for _, weights in pairs])
 
 
-def flow(A: Array, times: Array) -> Array:
+def plane_flow(A: Array, times: Array) -> Array:
     """Return the matrix exponential e^{At} of a (2, 2) matrix A at many times t, in closed form, (…, 2, 2)."""
     # A = mean·I + rest, and rest² = −det(rest)·I (Cayley–Hamilton): the series of e^{rest·t} is a cosh and a sinh
     mean = float(np.trace(A)) / 2
@@ -154,8 +154,8 @@ class Rays:
 
         All radii must lie in the same radial table.
         """
-        table, low = self.tables[outer], SPLIT * outer
-        turn = 2 * (root - low) / SPLIT - 1
+        table, low = self.tables[outer], TABLES_MEET * outer
+        turn = 2 * (root - low) / TABLES_MEET - 1
         last, before = np.zeros_like(root), np.zeros_like(root)
         for k in range(table.shape[1] - 1, 0, -1):  # Clenshaw's recurrence sums the Chebyshev series
             last, before = table[:, k : k + 1] + 2 * turn * last - before, last
@@ -182,8 +182,8 @@ class Density:
     def __init__(self, shower: CompoundPoissonNoise, fineness: Fineness) -> None:
         self.shower, self.fineness = shower, fineness
         self.flat = shower.G.shape[1] == 1
-        sizes = np.linalg.norm(shower.moved(gauss(60, 0.0, shower.period)[0]), 2, axis=(-2, -1))
-        self.reach = reach(float(sizes.max()), shower.rate * shower.period)
+        sizes = np.linalg.norm(shower.moved(legendre_nodes(60, 0.0, shower.period)[0]), 2, axis=(-2, -1))
+        self.reach = jump_reach(float(sizes.max()), shower.rate * shower.period)
         self._times, self._turns = self._sweep() if self.flat else (np.zeros(0), np.array([0.0, np.pi / 2]))
         low, high = float(self._turns[0]), float(self._turns[-1])
         # sector 0 is the cone of single jumps; its edges are the only angles at which the density is not smooth
@@ -216,7 +216,7 @@ class Density:
         low, high = self.sectors[sector]
         angles = low + (high - low) * eased(_chebyshev(self.fineness.angles))
         share = _chebyshev(self.fineness.radii)
-        radii = self.reach * np.concatenate([SPLIT * share, SPLIT + SPLIT * share]) ** 2
+        radii = self.reach * np.concatenate([TABLES_MEET * share, TABLES_MEET + TABLES_MEET * share]) ** 2
         rays = np.stack([np.cos(angles), np.sin(angles)], -1)
         values = self._fourier((rays[:, None] * radii[:, None]).reshape(-1, 2)).reshape(len(angles), -1)
         if self.flat:
@@ -232,7 +232,7 @@ class Density:
         shower, count = self.shower, self.fineness.waves
         waves = np.pi / self.reach * np.arange(-(count // 2), count // 2)
         jumps = np.zeros((count, count // 2))
-        left, weights = gauss(self.fineness.times, 0.0, shower.period)
+        left, weights = legendre_nodes(self.fineness.times, 0.0, shower.period)
         for moved, weight in zip(shower.moved(left), weights, strict=True):
             seen = sum((waves[:, None] * g[0] + waves[count // 2 :] * g[1]) ** 2 for g in moved.T)
             jumps += shower.rate * weight * np.exp(-seen / 2)
@@ -313,7 +313,7 @@ class Density:
         return Rays(basis @ table, single, size)
 
 
-def reach(jump: float, mean: float) -> float:
+def jump_reach(jump: float, mean: float) -> float:
     """Return a distance from 0 that the sum of the jumps in one period exceeds only with negligible probability.
 
     Args:
@@ -323,6 +323,6 @@ def reach(jump: float, mean: float) -> float:
     counts = range(1, int(mean + 12 * sqrt(mean) + 30))
     chances = [exp(m * log(mean) - mean - lgamma(m + 1)) for m in counts]
     distance = jump
-    while sum(p * erfc(distance / (sqrt(2 * m) * jump)) for m, p in zip(counts, chances, strict=True)) > BEYOND:
+    while sum(p * erfc(distance / (sqrt(2 * m) * jump)) for m, p in zip(counts, chances, strict=True)) > NEGLECTED_TAIL:
         distance *= 1.05
     return distance

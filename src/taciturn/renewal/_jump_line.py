@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array
-from taciturn.renewal._jump_density import gauss, reach
+from taciturn.renewal._jump_density import jump_reach, legendre_nodes
 from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import NoQuadratureError
 
@@ -48,9 +48,9 @@ class Line:
             NoQuadratureError: too many nodes.
         """
         # a jump grows by e^{a·left} in the time ``left`` from the jump to the check
-        left, weights = gauss(60, 0.0, self.period)
+        left, weights = legendre_nodes(60, 0.0, self.period)
         sizes = self.jump * np.exp(self.a * left)
-        narrow, distance = float(sizes.min()), reach(float(sizes.max()), self.rate * self.period)
+        narrow, distance = float(sizes.min()), jump_reach(float(sizes.max()), self.rate * self.period)
         count = 2 * int(fineness * (6 + 1.5 * min(self.bound, self.bound * abs(self.F) + distance) / narrow))
         if max(count, fineness * distance / narrow) > MOST_NODES:
             raise NoQuadratureError(
@@ -89,6 +89,6 @@ class Line:
 
 
 def _pieces(count: int, pieces: int) -> tuple[Array, Array]:
-    nodes, weights = gauss(count)
+    nodes, weights = legendre_nodes(count)
     starts = np.arange(pieces)[:, None] / pieces
     return (starts + nodes / pieces).ravel(), np.tile(weights / pieces, pieces)

@@ -11,7 +11,15 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array
-from taciturn.renewal._jump_density import SPLIT, CompoundPoissonNoise, Density, Fineness, Rays, eased, gauss
+from taciturn.renewal._jump_density import (
+    TABLES_MEET,
+    CompoundPoissonNoise,
+    Density,
+    Fineness,
+    Rays,
+    eased,
+    legendre_nodes,
+)
 from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import NoQuadratureError
 
@@ -23,7 +31,7 @@ FAR = 16  # power of the distance (relative to the truncation), whose mean shows
 
 
 @dataclass(frozen=True)
-class Grid:
+class PlaneGrid:
     """Numbers of quadrature nodes for a two-dimensional error.
 
     Args:
@@ -70,7 +78,7 @@ class Plane:
             self._densities[fineness] = Density(self.shower, fineness)
         return self._densities[fineness]
 
-    def sums(self, grid: Grid) -> Sums:
+    def sums(self, grid: PlaneGrid) -> Sums:
         """Return the renewal equations of this error on a grid of quadrature nodes.
 
         Raises:
@@ -88,7 +96,7 @@ class Plane:
 class _Operator:
     """Computes the integrals of a chain in the plane on a grid."""
 
-    def __init__(self, plane: Plane, grid: Grid) -> None:
+    def __init__(self, plane: Plane, grid: PlaneGrid) -> None:
         self.plane, self.grid = plane, grid
         self.density = plane.density(grid.density)
         self.cut = min(grid.cut, plane.long)
@@ -184,7 +192,7 @@ class _Operator:
     def _rays(self, start: Array) -> tuple[Array, Array, Rays]:
         """Return directions and weights of rays from a point, and the density along them."""
         breaks = self._breaks(start)
-        nodes, weights = gauss(self.grid.angles)
+        nodes, weights = legendre_nodes(self.grid.angles)
         widths = np.diff(breaks)[:, None]
         angles = (breaks[:-1, None] + widths * eased(nodes)).ravel()
         # 6x(1 − x) is the derivative of ``eased``
@@ -218,7 +226,7 @@ class _Operator:
             )  # fmt: skip
             count = self.grid.radii if j == 0 else self.grid.radii * 3 // 5
             for outer in range(2):  # the two radial tables meet at SPLIT, so each part of a ray is integrated by itself
-                span = SPLIT * outer, SPLIT + SPLIT * outer
+                span = TABLES_MEET * outer, TABLES_MEET + TABLES_MEET * outer
                 first, last = (np.clip(np.sqrt(end / self.density.reach), *span) for end in (low, high))
                 met = last > first
                 if met.any():
@@ -245,7 +253,7 @@ class _Operator:
     ) -> tuple[Array, Array]:
         """Return errors on a piece of every ray after a number of checks, and their probabilities, (rays, nodes)."""
         # ρ = reach·root², so that dρ = 2·reach·root d(root)
-        nodes, weights = gauss(count)
+        nodes, weights = legendre_nodes(count)
         width = (ends[1] - ends[0])[:, None]
         roots = ends[0][:, None] + width * nodes
         radii = self.density.reach * roots * roots

@@ -59,7 +59,7 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class ErrorRegion:
     """Bounded region that contains nearly all unsent errors: on each axis, an interval that depends on the outer axes.
 
     Args:
@@ -71,9 +71,9 @@ class Window:
     covariance: Array
     reach: Array
 
-    def scaled(self, factor: float) -> Window:
+    def scaled(self, factor: float) -> ErrorRegion:
         """Return this window with its half-widths multiplied by a factor."""
-        return Window(self.covariance, self.reach * factor)
+        return ErrorRegion(self.covariance, self.reach * factor)
 
     def given_outer(self, outer: Array) -> tuple[Array, float]:
         """Return the conditional mean and standard deviation of the next coordinate for each row of the outer ones."""
@@ -83,7 +83,7 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class AxisNodes:
     """Coordinates of nested quadrature nodes on one axis.
 
     Args:
@@ -112,7 +112,7 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class QuadratureNodes:
     """Quadrature nodes of a symmetric region; only one node of each pair ±x is stored.
 
     Args:
@@ -123,7 +123,7 @@ class Nodes:
 
     x: Array
     weight: Array
-    levels: tuple[Level, ...]
+    levels: tuple[AxisNodes, ...]
 
 
 class TooManyNodes(Exception):  # noqa: N818
@@ -141,7 +141,7 @@ class _Span:
     slack: bool
 
 
-def place(white: White, region: Region, window: Window, density: float, more: int, most: int) -> Nodes:
+def place(white: White, region: Region, window: ErrorRegion, density: float, more: int, most: int) -> QuadratureNodes:
     """Return quadrature nodes for a region, placed axis by axis.
 
     The nodes of an axis lie on the chord of the region at given coordinates on the outer axes.
@@ -165,7 +165,7 @@ def place(white: White, region: Region, window: Window, density: float, more: in
         TooManyNodes: more than ``most`` nodes are needed.
     """
     n = len(white.m)
-    levels = list[Level]()
+    levels = list[AxisNodes]()
     x, weight = np.zeros((1, 0)), np.ones(1)
     bends = np.maximum(1.0, np.linalg.norm(white.F, axis=0) / STEEP)
     for axis in range(n):
@@ -180,11 +180,11 @@ def place(white: White, region: Region, window: Window, density: float, more: in
         weight = (weight[:, None] * inner_weight).ravel()
         kept = weight > 0
         x, weight = x[kept], weight[kept]
-        levels.append(Level(x[:, axis], np.searchsorted(outer[kept], np.arange(len(span.low)))))
-    return Nodes(x, weight, tuple(levels))
+        levels.append(AxisNodes(x[:, axis], np.searchsorted(outer[kept], np.arange(len(span.low)))))
+    return QuadratureNodes(x, weight, tuple(levels))
 
 
-def _span(outer: Array, region: Region, window: Window) -> _Span:
+def _span(outer: Array, region: Region, window: ErrorRegion) -> _Span:
     centre, deviation = window.given_outer(outer)
     reach = float(window.reach[outer.shape[1]]) * deviation
     low, high = centre - reach, centre + reach

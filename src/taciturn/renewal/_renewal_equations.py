@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._progress import OutOfTime, Stages
-from taciturn.renewal._quadrature_nodes import Nodes, Region, TooManyNodes, Window, place
-from taciturn.renewal._trigger_check import INTERPOLATED, Effort, Grid, Matrix
+from taciturn.renewal._quadrature_nodes import ErrorRegion, QuadratureNodes, Region, TooManyNodes, place
+from taciturn.renewal._trigger_check import INTERPOLATED, CheckMatrix, GridCheck, QuadratureEffort
 from taciturn.renewal._white_coordinates import White
 from taciturn.renewal.chain import NoQuadratureError
 
-MOST_NODES = 40_000  # most nodes; their equations take seconds
+MOST_STORED_NODES = 40_000  # most nodes; their equations take seconds
 DENSE, DENSEST = 1200, 6000  # nodes up to which a matrix is faster than a grid, and up to which it is affordable
 COARSE = 0.5  # density of the nodes from which the window of unsent errors is found
 FIRST, USUAL = 0.53, 1e-8  # first density for this accuracy; it is proportional to the root of the number of digits
@@ -27,7 +27,7 @@ RUNGS = 12
 PASSES = 12
 REACH = 8.0  # first reach of a window, in conditional standard deviations
 BEYOND = 0.01  # fraction of checks and of cost that a window may cut off, relative to the accuracy
-SAFETY = 2.0  # claimed error over the last change
+ERROR_SAFETY = 2.0  # claimed error over the last change
 ROUNDING = 1e-14  # relative rounding error per check of the mean interval
 USELESS = 0.01  # relative error above which an answer is rejected
 
@@ -47,7 +47,7 @@ class System:
     x: Array
     share: Array
     start: Array
-    check: Matrix | Grid
+    check: CheckMatrix | GridCheck
     cost: Array
 
 
@@ -83,7 +83,7 @@ class Solved:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class SolutionPair:
     """Solutions of the renewal equations on fine and on coarser nodes, and the error estimated from their difference.
 
     Args:
@@ -116,7 +116,7 @@ def afforded(step: int, dimensions: int) -> int:
     The first attempt uses fewer nodes, because its error estimate needs a finer one.
     """
     # the exponent is n/2, not n, as part of the nodes of a chord does not depend on the density
-    return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
+    return MOST_STORED_NODES if step else int(MOST_STORED_NODES / FINER ** (dimensions / 2))
 
 
 def most_dense(dimensions: int, accuracy: float) -> int:
@@ -134,7 +134,7 @@ def first_density(accuracy: float) -> float:
 
 def climb(
     attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
-) -> Answer:
+) -> SolutionPair:
     """Solve the renewal equations on finer nodes and wider windows until rate and excess no longer change.
 
     The claimed error is twice the last change, which is the error of the coarser answer.
@@ -180,19 +180,19 @@ def climb(
         density, factor = density * FINER, factor * WIDER
     if best is None:
         raise NoQuadratureError(
-            f"between sends, the error spreads over too many standard deviations of the noise for {MOST_NODES} "
+            f"between sends, the error spreads over too many standard deviations of the noise for {MOST_STORED_NODES} "
             f"quadrature nodes, or sends are too rare; expected {less} or more noise for a quadrature; {instead}"
         )
     if best.off > USELESS:
         raise NoQuadratureError(
-            f"with {MOST_NODES} nodes in double precision, rate and excess cost have a relative error of "
+            f"with {MOST_STORED_NODES} nodes in double precision, rate and excess cost have a relative error of "
             f"{best.off:.1g}; "
             f"expected at most {USELESS:g}; use {less}, or {instead}"
         )
     return best
 
 
-def find_window(white: White, region: Region, covariance: Array, effort: Effort) -> Window:
+def find_window(white: White, region: Region, covariance: Array, effort: QuadratureEffort) -> ErrorRegion:
     """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors.
 
     Args:
@@ -204,11 +204,11 @@ def find_window(white: White, region: Region, covariance: Array, effort: Effort)
     Returns:
         A window outside which the share of checks and cost is negligible.
     """
-    window = Window(covariance, np.full(len(covariance), REACH))
+    window = ErrorRegion(covariance, np.full(len(covariance), REACH))
     accuracy, rough = min(effort.accuracy, LOOSEST), replace(effort, dense=DENSE)
     for _ in range(PASSES):
         try:
-            system = discretise(white, place(white, region, window, COARSE, 0, MOST_NODES // 2), rough)
+            system = discretise_renewal(white, place(white, region, window, COARSE, 0, MOST_STORED_NODES // 2), rough)
         except TooManyNodes:
             break
         visits = system.check.settled_shares(system.start)
@@ -220,13 +220,13 @@ def find_window(white: White, region: Region, covariance: Array, effort: Effort)
         reach, cut = _reach(system, visits, window, BEYOND * accuracy)
         ratio = np.linalg.eigvals(np.linalg.solve(window.covariance, found)).real
         if not cut.any() and ratio.min() > 0.8 and ratio.max() < 1.1:
-            return Window(window.covariance, reach)
+            return ErrorRegion(window.covariance, reach)
         # widen only axes that the window cuts off; on others the chord ends before the window
-        window = Window(found, np.where(cut, 1.5 * window.reach, window.reach))
+        window = ErrorRegion(found, np.where(cut, 1.5 * window.reach, window.reach))
     return window
 
 
-def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
+def discretise_renewal(white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> System:
     """Return the discretised renewal equations; because of symmetry, one node represents both x and −x.
 
     Args:
@@ -245,16 +245,16 @@ def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
     start = 2 * density * np.exp(-0.5 * (nodes.x * nodes.x).sum(axis=1))
     effort.alive()
     if len(start) > effort.dense:
-        check = Grid(white, nodes, effort)
+        check = GridCheck(white, nodes, effort)
     else:
-        kernel = gauss(nodes.x @ white.F.T, nodes.x)
-        kernel += gauss(nodes.x @ white.F.T, -nodes.x)
+        kernel = gaussian_factors(nodes.x @ white.F.T, nodes.x)
+        kernel += gaussian_factors(nodes.x @ white.F.T, -nodes.x)
         kernel *= density
-        check = Matrix(kernel)
+        check = CheckMatrix(kernel)
     return System(nodes.x, density, start, check, ((nodes.x @ white.Gamma) * nodes.x).sum(axis=1))
 
 
-def solve(white: White, nodes: Nodes, effort: Effort) -> Solved | None:
+def solve_on_nodes(white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> Solved | None:
     """Return the solution of the renewal equations on given nodes, or None if the nodes are too coarse.
 
     Args:
@@ -268,7 +268,7 @@ def solve(white: White, nodes: Nodes, effort: Effort) -> Solved | None:
     Raises:
         TooManyNodes: the grid would be too large.
     """
-    system = discretise(white, nodes, effort)
+    system = discretise_renewal(white, nodes, effort)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
     solution = system.check.settled(known)
     checks, cost = 1 + float(system.start @ solution[:, 0]), float(system.start @ solution[:, 1])
@@ -277,7 +277,7 @@ def solve(white: White, nodes: Nodes, effort: Effort) -> Solved | None:
     return Solved(system, solution[:, 0], solution[:, 1], 1 / checks, cost / checks)
 
 
-def _reach(system: System, visits: Array, window: Window, share: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _reach(system: System, visits: Array, window: ErrorRegion, share: float) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the reach of each axis that leaves out at most a share of checks and cost, and which axes are cut off.
 
     An axis is cut off if more than this share lies at the edge of the window.
@@ -297,7 +297,7 @@ def _reach(system: System, visits: Array, window: Window, share: float) -> tuple
     return reach, cut
 
 
-def gauss(means: Array, x: Array) -> Array:
+def gaussian_factors(means: Array, x: Array) -> Array:
     """Return the Gaussian factors exp(−½|x_j − mean_i|²) for all means and points.
 
     They are computed from differences, because squares of large coordinates would cancel.
@@ -312,12 +312,12 @@ def gauss(means: Array, x: Array) -> Array:
     return np.exp(power, out=power)
 
 
-def _compared(found: Solved, previous: Solved) -> Answer:
+def _compared(found: Solved, previous: Solved) -> SolutionPair:
     """Return a solution with its error: the change from the coarser solution, and rounding."""
-    floor = found.rounding + SAFETY * found.left
-    return Answer(
+    floor = found.rounding + ERROR_SAFETY * found.left
+    return SolutionPair(
         found,
-        SAFETY * abs(found.rate - previous.rate) + floor * found.rate,
-        SAFETY * abs(found.excess - previous.excess) + floor * found.excess,
+        ERROR_SAFETY * abs(found.rate - previous.rate) + floor * found.rate,
+        ERROR_SAFETY * abs(found.excess - previous.excess) + floor * found.excess,
         previous,
     )

@@ -103,7 +103,7 @@ def _certain_root(weight: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SampledInterval:
     """Estimated distribution and cost of the interval between two sends, from one randomisation.
 
     Args:
@@ -126,7 +126,7 @@ class Course:
         return float(self.survival.sum()) + self.checks_later[0], float(self.cost.sum()) + self.cost_later[0]
 
 
-def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float) -> Course:
+def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float) -> SampledInterval:
     """Simulate many paths, conditioned on no send, and return the estimates from one randomisation.
 
     The draws are scrambled Sobol points at the first checks and pseudo-random numbers at later checks.
@@ -169,7 +169,7 @@ def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float
             cost.append(float(weights @ price) / count)
         work += count
         if mean <= negligible and _later(cost)[0] <= negligible * sum(cost):
-            return Course(np.array(survival), np.array(cost), _later(survival), _later(cost), work)
+            return SampledInterval(np.array(survival), np.array(cost), _later(survival), _later(cost), work)
         if mean < LOST or not np.isfinite(cost[-1]):
             raise NoQuadratureError(
                 "without sends, the cost of the error grows without bound in a direction that Γ weighs and Ψ does "

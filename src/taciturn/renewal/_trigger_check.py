@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.renewal._quadrature_nodes import Nodes, TooManyNodes
+from taciturn.renewal._quadrature_nodes import QuadratureNodes, TooManyNodes
 from taciturn.renewal._white_coordinates import White
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 
 @dataclass(frozen=True, eq=False)
-class Matrix:
+class CheckMatrix:
     """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another.
 
     Args:
@@ -51,11 +51,11 @@ class Matrix:
 
     def settled_shares(self, known: Array) -> Array:
         """Return expected visits X to each node until the next send, X = known + after(X), from given first visits."""
-        return Matrix(self.entries.T).settled(known)
+        return CheckMatrix(self.entries.T).settled(known)
 
 
 @dataclass(frozen=True)
-class Effort:
+class QuadratureEffort:
     """Requested accuracy of a quadrature, and limits on its computation.
 
     Args:
@@ -69,7 +69,7 @@ class Effort:
     dense: int
 
 
-class Grid:
+class GridCheck:
     """Effect of one trigger check on functions of the error at many quadrature nodes, computed by sums on a grid.
 
     The expectation over the noise is a smooth function of the error without noise, F x. So it is summed at the points
@@ -84,7 +84,7 @@ class Grid:
         TooManyNodes: the grid would be too large.
     """
 
-    def __init__(self, white: White, nodes: Nodes, effort: Effort) -> None:
+    def __init__(self, white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> None:
         self.effort, self.slack = effort, INTERPOLATED + SOLVED * effort.accuracy
         self.scale = (2 * np.pi) ** (-len(white.m) / 2) * nodes.weight
         self.levels = nodes.levels

@@ -124,7 +124,7 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
     return White(white.F, np.where(m > 1e-15 * n * m[-1], m, 0.0), white.Gamma, white.rows)
 
 
-def spread(white: White) -> Array:
+def unsent_covariance(white: White) -> Array:
     """Return the approximate covariance of unsent errors, computed as if the trigger were random.
 
     Then the error x is not sent with probability exp(−½ SOFT Σ m_i x_i²).

@@ -24,7 +24,7 @@ _WAITS = 4.0  # longest piece in mean waits for an infinite series: it determine
 _ORDER_ERROR = 1e-14  # size of the first omitted term of the Taylor series
 
 
-class Motion:
+class TaylorMotion:
     """Prediction of an error ė = A e over short pieces of time, by a Taylor series that is exact if A is nilpotent.
 
     Args:
@@ -76,7 +76,7 @@ class Motion:
         return moved
 
 
-def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
+def integrate_polynomial(b: Builder, form: Monomials, length: int) -> list[int | None]:
     """Return the coefficients of the integral of a polynomial from 0 to x, times the length of the piece of time."""
     result: list[int | None] = [None]
     for k, value in enumerate(form):
@@ -84,7 +84,7 @@ def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
     return result
 
 
-def evaluate(b: Builder, monomials: Monomials, x: int) -> int:
+def evaluate_polynomial(b: Builder, monomials: Monomials, x: int) -> int:
     """Return the value at x of a polynomial that is given by its coefficients."""
     return _horner(b, monomials, x)[0]
 
@@ -129,7 +129,7 @@ def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: in
         x = b.emit("select", b.emit("and", rising, inside), newton, middle)
     width = b.constant(ROOT_WIDTH)
     below, above = b.emit("sub", x, width), b.emit("add", x, width)
-    values = [evaluate(b, monomials, point) for point in (below, above)]
+    values = [evaluate_polynomial(b, monomials, point) for point in (below, above)]
     found = b.emit("and", b.emit("greater", zero, values[0]), b.emit("less_equal", zero, values[1]))
     for point, value in zip((below, above), values, strict=True):
         low, high = _narrowed(b, low, high, point, value)

@@ -26,12 +26,12 @@ from taciturn.renewal.events import (
     ENDED,
     OPEN,
     UNDISTURBED,
+    CycleTrigger,
     IntegralTrigger,
     JumpProcess,
-    Trigger,
     check,
     cycle_program,
-    start,
+    start_cycles,
 )
 from taciturn.renewal.sampled import SampledProcess, sampled_program, sampled_start
 
@@ -44,7 +44,7 @@ BUDGET = 10_000_000_000  # attempts of all paths together
 ENDLESS = 100_000  # attempts within which a cycle must end
 RECORD = 1 << 22  # attempts recorded at once
 RECORDED_PER_CYCLE = 8
-Process: TypeAlias = JumpProcess | SampledProcess
+ErrorProcess: TypeAlias = JumpProcess | SampledProcess
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,8 +81,8 @@ class Sample(Displayed):
 
 
 def estimate_cycles(
-    process: Process,
-    trigger: Trigger,
+    process: ErrorProcess,
+    trigger: CycleTrigger,
     *,
     cycles: int | None = None,
     standard_error: float | None = None,
@@ -133,8 +133,8 @@ def estimate_cycles(
     return counting.close()
 
 
-def sweep(
-    process: Process,
+def sweep_thresholds(
+    process: ErrorProcess,
     cs: Sequence[float],
     *,
     trigger: IntegralTrigger | None = None,
@@ -174,7 +174,7 @@ def sweep(
 
 def sample_cycles(
     process: JumpProcess,
-    trigger: Trigger,
+    trigger: CycleTrigger,
     *,
     cycles: int,
     seed: int = 0,
@@ -222,7 +222,9 @@ def sample_cycles(
 class _Counting:
     """Running paths, and their sums so far."""
 
-    def __init__(self, process: Process, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
+    def __init__(
+        self, process: ErrorProcess, trigger: CycleTrigger, paths: int, seed: int, threads: int | None
+    ) -> None:
         kept = {CYCLES, DURATION, COST, UNDISTURBED}
         self.program = _written(process, trigger).keep(kept, states={OPEN, CLOSING})
         self.run, self.threads = prepare(self.program), threads
@@ -286,7 +288,7 @@ class _Counting:
         )
 
 
-def _written(process: Process, trigger: Trigger) -> Program:
+def _written(process: ErrorProcess, trigger: CycleTrigger) -> Program:
     """Return the program of a process, after a check of the arguments."""
     if isinstance(process, SampledProcess):
         instance("trigger", trigger, IntegralTrigger)
@@ -296,10 +298,10 @@ def _written(process: Process, trigger: Trigger) -> Program:
     return cycle_program(process, trigger)
 
 
-def _start(process: Process, program: Program, paths: int, seed: int) -> Array:
+def _start(process: ErrorProcess, program: Program, paths: int, seed: int) -> Array:
     if isinstance(process, SampledProcess):
         return sampled_start(program, paths, seed)
-    return start(process, program, paths, seed)
+    return start_cycles(process, program, paths, seed)
 
 
 def _ratio(above: Array, below: Array) -> Estimate:

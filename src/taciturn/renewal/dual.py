@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from taciturn._arrays import TINY, Array, Bits
+from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._display import Displayed
 from taciturn._modes import root
 from taciturn._progress import Progress, Stages
@@ -38,7 +38,7 @@ ROUNDS = 60
 
 
 @dataclass(frozen=True, repr=False)
-class Sampled(Displayed):
+class SampledDual(Displayed):
     """Monte Carlo estimate of a lower bound on the mean cost per check, computed as the root of a sampled function.
 
     λ is the price of a send, and D(g) a dual bound (:func:`sample_dual`).
@@ -68,7 +68,7 @@ class Sampled(Displayed):
     checks: int
 
 
-def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> float:
+def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> float:
     """Return a lower confidence bound on a weighted sum Σ c_i g°_i of lower bounds that are estimated independently.
 
     The ρ_i are unknown constants, not random numbers. For any values of them, the estimate of Σ c_i ρ_i h_i is unbiased
@@ -149,7 +149,7 @@ def sample_dual(
     seed: int | Sequence[int] = 0,
     precise: float | None = None,
     progress: Progress | None = None,
-) -> Sampled:
+) -> SampledDual:
     """Return a Monte Carlo estimate of a lower bound on the mean cost per check of every send schedule.
 
     The arguments are those of :func:`bound_schedules`.
@@ -187,7 +187,7 @@ def sample_dual(
     )
     paths = int(np.clip(np.ceil(wanted / ABREAST), FEWEST, PATHS))
     gain = fitted.gain + (price - fitted.gain + float(pilot.least.mean())) / pilot.slope
-    gain = float(np.clip(gain, TINY, highest))
+    gain = float(np.clip(gain, NO_VARIANCE, highest))
     aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
     sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
     saved = _most_saved(game, sides[2], fitted.interval, draws)
@@ -196,7 +196,7 @@ def sample_dual(
     # certain that the root is above sides[0] (``before``) and below sides[2] (``after``): only then the slopes bound ρ
     before = price - sides[0] + below.end(below.least, -1) >= 0
     after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
-    return Sampled(
+    return SampledDual(
         gain,
         above,
         float(here.least.std(ddof=1)) / np.sqrt(batches),

@@ -29,11 +29,11 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
-from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw, minus_two_log, seed_generators
+from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw_numbers, minus_two_log, seed_generators
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import jump_size
 from taciturn.program.ops import State
-from taciturn.renewal.bernstein import Motion, bernstein, evaluate, integral, only_root
+from taciturn.renewal.bernstein import TaylorMotion, bernstein, evaluate_polynomial, integrate_polynomial, only_root
 
 ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
 UNDISTURBED = "undisturbed"  # counted cycles that ended before h_max without a jump since the last send
@@ -126,10 +126,10 @@ class LevelTrigger(Displayed):
         _time("h_max", self.h_max, 0.0)
 
 
-Trigger = IntegralTrigger | LevelTrigger
+CycleTrigger = IntegralTrigger | LevelTrigger
 
 
-def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
+def cycle_program(process: JumpProcess, trigger: CycleTrigger) -> Program:
     """Return the program that advances an error over one short piece of time, or to its next send.
 
     Args:
@@ -149,7 +149,7 @@ def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
     return _Attempt(process, trigger).program()
 
 
-def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Array:
+def start_cycles(process: JumpProcess, program: Program, paths: int, seed: int) -> Array:
     """Return the initial program states of simulated paths, just after a send.
 
     For a given seed, path i does not depend on the number of paths.
@@ -161,10 +161,10 @@ def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Arra
         PIECE: np.full((1, paths), _motion(process).longest),
         OPEN: np.ones((1, paths)),
     }
-    return filled(program, paths, values)
+    return filled_states(program, paths, values)
 
 
-def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
+def filled_states(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
     """Return the initial states of a program, (states, paths): given values by name, and 0 for all other states."""
     states = np.zeros((len(program.states), paths))
     for row, state in zip(states, program.states, strict=True):
@@ -204,8 +204,8 @@ def _time(name: str, value: object, low: float) -> None:
         number(name, value, low)
 
 
-def _motion(process: JumpProcess) -> Motion:
-    return Motion(process.A, 1 / process.jumps.rate, LONGEST_WAIT)
+def _motion(process: JumpProcess) -> TaylorMotion:
+    return TaylorMotion(process.A, 1 / process.jumps.rate, LONGEST_WAIT)
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ class _Verdict:
 class _Attempt:
     """Builds the program of an attempt; every method appends operations."""
 
-    def __init__(self, process: JumpProcess, trigger: Trigger) -> None:
+    def __init__(self, process: JumpProcess, trigger: CycleTrigger) -> None:
         self.process, self.trigger, self.motion = process, trigger, _motion(process)
         self.b = Builder()
         self.zero, self.one = self.b.constant(0.0), self.b.constant(1.0)
@@ -236,13 +236,13 @@ class _Attempt:
         """Return the whole attempt."""
         b = self.b
         length, limited = self._length()
-        cost = integral(b, self.motion.form(b, self.process.S, self.error, length), length)
+        cost = integrate_polynomial(b, self.motion.form(b, self.process.S, self.error, length), length)
         verdict = self._verdict(self._polynomial(cost, length), length)
         limited = b.emit("and", verdict.safe, limited)
         ended = self._either(verdict.crossed, limited)
         advance = b.emit("mul", verdict.share, length)
         time, rest = b.emit("add", self.time, advance), b.emit("sub", self.wait, advance)
-        gone = b.emit("add", self.gone, evaluate(b, cost, verdict.share))
+        gone = b.emit("add", self.gone, evaluate_polynomial(b, cost, verdict.share))
         # after a send the error stays 0 until the next jump, so the path skips to it, unless h_max comes first
         idles = b.emit("and", ended, b.emit("greater", b.constant(self.trigger.h_max), rest))
         jumped = b.emit("and", verdict.safe, b.emit("less_equal", self.wait, length))
@@ -350,7 +350,7 @@ class _Attempt:
     def _draws(self) -> tuple[dict[str, int], list[int]]:
         """Return the random numbers of a jump and of the time after it, by name, and the generator's next words."""
         supplied: dict[str, int] = {}
-        return supplied, draw(self.b, [f"{UNIFORM} 0", *self.drawn], supplied)
+        return supplied, draw_numbers(self.b, [f"{UNIFORM} 0", *self.drawn], supplied)
 
     def _jump(self, supplied: dict[str, int]) -> list[int | None]:
         """Return G·ξ."""

@@ -16,7 +16,7 @@ from taciturn._display import Displayed
 from taciturn._modes import radius, root
 from taciturn.errors import ProblemError
 from taciturn.renewal._quasi_monte_carlo import Lattice
-from taciturn.renewal.rare_sends import bound_rate
+from taciturn.renewal.rare_sends import bound_rare_rate
 
 PATHS = 1000
 SNAPSHOTS = 100  # checks at which unsent errors of all paths are collected for the fit
@@ -167,7 +167,7 @@ class _Ground:
 
     def _saved(self, price: float, gain: float, fit: Array) -> Array:
         """Return the mean over the noises of min(0, U) one check after each error, (errors,)."""
-        bell = spread(self.mean, self.noise, _weight(fit[1:], len(self.into)))
+        bell = shifted_forms(self.mean, self.noise, _weight(fit[1:], len(self.into)))
         bell += fit[0]
         np.exp(np.minimum(bell, np.log(price), out=bell), out=bell)
         saved = np.subtract(self.cost, bell, out=bell)
@@ -175,7 +175,7 @@ class _Ground:
         return np.minimum(saved, 0.0, out=saved).mean(axis=(0, 3)).ravel()
 
 
-def spread(mean: Array, noise: Array, weight: Array) -> Array:
+def shifted_forms(mean: Array, noise: Array, weight: Array) -> Array:
     """Return the quadratic forms (m + w)'M(m + w) and (m − w)'M(m − w) of errors m plus or minus noises w.
 
     Args:
@@ -194,7 +194,7 @@ def spread(mean: Array, noise: Array, weight: Array) -> Array:
 def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points: int) -> _Ground:
     """Return errors that the threshold policy e'Γe > about does not send, and samples one check later."""
     half = root(noise)
-    if bound_rate(F, noise, Gamma, about) < RAREST:
+    if bound_rare_rate(F, noise, Gamma, about) < RAREST:
         raise _too_rare()
     kept, interval = keep_errors(F, noise, lambda e: squares(e, Gamma) > about, seed)
     units = np.where(kept.std(axis=0) > 0, kept.std(axis=0), 1.0)
@@ -212,7 +212,7 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
     x[0] = 0.0
     w = Lattice(NOISES, half.shape[1]).normals(draws, blocks) @ half.T
     after = (x @ F.T).reshape(blocks, SHARERS, len(F))
-    return _Ground(_terms(x @ into.T), after @ into.T, w @ into.T, spread(after, w, Gamma), into, interval)
+    return _Ground(_terms(x @ into.T), after @ into.T, w @ into.T, shifted_forms(after, w, Gamma), into, interval)
 
 
 def _least_squares(rows: Array, values: Array) -> Array:

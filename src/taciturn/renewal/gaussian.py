@@ -9,7 +9,7 @@ import numpy as np
 from taciturn._arrays import number
 from taciturn._progress import Progress, Stages
 from taciturn.renewal._intervals import intervals
-from taciturn.renewal._quadrature_nodes import Ellipsoid, TooManyNodes, Window, place
+from taciturn.renewal._quadrature_nodes import Ellipsoid, ErrorRegion, TooManyNodes, place
 from taciturn.renewal._renewal_equations import (
     BEYOND,
     COARSE,
@@ -23,11 +23,11 @@ from taciturn.renewal._renewal_equations import (
     find_window,
     first_density,
     most_dense,
-    solve,
+    solve_on_nodes,
     usual_accuracy,
 )
-from taciturn.renewal._trigger_check import STENCIL, Effort
-from taciturn.renewal._white_coordinates import spread, whiten
+from taciturn.renewal._trigger_check import STENCIL, QuadratureEffort
+from taciturn.renewal._white_coordinates import unsent_covariance, whiten
 from taciturn.renewal.chain import Chain, Renewal
 from taciturn.renewal.rates import least_interval
 
@@ -98,7 +98,7 @@ class Quadrature:
     def __init__(self, chain: Chain) -> None:
         """Find coordinates, and the approximate covariance of unsent errors."""
         self.chain, self.white = chain, whiten(chain)
-        self.region, self.covariance = Ellipsoid(self.white.m), spread(self.white)
+        self.region, self.covariance = Ellipsoid(self.white.m), unsent_covariance(self.white)
 
     @property
     def dimensions(self) -> int:
@@ -125,12 +125,12 @@ class Quadrature:
         white, region = self.white, self.region
         accuracy = number("accuracy", self.usual if accuracy is None else accuracy, 0.0, 1.0)
         told = Stages(progress)
-        effort = Effort(accuracy, told.tick, most_dense(self.dimensions, accuracy))
+        effort = QuadratureEffort(accuracy, told.tick, most_dense(self.dimensions, accuracy))
         window = find_window(white, region, self.covariance, effort)
 
         def attempt(density: float, factor: float, step: int) -> Solved | None:
             most = afforded(step, len(white.m))
-            return solve(white, place(white, region, window.scaled(factor), density, step, most), effort)
+            return solve_on_nodes(white, place(white, region, window.scaled(factor), density, step, most), effort)
 
         best = climb(attempt, accuracy, "a smaller δ", "simulate instead", told)
         found = best.found
@@ -145,7 +145,7 @@ class Quadrature:
         The result is infinite if too many nodes are needed.
         """
         n, looked = self.dimensions, min(accuracy, LOOSEST)
-        window = Window(self.covariance, np.full(n, REACH * np.sqrt(-2 * np.log(BEYOND * looked))))
+        window = ErrorRegion(self.covariance, np.full(n, REACH * np.sqrt(-2 * np.log(BEYOND * looked))))
         try:
             coarse, first = (
                 len(place(self.white, self.region, window, density, 0, afforded(0, n)).x)

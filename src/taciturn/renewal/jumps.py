@@ -11,7 +11,7 @@ from taciturn._modes import root
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.renewal._jump_density import CompoundPoissonNoise, Fineness
 from taciturn.renewal._jump_line import Line
-from taciturn.renewal._jump_plane import Grid, Plane
+from taciturn.renewal._jump_plane import Plane, PlaneGrid
 from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
 
@@ -102,12 +102,12 @@ def _share(checks: int, share: float) -> int:
 def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
     """Yield the equations in the plane on finer and finer grids, truncated where hardly any error comes."""
 
-    def grid(level: int, cut: float) -> Grid:
+    def grid(level: int, cut: float) -> PlaneGrid:
         more = 1 + 0.25 * level
         along = 2 * int(more * (5 + 0.22 * min(cut, plane.long)))
         across = int(more * (7 + 2.5 * plane.short))
         followed = _share(checks, 0.7 + 0.15 * level)
-        return Grid(along, across, 8 + 4 * level, 12 + 3 * level, followed, cut, FINENESS[level])
+        return PlaneGrid(along, across, 8 + 4 * level, 12 + 3 * level, followed, cut, FINENESS[level])
 
     cut = 8.0
     for _ in range(CUTS):

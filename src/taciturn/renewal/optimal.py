@@ -6,25 +6,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite, square
+from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, array, number, semidefinite, square
 from taciturn._progress import Progress, Stages
 from taciturn.renewal._continuation import ContinuationRegion, holes, improve
 from taciturn.renewal._intervals import intervals
-from taciturn.renewal._quadrature_nodes import Ellipsoid, Region, TooManyNodes, Window, place
+from taciturn.renewal._quadrature_nodes import Ellipsoid, ErrorRegion, Region, TooManyNodes, place
 from taciturn.renewal._renewal_equations import (
     COARSE,
+    ERROR_SAFETY,
     LOOSEST,
-    MOST_NODES,
-    SAFETY,
+    MOST_STORED_NODES,
     Solved,
     climb,
     find_window,
     most_dense,
-    solve,
+    solve_on_nodes,
     usual_accuracy,
 )
-from taciturn.renewal._trigger_check import Effort
-from taciturn.renewal._white_coordinates import AGES, White, spread, whiten
+from taciturn.renewal._trigger_check import QuadratureEffort
+from taciturn.renewal._white_coordinates import AGES, White, unsent_covariance, whiten
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
 ROUGHLY = 1e-4  # relative accuracy to which the policy is iterated on coarse nodes
@@ -146,12 +146,12 @@ def solve_optimal(
     return Optimum(
         rate=found.rate,
         excess=price * found.excess,
-        rate_error=BOUNDARY * best.rate_error + SAFETY * gaps[0],
-        excess_error=price * (BOUNDARY * best.excess_error + SAFETY * gaps[1]),
+        rate_error=BOUNDARY * best.rate_error + ERROR_SAFETY * gaps[0],
+        excess_error=price * (BOUNDARY * best.excess_error + ERROR_SAFETY * gaps[1]),
         intervals=intervals(found.system.start, found.system.check, found.checks, 1 / found.rate),
         nodes=len(found.system.start),
         cost=price * costs[0],
-        cost_error=price * (BOUNDARY * SAFETY * (abs(costs[0] - costs[1]) + gaps[2]) + found.rounding * costs[0]),
+        cost_error=price * (BOUNDARY * ERROR_SAFETY * (abs(costs[0] - costs[1]) + gaps[2]) + found.rounding * costs[0]),
         price=price,
         iterations=iteration.count,
         region=improve(white, found, iteration.window),
@@ -198,31 +198,31 @@ class _Iteration:
 
     def __init__(self, white: White, accuracy: float, told: Stages) -> None:
         self.white = white
-        self.effort = Effort(accuracy, told.tick, most_dense(len(white.m), accuracy))
+        self.effort = QuadratureEffort(accuracy, told.tick, most_dense(len(white.m), accuracy))
         self.settled = LITTLE * min(accuracy, LOOSEST)
         self.count = 0
         self.found: Solved | None = None
         soft = replace(white, m=white.m / min(START * _periodic(white), 1.0))
         self.region: Region = Ellipsoid(soft.m)
-        self.window = find_window(white, self.region, spread(soft), self.effort)
+        self.window = find_window(white, self.region, unsent_covariance(soft), self.effort)
         try:
-            self._iterate(COARSE, 1.0, 0, MOST_NODES // 2, ROUGHLY)
+            self._iterate(COARSE, 1.0, 0, MOST_STORED_NODES // 2, ROUGHLY)
         except TooManyNodes:
             return
         self.window = find_window(white, self.region, self.window.covariance, self.effort)
 
     def attempt(self, density: float, factor: float, step: int) -> Solved | None:
         """Return the optimal schedule, computed with a density of quadrature nodes; factor scales their region."""
-        found = self._iterate(density, factor, step, MOST_NODES, self.settled)
+        found = self._iterate(density, factor, step, MOST_STORED_NODES, self.settled)
         if found is not None and step == 1:
             _gaps(found, ROUGHLY)  # rejects a region with holes before many nodes are used
         return found
 
     def _iterate(self, density: float, factor: float, step: int, most: int, settled: float) -> Solved | None:
-        window: Window = self.window.scaled(factor)
-        before = TINY
+        window: ErrorRegion = self.window.scaled(factor)
+        before = NO_VARIANCE
         for _ in range(ROUNDS):
-            found = solve(self.white, place(self.white, self.region, window, density, step, most), self.effort)
+            found = solve_on_nodes(self.white, place(self.white, self.region, window, density, step, most), self.effort)
             if found is None:
                 return None
             self.count += 1
@@ -230,7 +230,7 @@ class _Iteration:
             # the next change is smaller by at least the last ratio; the first change is also due to the new nodes, so
             # that all of it counts as the remaining error
             found = replace(found, left=moved * min(1.0, moved / before))
-            self.region, self.found, before = improve(self.white, found, window), found, max(moved, TINY)
+            self.region, self.found, before = improve(self.white, found, window), found, max(moved, NO_VARIANCE)
             if found.left <= settled:
                 break
         return self.found

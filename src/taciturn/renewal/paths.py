@@ -10,7 +10,7 @@ from taciturn._arrays import Array, count, frozen, number
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.model.estimate import Estimate
-from taciturn.renewal._replication import Course, Walk, follow
+from taciturn.renewal._replication import SampledInterval, Walk, follow
 from taciturn.renewal._white_coordinates import reduced
 from taciturn.renewal.chain import Chain, Intervals
 from taciturn.renewal.rates import least_interval
@@ -100,11 +100,11 @@ def solve_paths(
     count("steps", steps)
     walk = Walk(reduced(chain))
     source = np.random.SeedSequence(seed)
-    courses, paths, work, told = list[Course](), FIRST, 0, Stages(progress)
+    courses, paths, work, told = list[SampledInterval](), FIRST, 0, Stages(progress)
     found, kept = None, courses
     while True:
         draws = (np.random.default_rng(child) for child in source.spawn(RANDOMISATIONS))
-        new = list[Course]()
+        new = list[SampledInterval]()
         try:
             for each in draws:
                 new.append(follow(walk, paths, each, CUT * standard_error))
@@ -167,7 +167,7 @@ def predict_fewest(chain: Chain) -> float:
     return _fewest(chain, least_interval(chain, LOOKED))
 
 
-def least_work(chain: Chain) -> float:
+def fewest_operations(chain: Chain) -> float:
     """Return a lower bound on the operations of ``solve_paths``: fewest paths, and a send at every check."""
     return _fewest(chain, 1.0)
 
@@ -198,7 +198,7 @@ def expect_quicker(chain: Chain) -> bool:
     return least_interval(chain) <= SHORT
 
 
-def _ratios(courses: list[Course]) -> tuple[Estimate, Estimate, Array]:
+def _ratios(courses: list[SampledInterval]) -> tuple[Estimate, Estimate, Array]:
     """Return rate, excess and their covariance, as ratios of means, to first order in the errors of the means.
 
     The uncertainty about the checks after the last one counts in full, as it may be common to all randomisations.
@@ -218,7 +218,7 @@ def _ratios(courses: list[Course]) -> tuple[Estimate, Estimate, Array]:
     )
 
 
-def _intervals(courses: list[Course], rate: float) -> tuple[Intervals, Array]:
+def _intervals(courses: list[SampledInterval], rate: float) -> tuple[Intervals, Array]:
     """Return mean and standard errors of the survival that all courses have, with a decay that sums to 1/rate."""
     known = min(len(course.survival) for course in courses)
     each = np.array([course.survival[:known] for course in courses])

@@ -100,6 +100,7 @@ class OptimalPolicy(Displayed):
         kind: name in the catalogue.
         looked_at: a policy with the same nodes and another trigger, which supplies the properties of the loop.
         price: λ, the price of a send, in units of the cost times units of time.
+        instead: the policy kind that approximates this policy on nodes.
 
     Raises:
         ProblemError: the plant has data that only a simulation uses: limits of the input, or an initial state.
@@ -108,6 +109,7 @@ class OptimalPolicy(Displayed):
     kind: str
     looked_at: Policy
     price: float
+    instead: str
 
     def __post_init__(self) -> None:
         """Check the plant."""
@@ -124,7 +126,7 @@ class OptimalPolicy(Displayed):
 
     def refuse(self, given: Mapping[str, bool]) -> None:
         """Raise an error if an argument is given that this policy does not use."""
-        _refuse(self.kind, given, "near-optimal")
+        _refuse(self.kind, given, self.instead)
 
     @property
     def cost_all_time(self) -> float:

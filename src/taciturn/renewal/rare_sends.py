@@ -76,7 +76,7 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
     return Rarity(min(1.0, tail), max(forever - beyond, 0.0))
 
 
-def bound_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
+def bound_rare_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
     """Return an upper bound on the send rate of the rule "send the error e if e'Γe > threshold".
 
     The bound is P(e'Γe > threshold) for the error without sends.

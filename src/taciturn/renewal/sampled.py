@@ -22,9 +22,9 @@ from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import TimeStep
 from taciturn.program.ops import State
-from taciturn.renewal.events import CLOSING, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger, count_cycle, filled
+from taciturn.renewal.events import CLOSING, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger, count_cycle, filled_states
 
-LATE = 1 + 1e-12  # tolerance for limits that are a whole number of periods
+PERIOD_TOLERANCE = 1 + 1e-12  # tolerance for limits that are a whole number of periods
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,9 +74,11 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
     allowed = b.emit("mul", b.constant(trigger.c), allowed)
     ended = b.emit("greater", b.emit("add", spent, ahead(moved)), allowed)
     if trigger.h_min > 0:
-        ended = b.emit("and", ended, b.emit("not", b.emit("greater", b.constant(trigger.h_min / LATE), time)))
+        ended = b.emit(
+            "and", ended, b.emit("not", b.emit("greater", b.constant(trigger.h_min / PERIOD_TOLERANCE), time))
+        )
     if np.isfinite(trigger.h_max):
-        late = b.emit("greater", after, b.constant(trigger.h_max * LATE))
+        late = b.emit("greater", after, b.constant(trigger.h_max * PERIOD_TOLERANCE))
         ended = b.emit("not", b.emit("and", b.emit("not", ended), b.emit("not", late)))
     opened, sums, outputs = count_cycle(b, ended, time, spent, state[OPEN], state[CLOSING])
     following = [
@@ -90,7 +92,7 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
 
 def sampled_start(program: Program, paths: int, seed: int) -> Array:
     """Return the initial program states of simulated paths, just after a send."""
-    return filled(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
+    return filled_states(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
 
 
 def _noise(tick: TimeStep, noise: Array | JumpNoise) -> list[int]:

@@ -8,7 +8,6 @@ therefore a pure function: its result is the same if the step is repeated or exe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
 
 import numpy as np
 
@@ -21,9 +20,9 @@ from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.lower import is_bad
 from taciturn.program.python import compile_python
+from taciturn.runtime.node import Values
 
 BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
-Values: TypeAlias = tuple[float, ...]
 
 
 class StepFunction:

@@ -25,10 +25,10 @@ from taciturn.model.wire import (
     CODES,
     CRC_SIZE,
     EITHER,
+    FULL_SCALE,
     HEADER_FORMAT,
     HEADER_SIZE,
     KINDS,
-    LARGEST,
     LINKS,
     PERSON,
     PROOFS,
@@ -39,8 +39,8 @@ from taciturn.model.wire import (
 )
 from taciturn.runtime.keys import Keys
 
-Refusal: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
-REFUSALS: tuple[Refusal, ...] = ("malformed", "corrupted", "foreign", "forged")
+PacketDefect: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
+REFUSALS: tuple[PacketDefect, ...] = ("malformed", "corrupted", "foreign", "forged")
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
 _NONCE = struct.Struct("!Q")
@@ -175,7 +175,7 @@ class Wire:
         datagram += _CRC.pack(zlib.crc32(datagram))
         return datagram if self.keys is None else datagram + _tag(datagram, self.keys.of(packet.link)[0])
 
-    def _open(self, datagram: bytes) -> tuple[Packet, tuple[int, int], bytes] | Refusal:
+    def _open(self, datagram: bytes) -> tuple[Packet, tuple[int, int], bytes] | PacketDefect:
         """Return a packet without values, the encoding and number of entries of its payload, and the payload."""
         tag = 0 if self.keys is None else TAG_SIZE
         end = len(datagram) - CRC_SIZE - tag
@@ -215,13 +215,13 @@ class _Shape:
         self.entries, self.code = entries, _ENCODINGS.index(encoding.name)
         self._layout = struct.Struct(f"!{entries}{CODES[encoding.name]}")
         self.size = self._layout.size
-        self._steps = tuple(scale / LARGEST for scale in encoding.full_scale)
-        self._factors = tuple(LARGEST / scale for scale in encoding.full_scale)
+        self._steps = tuple(scale / FULL_SCALE for scale in encoding.full_scale)
+        self._factors = tuple(FULL_SCALE / scale for scale in encoding.full_scale)
 
     def write(self, values: Sequence[float]) -> bytes:
         if not self._steps:
             return self._layout.pack(*values)
-        steps = (round(max(-LARGEST, min(LARGEST, v * f))) for v, f in zip(values, self._factors, strict=True))
+        steps = (round(max(-FULL_SCALE, min(FULL_SCALE, v * f))) for v, f in zip(values, self._factors, strict=True))
         return self._layout.pack(*steps)
 
     def read(self, payload: bytes) -> tuple[float, ...]:

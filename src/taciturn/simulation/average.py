@@ -12,9 +12,9 @@ from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.parts import Estimator, Part, sends
 from taciturn.simulation.reliability import doubt_moments, doubt_tail, expect_arrivals, find_doubts
 from taciturn.simulation.sampling import (
-    BURN_IN,
-    PATHS,
-    SETTLE,
+    SETTLING_CONSTANTS,
+    SHORTEST_BURN_IN,
+    SIMULATED_PATHS,
     Averages,
     Sampling,
     last_of,
@@ -189,8 +189,8 @@ def _per_unit(loop: Loop, found: Averages) -> Averages:
 
 def least_work(loop: Loop) -> float:
     """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
-    least = max(BURN_IN, int(SETTLE * loop.policy.settling))
-    return TO_START + PER_STEP * LEAN * WINDOWS * least * PATHS
+    least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
+    return TO_START + PER_STEP * LEAN * WINDOWS * least * SIMULATED_PATHS
 
 
 class Averaging:

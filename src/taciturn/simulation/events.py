@@ -9,11 +9,11 @@ from taciturn.model.estimate import Estimate
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import check_effort
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
+from taciturn.simulation.sampling import USUAL_RELATIVE_ERROR, Averages
 
 FIRST = 200_000  # cycles
 RELATIVE_INTERVAL = 3e-4  # relative standard error of the mean interval
-MOST_CYCLES = 2_000_000_000
+MOST_SIMULATED_CYCLES = 2_000_000_000
 
 
 def average_events(
@@ -50,16 +50,16 @@ def average_events(
                 raise
             return _averages(policy, found, False)
         missing = _missing(policy, found, standard_error) if steps is None else steps / found.ticks
-        if missing <= 1 or cycles >= MOST_CYCLES:
+        if missing <= 1 or cycles >= MOST_SIMULATED_CYCLES:
             return _averages(policy, found, steps is not None or missing <= 1)
         told.at = max(told.at, 1 / missing)
-        cycles = int(min(cycles * min(1.1 * missing, 64.0), MOST_CYCLES))
+        cycles = int(min(cycles * min(1.1 * missing, 64.0), MOST_SIMULATED_CYCLES))
 
 
 def _missing(policy: EventPolicy, found: CycleEstimate, standard_error: float | None) -> float:
     """Return the factor by which the number of cycles must grow."""
     cost = policy.cost_all_time + found.cost.value
-    wanted = RELATIVE_ERROR * abs(cost) if standard_error is None else standard_error
+    wanted = USUAL_RELATIVE_ERROR * abs(cost) if standard_error is None else standard_error
     uneven = found.interval.standard_error / found.interval.value
     return max(found.cost.standard_error / wanted, uneven / RELATIVE_INTERVAL) ** 2
 

@@ -69,7 +69,7 @@ class Part(Displayed):
     @property
     def settling(self) -> float:
         """Slowest time constant of the loop, in steps."""
-        return self.loop.policy.settling
+        return self.loop.policy.theory.settling
 
     @property
     def distance(self) -> float:
@@ -90,7 +90,7 @@ class Part(Displayed):
         """Raise an error if one path has diverged, as is possible for an unstable plant with limited inputs."""
         size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
         largest, typical = float(size[-1]), float(size[len(size) // 2])
-        all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
+        all_time = (self.loop.policy.theory.cost_all_time or 0.0) * self.loop.policy.tick
         if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
             raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
 

@@ -24,16 +24,16 @@ from taciturn.simulation.parts import Part
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
-PATHS = 4096
-RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
+SIMULATED_PATHS = 4096
+USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
 FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
 FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
 FEWEST_MISSIONS = 8
-BURN_IN = 512  # least number of steps of the burn-in
-SETTLE = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
+SHORTEST_BURN_IN = 512  # least number of steps of the burn-in
+SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
 KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
 SILENT = 1e-3  # largest share of paths without a late send in the burn-in
-BUDGET = 4_000_000_000  # steps of all paths together
+MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
 DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
 HUGE = 1e150  # a limit whose square is still finite
 CHUNK = 1 << 24  # steps between two reports of progress
@@ -121,10 +121,16 @@ class Sampling:
 
         The iteration ends at the given absolute standard error or number of steps.
         """
-        budget, width = steps or BUDGET, len(self.parts)
-        least = max(BURN_IN, int(max((SETTLE + part.distance) * part.settling for part in self.parts)))
+        budget, width = steps or MOST_OPERATIONS, len(self.parts)
+        least = max(
+            SHORTEST_BURN_IN, int(max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts))
+        )
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
-        most = PATHS if steps else min(PATHS, max(FEW_PATHS, PATHS * SMALL // max(operations, 1) // 8 * 8))
+        most = (
+            SIMULATED_PATHS
+            if steps
+            else min(SIMULATED_PATHS, max(FEW_PATHS, SIMULATED_PATHS * SMALL // max(operations, 1) // 8 * 8))
+        )
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
         states = [part.loop.start(part.estimator.program, paths, self.seed) for part in self.parts]
         states, dropped, forgotten = self._burn_in(states, min(least, budget // paths // width // 2), budget)
@@ -163,20 +169,20 @@ class Sampling:
                 dropped += measured
                 kept = []
                 missing = measured
-            window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
+            window = min(max(measured, int(pace)), max(missing, int(pace) - measured, SHORTEST_BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
         """Yield estimates of finite-horizon cost and rates after each batch of simulated runs.
 
         The iteration ends at the given absolute standard error or number of steps.
         """
-        budget, width = steps or BUDGET, len(self.parts)
+        budget, width = steps or MOST_OPERATIONS, len(self.parts)
         if FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
                 f"the horizon is {horizon}, so {budget} steps contain fewer than {FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
-        paths, discount = min(PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
+        paths, discount = min(SIMULATED_PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
         share = 1 / horizon if discount == 1 else 1 - discount  # weight of a step in a rate
         costs, first, rates = Moments(), Moments(), dict[str, Moments]()
         while True:
@@ -213,7 +219,7 @@ class Sampling:
     def _target(self, standard_error: float | None, first: float) -> float:
         """Return the requested standard error, or the default relative to the cost of the first part."""
         estimator = self.parts[0].estimator
-        default = RELATIVE_ERROR * abs(estimator.scale * first + estimator.offset)
+        default = USUAL_RELATIVE_ERROR * abs(estimator.scale * first + estimator.offset)
         return default if standard_error is None else standard_error
 
     def _whole(self, ticks: int) -> int:

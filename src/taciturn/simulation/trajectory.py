@@ -12,7 +12,8 @@ import numpy.typing as npt
 from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, Size, Style, draw
 from taciturn._text import pairs_text, table_text, wrapped_text
-from taciturn.loop import SENT, Loop
+from taciturn.design.bare import own_problem
+from taciturn.loop import SENT, Loop, close
 from taciturn.model.policy import Policy, Send
 from taciturn.model.table import FIRST, LAST, Column, Columns, Tabular
 from taciturn.program.engine import prepare
@@ -143,11 +144,11 @@ class Trajectory(Tabular):
         return columns
 
 
-def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
+def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     """Simulate one path of a loop from its initial distribution, and record all signals.
 
     Args:
-        loop: the closed loop.
+        loop: the closed loop, or a policy, which is closed with the plant, cost and network that it was designed for.
         ticks: number of steps, at least 1, and not beyond the end of a finite-horizon run.
         seed: seed of the random draws.
 
@@ -164,6 +165,9 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
         >>> simulate(close(plant, design.lqg(plant, cost, theta=0.5), cost=cost), 50).state.shape
         (50, 1)
     """
+    if isinstance(loop, Policy):
+        plant, cost, network = own_problem(loop)
+        loop = close(plant, loop, network, cost)
     instance("loop", loop, Loop)
     ticks = loop.ticks(ticks)
     count("seed", seed, 0)

@@ -5,7 +5,8 @@ error, and returns frozen data with a JSON document, tables and figures.
 
 Read the modules in this order:
 
-1. ``evaluate`` with ``measure`` (choice of the method), ``lower`` (lower bounds) and ``lines`` (printed text).
+1. ``evaluation`` (a result and its text) and ``evaluate`` with ``measure`` (choice of the method) and ``lower`` (lower
+   bounds).
 2. ``fair`` and ``clock``: exact cost of periodic control with the same measurements, actuator and rate.
 3. ``tuning``: parameters and periods that meet a budget. ``sweeping``: grids of problems.
 4. ``tradeoff`` and ``compare``, which use both. ``record``: results as text, restored bit by bit.

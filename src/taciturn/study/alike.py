@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -11,17 +10,20 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import instance
-from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.errors import ProblemError
 from taciturn.model.policy import LinkName
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 
 
-def check_comparable(problems: Mapping[str, Problem], link: LinkName | None) -> None:
-    """Reject problems that cannot be compared."""
-    instance("problems", problems, Mapping)
-    for name, problem in problems.items():
-        expect_problem(f"problems[{name!r}]", problem)
+def comparable(given: Mapping[str, Studied], link: LinkName | None) -> dict[str, Problem]:
+    """Return the problems to compare by name.
+
+    Raises:
+        ProblemError: if they cannot be compared.
+    """
+    instance("problems", given, Mapping)
+    problems = {name: as_problem(f"problems[{name!r}]", problem) for name, problem in given.items()}
     if len(problems) < 2:
         raise ProblemError(f"the number of policies is {len(problems)}; expected at least two policies to compare")
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
@@ -29,21 +31,22 @@ def check_comparable(problems: Mapping[str, Problem], link: LinkName | None) -> 
             if not _same(getattr(first, what), getattr(second, what)):
                 where = "[plant.actual]" if what == "actual" else f"[{what}]"
                 raise ProblemError(f"{one} and {other} differ in {where}; expected the same {where} in all problems")
-        if first.kind == second.kind and _same(_fixed(first, link), _fixed(second, link)):
+        if first.record is second.record and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
                 f"{one} and {other} are the same policy, {first.kind}, at the same rate; expected policies that differ "
                 "in more than the tuned parameter"
             )
+    return problems
 
 
 def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
     """Return the parameters that are not tuned, with their defaults if they are not given."""
     defaults = {
         key: parameter.default
-        for key, parameter in inspect.signature(CATALOGUE[problem.kind]).parameters.items()
+        for key, parameter in problem.record.arguments.items()
         if parameter.default is not parameter.empty
     }
-    tuned = {tuning.name for tuning in TRADEOFF_PARAMETERS[problem.kind] if link is None or tuning.link in (None, link)}
+    tuned = {tuning.name for tuning in problem.record.tuning if link is None or tuning.link in (None, link)}
     return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
 
 

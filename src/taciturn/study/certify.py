@@ -22,7 +22,7 @@ from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.table import Columns, Tabular, columns_of
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.study.lines import proved
 from taciturn.study.printed import certificates_text
 from taciturn.study.units import TimeUnit, time_unit
@@ -119,7 +119,7 @@ class Certificates(Tabular):
         return result | ({"notes": list(self.notes)} if self.notes else {})
 
 
-def certify(problem: Problem) -> Certificates:
+def certify(problem: Studied) -> Certificates:
     """Certify decay, gain and cost of a problem's loop by quadratic Lyapunov functions.
 
     Every number follows from matrix inequalities whose solution was verified, with a bound on rounding errors, before
@@ -144,7 +144,7 @@ def certify(problem: Problem) -> Certificates:
         (0.97, 0.8)
     """
     began = time.perf_counter()
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     policy = problem.design()
     loop = problem.close(policy)
     matrices = switched(loop)

@@ -25,7 +25,7 @@ SENDS = 4  # of a cycle, at most
 BELOW, ABOVE = 1, 2  # steps by which its intervals may be off the mean one
 REACH = 8  # steps by which intervals are tried that are longer than what is asked
 MOST_INTERVALS, MOST_MEANS = 64, 12  # lengths that are tried of cycles of one interval, and of several
-MOST_CYCLES = 2000
+MOST_MIXED_CYCLES = 2000
 LONGEST = 2000  # steps of an interval that is looked for
 CURVE_POINTS = 40
 SAME = 1e-9  # relative
@@ -168,7 +168,7 @@ class Ticked(Clock):
         tick: float,
         solve: Callable[[Cycle], float],
         screen: Callable[[Sequence[Cycle]], Array] | None = None,
-        most: int = MOST_CYCLES,
+        most: int = MOST_MIXED_CYCLES,
     ) -> None:
         """Compute nothing yet."""
         self.words, self._tick, self._solve, self._most = words, tick, solve, most

@@ -13,7 +13,6 @@ from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
-from taciturn.design.catalogue import TRADEOFF_PARAMETERS
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -21,9 +20,10 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName, Policy
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
+from taciturn.problem.bare import Studied
 from taciturn.simulation.average import check_effort, difference
-from taciturn.study.alike import check_comparable
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.alike import comparable
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
 from taciturn.study.tuning.tune import Tuned, tune
@@ -196,7 +196,7 @@ class Comparison(Tabular):
 
 
 def compare(
-    problems: Mapping[str, Problem],
+    problems: Mapping[str, Studied],
     rate: float,
     *,
     link: LinkName | None = None,
@@ -239,7 +239,7 @@ def compare(
     """
     check_effort(seed, standard_error, None)
     rate = number("rate", rate, 0.0)
-    check_comparable(problems, link)
+    problems = comparable(problems, link)
     bar = in_notebook(progress)
     found: list[Contestant] = []
     for index, (name, choices) in enumerate(_measuring_alike(problems).items()):
@@ -281,7 +281,7 @@ def _measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]
     periods = [period for period in given if isinstance(period, int | float)]
     found = {name: [problem] for name, problem in problems.items()}
     for name, problem in problems.items():
-        plant, tunings = problem.plant, [tuning for tuning in TRADEOFF_PARAMETERS[problem.kind] if tuning.cycles]
+        plant, tunings = problem.plant, [tuning for tuning in problem.record.tuning if tuning.cycles]
         seen_in_part = isinstance(plant, ContinuousPlant) and not plant.full_state
         if tunings and seen_in_part and periods and tunings[0].name not in problem.parameters:
             found[name].append(problem.changed({"period": min(periods), tunings[0].name: 1}))

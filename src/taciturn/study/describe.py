@@ -11,13 +11,14 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
 from taciturn._text import Lines, per_unit
-from taciturn.design.catalogue import AnyPolicy
+from taciturn.design.kind import AnyPolicy
 from taciturn.model.diagram import Diagram
-from taciturn.model.display import cost_rows, cost_text, matrix_lines, network_text, plant_rows, vector_text
+from taciturn.model.display import matrix_lines, vector_text
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.layout import steps_of_a_fault
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.units import cost_unit, time_unit
@@ -108,7 +109,7 @@ class Description(Displayed):
         lines += self._guarantee_lines()
         for name, trigger in self._decisions.items():
             lines += _decision_lines(name, trigger.options)
-        lines.append(("network", network_text(problem.network)))
+        lines.append(("network", problem.network.short()))
         if self.diagram is not None:
             for link in self.diagram.links:
                 told = ", acknowledged" if link.acknowledged else ""
@@ -119,7 +120,7 @@ class Description(Displayed):
     def _fault_lines(self) -> Lines:
         """Return how long a fault has an effect, if it is not until the end of a run."""
         policy = self.policy
-        if not isinstance(policy, Policy) or policy.settling == 0:
+        if not isinstance(policy, Policy) or policy.theory.settling == 0:
             return []
         steps, per = steps_of_a_fault(policy), policy.model.dt
         lasting = f"{steps} steps" if per is None else f"{steps} steps ({per * steps:.3g} s)"
@@ -159,7 +160,7 @@ class Description(Displayed):
         return lines
 
 
-def describe(problem: Problem) -> Description:
+def describe(problem: Studied) -> Description:
     """Design a problem's policy and describe it, without a simulation.
 
     Args:
@@ -177,7 +178,7 @@ def describe(problem: Problem) -> Description:
         >>> describe(load("two-mass")).gains["L"].shape
         (1, 4)
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         return Description(problem, policy, None, ())
@@ -224,7 +225,7 @@ def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]
 
 
 def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
-    rows = plant_rows(plant)
+    rows = plant.summary()
     lines: Lines = [("plant", f"{rows['size']}; {rows['time']}"), ("poles", str(rows["poles"]))]
     for name, lost, verb in zip(("controllable", "observable"), _lost(plant), ("moves", "shows"), strict=True):
         what = "input" if verb == "moves" else "measurement"
@@ -238,8 +239,8 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
 
 
 def _cost_lines(problem: Problem) -> Lines:
-    lines: Lines = [("cost", f"{cost_text(problem.cost)} per {time_unit(problem)}")]
-    for name, value in cost_rows(problem.cost).items():
+    lines: Lines = [("cost", f"{problem.cost.short()} per {time_unit(problem)}")]
+    for name, value in problem.cost.summary().items():
         if isinstance(value, np.ndarray):
             lines += matrix_lines("cost, terminal" if name == "terminal" else f"cost {name}", value)
     return lines

@@ -3,187 +3,38 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar, Literal, get_args
+from dataclasses import replace
+from typing import Literal, get_args
 
 from taciturn._arrays import number
 from taciturn._progress import OutOfTime, Progress, Stages, in_notebook, limited
-from taciturn.analyse.limits import LowerBound, resets
+from taciturn.analyse.limits import resets
 from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
-from taciturn.model.schedule import Schedule
-from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.clock import ClockMix
 from taciturn.study.effects import forgotten_start, without_effect
+from taciturn.study.evaluation import Consistency, Evaluation
 from taciturn.study.fair import periodic_at
-from taciturn.study.lines import evaluation_records, evaluation_text
 from taciturn.study.lower import bounded, contradicted, expect_bound
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
-from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
+from taciturn.study.units import cost_unit, rate_unit
 
-Consistency = Literal["guaranteed", "verified", "not verified"]
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
 SURE = 4.0  # standard errors
 
 
-@dataclass(frozen=True, repr=False)
-class Evaluation(Tabular):
-    """Cost, rates and bounds of a policy.
-
-    Args:
-        policy: kind of the policy.
-        unit: unit of time or run that the cost refers to: ``"step"`` or ``"second"``, or ``"mission"`` for a finite
-            horizon or a discount.
-        base_rate: rate of sending at every step, or None if sends may occur at any time.
-        cost: cost per step or per second, or the total of a finite-horizon run.
-        cost_all_time: exact cost of sending at every step, or None if the simulated plant is not the one of the design.
-        statement: the theorem that proves the bounds, or None.
-        cost_bound: proven upper bound on the cost, or None.
-        cost_bound_at_rate: the sharper upper bound at the measured rate, or None.
-        rates: sends per step or per second, by scheduled link; in a finite-horizon run, the mean fraction of the steps
-            with a send (with a discount, sends are weighted like the costs).
-        seed: seed of the random draws.
-        seconds: wall time.
-        steps: number of simulated steps; 0 if nothing was simulated.
-        reached: whether the requested standard error was reached.
-        schedule: schedule of the sensor queries, computed offline, or None.
-        clock: fair periodic control at the measured rate, that is, time-triggered control with the measurements and the
-            actuation of the policy; None if there is no such control or if it is unstable.
-        mean_interval: mean seconds between sends, for policies that send on the error of a prediction.
-        lower_bound: lower bound on the cost of any scheduling of this controller at the measured rate, if requested.
-        rate_bounds: certified bounds on the rate, if a lower bound was requested and the send decision depends only on
-            the error that a send resets; else None.
-        consistency: whether the policy costs no more than fair periodic control: ``"guaranteed"`` by its theorem,
-            ``"verified"`` by these numbers and their errors (4 standard errors), or ``"not verified"``; None if the
-            question does not apply.
-        notes: warnings and remarks for the reader.
-        linearisation: cost of the linearised plant if the plant of the design is nonlinear, else None.
-        estimator: quantity that a simulation averaged (see ``Averages``).
-        settled: whether the initial transient of a simulated loop has decayed.
-        method: method that gave cost and rates: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or
-            ``"simulation"``.
-        reason: why this method was chosen.
-        no_clock: reason why ``clock`` is None.
-        trusted: whether the variance of a simulated cost is finite, as far as is known; if not, a note gives the
-            reason.
-        bound_error: standard error of ``cost_bound_at_rate`` that is due to the standard error of the measured rate.
-    """
-
-    heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
-
-    policy: str
-    unit: Unit
-    base_rate: float | None
-    cost: Estimate
-    cost_all_time: float | None
-    statement: str | None
-    cost_bound: float | None
-    cost_bound_at_rate: float | None
-    rates: Mapping[str, Estimate]
-    seed: int
-    seconds: float
-    steps: int
-    reached: bool
-    schedule: Schedule | None
-    clock: ClockMix | None
-    mean_interval: Estimate | None
-    lower_bound: LowerBound | None
-    rate_bounds: tuple[float, float] | None
-    consistency: Consistency | None
-    notes: tuple[str, ...]
-    linearisation: Linearisation | None = None
-    estimator: str = ""
-    settled: bool = True
-    method: str = "simulation"
-    reason: str = "no other method applies"
-    no_clock: str = ""
-    trusted: bool = True
-    bound_error: float = 0.0
-
-    @property
-    def rate_unit(self) -> TimeUnit:
-        """Unit of time of the rates."""
-        return rate_unit(self.unit)
-
-    @property
-    def drawn(self) -> bool:
-        """True if any number in the result depends on the seed."""
-        return self.method in ("simulation", CONDITIONAL) or self.lower_bound is not None
-
-    @property
-    def cost_periodic_same_rate(self) -> float | None:
-        """Exact cost of fair periodic control at the measured rate, or None if there is none."""
-        return None if self.clock is None else self.clock.cost
-
-    def summary(self) -> Mapping[str, object]:
-        """Return policy, cost, rates and bounds by name."""
-        names = ("policy", "cost", "rates", "unit", "cost_all_time", "cost_periodic_same_rate", "cost_bound", "method")
-        return {name: getattr(self, name) for name in names}
-
-    def short(self) -> str:
-        """Return the cost as short text."""
-        return f"cost {self.cost}"
-
-    def columns(self) -> Columns:
-        """Return one row each for this policy, periodic control at its rate, sending every sample, and the bounds."""
-        return columns_of([*evaluation_records(self)])
-
-    def __str__(self) -> str:
-        """Return the text that ``taciturn evaluate`` prints."""
-        return evaluation_text(self)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn evaluate --json``."""
-        result: dict[str, Any] = {
-            "policy": self.policy,
-            "unit": self.unit,
-            "rate_unit": self.rate_unit,
-            "base_rate": self.base_rate,
-            "cost": _estimate(self.cost),
-            "cost_all_time": self.cost_all_time,
-            "cost_bound": self.cost_bound,
-            "cost_bound_at_rate": self.cost_bound_at_rate,
-            "cost_bound_at_rate_standard_error": self.bound_error,
-            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
-            "seed": self.seed,
-            "seconds": round(self.seconds, 4),
-            "steps": self.steps,
-            "reached": self.reached,
-            "method": self.method,
-            "method_reason": self.reason,
-        }
-        if self.lower_bound is not None:
-            result["cost_lower_bound"] = self.lower_bound.cost
-            result["cost_lower_bound_confidence"] = self.lower_bound.confidence
-        if self.rate_bounds is not None:
-            result["rate_bounds"] = list(self.rate_bounds)
-        if self.consistency is not None:
-            result["consistency"] = self.consistency
-        result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
-        result["clock"] = None if self.clock is None else self.clock.document()
-        if self.no_clock:
-            result["clock_reason"] = self.no_clock
-        if self.mean_interval is not None:
-            result["mean_interval"] = _estimate(self.mean_interval)
-        if self.linearisation is not None:
-            result["linearisation"] = asdict(self.linearisation)
-        if self.schedule is not None:
-            result["schedule"] = self.schedule.document()
-        return result | ({"notes": list(self.notes)} if self.notes else {})
-
-
 def evaluate(
-    problem: Problem,
+    problem: Studied,
     *,
     seed: int = 0,
     standard_error: float | None = None,
@@ -234,7 +85,7 @@ def evaluate(
         >>> evaluate(load("two-mass"), steps=100_000).policy
         'excess'
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in METHODS:
         raise ProblemError(f"method is {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or {METHODS[-1]!r}")
@@ -372,7 +223,7 @@ def _linearisation(policy: Policy) -> Linearisation:
 
 def _predicts(policy: Policy) -> bool:
     """Return whether both nodes predict in continuous time and events decide when the prediction is corrected."""
-    return policy.prediction is not None and policy.closed_form is None
+    return policy.prediction is not None and policy.theory.closed_form is None
 
 
 def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consistency:
@@ -388,7 +239,3 @@ def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consis
 def _interval(rate: Estimate, tick: float) -> Estimate | None:
     """Return the mean seconds between sends, or None if nothing is sent."""
     return rate.inverse(tick) if rate.value > 0 else None
-
-
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})

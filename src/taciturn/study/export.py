@@ -16,7 +16,7 @@ from taciturn.export.folder import CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.loop import Loop
 from taciturn.model.policy import NodeName
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
 
@@ -25,7 +25,7 @@ WORSE = 0.01  # largest relative increase of the cost by single precision
 
 
 def export_c(
-    problem: Problem,
+    problem: Studied,
     folder: str | Path,
     *,
     name: str = "policy",
@@ -68,7 +68,7 @@ def export_c(
 
 
 def export_fmu(
-    problem: Problem,
+    problem: Studied,
     path: str | Path,
     *,
     name: str = "policy",
@@ -113,8 +113,8 @@ def export_fmu(
     return found
 
 
-def _prepared(problem: Problem, precision: Precision, seed: int, progress: Progress | None) -> Loop:
-    expect_problem("problem", problem)
+def _prepared(problem: Studied, precision: Precision, seed: int, progress: Progress | None) -> Loop:
+    problem = as_problem("problem", problem)
     choice("precision", precision, ("float64", "float32"))
     count("seed", seed, 0)
     loop = problem.close(problem.design())

@@ -7,9 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.design.catalogue import AnyPolicy
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
-from taciturn.design.periodic import all_time, periodic, predicted_cost
+from taciturn.design.clocked import predicted_cost
+from taciturn.design.kind import AnyPolicy
+from taciturn.design.kinds.all_time import all_time
+from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
 from taciturn.lqg._cache import kept
 from taciturn.lqg.discrete import discretise
@@ -20,7 +22,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import ENDS, Assign, Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.clock import MOST_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
+from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
 
 ALIKE = 1e-6  # relative
 NEAR, SMALL = 8, 10  # real periods that are tried next to the one at a rate, of plants with so many states at most
@@ -141,7 +143,7 @@ def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
         nominal = problem.close(policy).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None
-    return policy.closed_form.cost if nominal and policy.closed_form is not None else None
+    return policy.theory.closed_form.cost if nominal and policy.theory.closed_form is not None else None
 
 
 def _spaced(problem: Problem, seconds: float, tick: float, actuation: Actuation) -> float | None:
@@ -170,7 +172,7 @@ def _holding(
         tick,
         lambda cycle: (known + held.solve(cycle).cost) / tick,
         lambda listed: (known + held.screen(listed)) / tick,
-        min(MOST_CYCLES, int(WORK / (len(A) + SENDS * len(R)) ** 3)),
+        min(MOST_MIXED_CYCLES, int(WORK / (len(A) + SENDS * len(R)) ** 3)),
     )
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from statistics import NormalDist
 
 from taciturn._progress import Progress
 from taciturn._text import magnitude
-from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
+from taciturn.analyse.limits import LEVEL, LowerBound, bound_below, resets
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -27,7 +26,7 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
         expect_bound(problem)
     except ProblemError:
         return None
-    return USUAL
+    return LEVEL
 
 
 def expect_bound(problem: Problem) -> None:
@@ -53,6 +52,8 @@ def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: 
     """
     if rate.value == 0:
         raise ProblemError("nothing is sent")
+    from statistics import NormalDist  # which most evaluations do not need
+
     lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
     margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
     return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))

@@ -21,7 +21,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import Averaging, least_work
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
+from taciturn.simulation.sampling import USUAL_RELATIVE_ERROR, Averages
 
 FINEST, COARSEST = 1e-8, 1e-3  # finest and coarsest relative accuracy requested of a quadrature
 ROUNDED = 1e-15  # relative accuracy that double precision can represent
@@ -95,8 +95,8 @@ def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured
         OutOfTime: the time limit passed before any answer was available.
     """
     policy, method = loop.policy, request.method
-    if method in ("auto", "exact") and loop.nominal and policy.closed_form is not None:
-        form = policy.closed_form
+    if method in ("auto", "exact") and loop.nominal and policy.theory.closed_form is not None:
+        form = policy.theory.closed_form
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
         return Measured(averages, "exact", "a closed form, which needs no computing time", policy.notes)
@@ -210,7 +210,7 @@ def candidates_of(
 
 
 def _quadrature(loop: Loop, request: Request) -> Candidate:
-    identity, link = loop.policy.identity, loop.policy.scheduled
+    identity, link = loop.policy.theory.identity, loop.policy.scheduled
     if request.method != "exact":
         expect_affordable(loop)
     quadrature = RenewalQuadrature(loop)
@@ -236,7 +236,7 @@ def _quadrature(loop: Loop, request: Request) -> Candidate:
 
 def _conditional(loop: Loop, request: Request, progress: Progress | None) -> Candidate:
     sampling = ConditionalSampling(loop, request.seed, progress)
-    identity, link = loop.policy.identity, loop.policy.scheduled
+    identity, link = loop.policy.theory.identity, loop.policy.scheduled
     assert identity is not None
 
     asked = _asked(loop, request.standard_error)
@@ -276,14 +276,14 @@ def _run(candidate: Candidate, request: Request, progress: Progress | None, alon
 
 def _asked(loop: Loop, standard_error: float | None) -> float:
     """Return the requested error before the cost is known; it is at most the result of ``_wanted`` for the cost."""
-    identity = loop.policy.identity
+    identity = loop.policy.theory.identity
     constant = loop.policy.cost_all_time if identity is None else identity.constant
     return _wanted(Estimate(constant, 0.0, "exact"), standard_error)
 
 
 def _wanted(cost: Estimate, standard_error: float | None) -> float:
     """Return the requested error of a cost."""
-    return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
+    return USUAL_RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
 
 def _off(found: Averages) -> float:
@@ -301,7 +301,7 @@ def _seconds(work: float) -> str:
 def _clocked(loop: Loop, found: Averages) -> Averages:
     """Return simulated averages in which known rates replace the estimates."""
     policy = loop.policy
-    known: dict[str, float] = {**policy.fixed_rates}
-    if loop.nominal and policy.closed_form is not None:
-        known |= policy.closed_form.rates
+    known: dict[str, float] = {**policy.theory.fixed_rates}
+    if loop.nominal and policy.theory.closed_form is not None:
+        known |= policy.theory.closed_form.rates
     return replace(found, rates={**found.rates, **{link: Estimate(rate, 0.0, "exact") for link, rate in known.items()}})

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.study.lines import bound_at_rate, bound_text, least_cost, percent_above, periodic_cost, rounded
+from taciturn.study.evaluation import bound_at_rate, least_cost, periodic_cost
+from taciturn.study.lines import bound_text, percent_above, rounded
 
 if TYPE_CHECKING:
     import xarray

@@ -21,7 +21,7 @@ from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
 from taciturn.study.clock import ClockMix, ClockPoint
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 
 KIND = "kind of data"  # key for the class of the data in a mapping
 RECORDED = {
@@ -51,7 +51,8 @@ def digest(text: str) -> str:
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
     stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
-    return digest(encode([stated, problem.kind, problem.parameters]))
+    own = [] if problem.own is None else [problem.own.identity]
+    return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 
 def origin(

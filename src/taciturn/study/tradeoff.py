@@ -17,12 +17,13 @@ from taciturn._text import per_unit
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.clock import ClockKind, ClockPoint
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation, bound_at_rate, least_cost, periodic_cost
 from taciturn.study.fair import clock_of
-from taciturn.study.lines import bound_at_rate, least_cost, periodic_cost, proved
+from taciturn.study.lines import proved
 from taciturn.study.printed import tradeoff_text
 from taciturn.study.sweeping.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.sweeping.store import Store
@@ -209,7 +210,7 @@ class Tradeoff(Tabular):
 
 
 def tradeoff(
-    problem: Problem,
+    problem: Studied,
     over: Mapping[str, Sequence[object]],
     *,
     seed: int = 0,
@@ -238,7 +239,7 @@ def tradeoff(
     Raises:
         ProblemError: no values are given, a key is unknown, or the data are inconsistent.
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     check_effort(seed, standard_error, None)
     grid = grid_of(check_grid(over))
     problems = [problem.changed(cell) for cell in grid]

@@ -10,13 +10,14 @@ from math import gcd, lcm
 from taciturn._arrays import Array, count, instance
 from taciturn._display import Displayed
 from taciturn.analyse.limits import resets
-from taciturn.design.near_optimal import modelled
+from taciturn.design.modelled import modelled
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import close
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.trigger import Form
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import as_problem
 from taciturn.renewal.allocation import Clocked
 from taciturn.study.units import time_unit
 
@@ -76,8 +77,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
             "one number for all"
         )
     copies = [count("copies", number) for number in copies] * (1 if len(copies) > 1 else len(problems))
-    for name, problem in problems.items():
-        expect_problem(f"problems[{name!r}]", problem)
+    problems = {name: as_problem(f"problems[{name!r}]", problem) for name, problem in problems.items()}
     units = {name: time_unit(problem) for name, problem in problems.items()}
     for name, unit in units.items():
         first = next(iter(units))

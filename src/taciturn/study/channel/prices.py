@@ -15,7 +15,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import stationary
 from taciturn._progress import Progress
-from taciturn.analyse.limits import USUAL
+from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form, GaussianTerm
@@ -23,11 +23,11 @@ from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.rare_sends import bound_rare_sends
 from taciturn.simulation.statistics import rate_of
 from taciturn.study.channel.loop_classes import Kind
-from taciturn.study.channel.simulated import ERROR, Group, measure_freely
+from taciturn.study.channel.simulated import RULE_ERROR, Group, measure_freely
 from taciturn.study.sweeping.workers import answer_all, idle
 
 if TYPE_CHECKING:
-    from taciturn.renewal.dual import Sampled
+    from taciturn.renewal.dual import SampledDual
     from taciturn.renewal.fitted import Fitted
 
 PER_OCTAVE = 2  # prices of the table per octave
@@ -80,7 +80,7 @@ class Settled(Displayed):
     """
 
     schedule: Schedule
-    least: float | Sampled | None
+    least: float | SampledDual | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -202,7 +202,7 @@ class Curves:
         crossing = _scipy.crossing(lambda k: self.load(2.0 ** (k / PER_OCTAVE)) - capacity, low, high)
         return float(2.0 ** (crossing / PER_OCTAVE))
 
-    def bound(self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = USUAL) -> DualBound:
+    def bound(self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = LEVEL) -> DualBound:
         """Return a lower bound on the cost of any scheduler of these loops at a capacity, even with full information.
 
         It is the dual function at a price λ per send. Let g_i be the least mean of e'Γe + λσ over the checks of a loop
@@ -220,7 +220,7 @@ class Curves:
 
         Source: everett1963, brown2010
         """
-        from taciturn.renewal.dual import Sampled, bound_sum
+        from taciturn.renewal.dual import SampledDual, bound_sum
 
         base = sum(kind.count * kind.cost_all_time for kind in self.kinds)
         if not price:
@@ -229,7 +229,7 @@ class Curves:
         first = [settled[int(np.argmax(self._which == place))].least for place in range(len(looks))]
         assert None not in first, "no bounds were requested"
         known = sum(look * least for look, least in zip(looks, first, strict=True) if isinstance(least, float))
-        terms = [(look, least) for look, least in zip(looks, first, strict=True) if isinstance(least, Sampled)]
+        terms = [(look, least) for look, least in zip(looks, first, strict=True) if isinstance(least, SampledDual)]
         gains = float(known + bound_sum(terms, confidence))
         return DualBound(max(base + gains - price * capacity, base), confidence if terms else None)
 
@@ -309,7 +309,7 @@ def _schedule(kind: Kind, price: float, fitted: Fitted | None, seed: int) -> Sch
         if bound_rare_sends(kind.F, kind.noise, kind.Gamma, price).rate < RAREST:
             return Schedule(price, _saving(kind, np.inf, price), Estimate(0.0, 0.0, "bound"))
         return _threshold(kind, price, seed)
-    urgency = Form((ERROR,), kind.Gamma, -fitted.gain, bell=GaussianTerm(-fitted.height, fitted.Pi))
+    urgency = Form((RULE_ERROR,), kind.Gamma, -fitted.gain, bell=GaussianTerm(-fitted.height, fitted.Pi))
     rate, excess = measure_alone(kind, urgency, 1 / fitted.interval, seed)
     gain, found = excess + price * rate.value, Schedule(price, urgency, rate)
     if abs(gain - fitted.gain) <= OFF * fitted.gain:
@@ -358,7 +358,7 @@ def _saving(kind: Kind, interval: float, price: float) -> Form:
         S = stationary(F.T, S)
     for _ in range(0 if np.isinf(interval) else int(interval) - 1):
         S = F.T @ S @ F + kind.Gamma
-    return Form((ERROR,), symmetrised(S), -price)
+    return Form((RULE_ERROR,), symmetrised(S), -price)
 
 
 def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[Estimate, float]:
@@ -373,7 +373,7 @@ def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[E
         looks = min(4 * looks, LONGEST)
 
 
-def _least_gain(job: Job, fitted: Fitted | None) -> float | Sampled:
+def _least_gain(job: Job, fitted: Fitted | None) -> float | SampledDual:
     """Return a lower bound on the least mean cost of a check at a price."""
     from taciturn.renewal.dual import sample_dual
     from taciturn.renewal.fitted import fit_schedule

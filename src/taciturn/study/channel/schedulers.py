@@ -21,14 +21,14 @@ from taciturn.simulation.statistics import mean
 from taciturn.study.channel.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
 from taciturn.study.channel.loop_classes import Kind
 from taciturn.study.channel.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
-from taciturn.study.channel.simulated import ERROR, Group, SharedChannel, Stretch
+from taciturn.study.channel.simulated import RULE_ERROR, Group, SharedChannel, Stretch
 from taciturn.study.sweeping.workers import idle
 
 PATHS = 16_384  # loops that are simulated side by side; if the channel has fewer, several channels are simulated
 CHANNELS = 32  # largest number of channels
 BURN_IN = 20  # length of the burn-in and of a stretch, in mean intervals between sends
 SETTLE = 12  # length of the burn-in for errors that decay without a send, in time constants
-SHORTEST = 64  # least steps of a stretch
+SHORTEST_STRETCH = 64  # least steps of a stretch
 STRETCHES = 32  # least number of stretches, over all channels
 BUDGET = 20_000_000_000  # checks of all loops together
 RELATIVE_ERROR = 1e-3  # default standard error, relative to the cost
@@ -101,7 +101,7 @@ class Game:
         """Return the urgency of each kind of loops at a common price per send, and the load if no loop has to wait."""
         if not price:  # every loop that gains anything from a send requests it
             load = sum(kind.looks for kind in self.kinds if kind.clocked.forever)
-            return [Form((ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
+            return [Form((RULE_ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
         settled = self.settled if price == self.price else self.curves.settle(price)
         found = [one.schedule for one in settled]
         loads = [one.rate.scaled(kind.looks) for one, kind in zip(found, self.kinds, strict=True)]
@@ -133,7 +133,7 @@ class Game:
     @property
     def burn_in(self) -> int:
         """Steps until the initial errors of 0 have no effect, from send intervals or time constants of the errors."""
-        longest = SHORTEST
+        longest = SHORTEST_STRETCH
         for kind, rate in zip(self.kinds, self.clocked.rates.tolist(), strict=True):
             sends = BURN_IN / rate if rate else np.inf
             decays = SETTLE / (1 - kind.clocked.growth) if kind.clocked.growth < 1 else np.inf
@@ -169,11 +169,11 @@ def _price(game: Game) -> Plan:
 
 
 def _largest(game: Game) -> Plan:
-    return Plan([Form((ERROR,), kind.Gamma) for kind in game.kinds], lambda: MostUrgent(game.capacity))
+    return Plan([Form((RULE_ERROR,), kind.Gamma) for kind in game.kinds], lambda: MostUrgent(game.capacity))
 
 
 def _once_discard(game: Game) -> Plan:
-    return Plan([Form((ERROR,), kind.L.T @ kind.L) for kind in game.kinds], lambda: MostUrgent(game.capacity))
+    return Plan([Form((RULE_ERROR,), kind.L.T @ kind.L) for kind in game.kinds], lambda: MostUrgent(game.capacity))
 
 
 def _round_robin(game: Game) -> Plan:

@@ -13,7 +13,7 @@ from taciturn._arrays import choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, in_notebook
-from taciturn.analyse.limits import USUAL
+from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
@@ -22,7 +22,7 @@ from taciturn.renewal.allocation import allocate
 from taciturn.simulation.statistics import mean
 from taciturn.study.channel.loop_classes import gather
 from taciturn.study.channel.prices import DualBound
-from taciturn.study.channel.schedulers import SCHEDULERS, SHORTEST, Game, measure
+from taciturn.study.channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game, measure
 from taciturn.study.evaluate import SURE
 from taciturn.study.printed import sharing_text
 from taciturn.study.sweeping.workers import idle
@@ -226,7 +226,7 @@ def share_channel(
     seed: int = 0,
     standard_error: float | None = None,
     ticks: int | None = None,
-    confidence: float = USUAL,
+    confidence: float = LEVEL,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Sharing:
@@ -288,7 +288,7 @@ def share_channel(
     if standard_error is not None and ticks is not None:
         raise ProblemError(f"standard_error and ticks={ticks} are both given; expected one of them")
     standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
-    ticks = None if ticks is None else count("ticks", ticks, SHORTEST)
+    ticks = None if ticks is None else count("ticks", ticks, SHORTEST_STRETCH)
     seed = count("seed", seed, 0)
     if executor is not None:
         instance("executor", executor, Executor)

@@ -12,12 +12,12 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.model.trigger import Form
 from taciturn.program.draws import NORMAL, seed_generators, with_draws
-from taciturn.program.engine import Resident, prepare
+from taciturn.program.engine import StepwiseRunner, prepare
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep
 from taciturn.study.channel.access import Access, Places
 
-ERROR = "error"  # signal in the forms of a rule
+RULE_ERROR = "error"  # signal in the forms of a rule
 KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"
 
 
@@ -138,9 +138,11 @@ class Cohort:
         """Start with errors of 0, of which none requests a send."""
         self.every, self.phase, self._turns, self._channels = every, phase, turns, channels
         self.places = np.concatenate([turn.places for turn in turns])
-        states = [start(turn.program, len(turn.places) * channels, seed, turn.places[0] * channels) for turn in turns]
+        states = [
+            start_loops(turn.program, len(turn.places) * channels, seed, turn.places[0] * channels) for turn in turns
+        ]
         paths = [len(turn.places) * channels for turn in turns]
-        self._errors = Resident([turn.program for turn in turns], paths, np.concatenate(states, axis=1))
+        self._errors = StepwiseRunner([turn.program for turn in turns], paths, np.concatenate(states, axis=1))
         self._sent = np.zeros((channels, len(self.places)))
         self.urgency = np.full((channels, len(self.places)), -1.0)
 
@@ -185,27 +187,27 @@ def measure_freely(group: Group, looks: int, seed: int) -> tuple[Array, Array]:
     An equally long burn-in is dropped.
     """
     program = send_freely(group)
-    run, states = prepare(program), start(program, group.count, seed)
+    run, states = prepare(program), start_loops(program, group.count, seed)
     found = run(run(states, looks, None).states, looks, None)
     return found.sums[SENT] / looks, found.sums[EXCESS] / looks
 
 
 def _look(group: Group) -> TimeStep:
-    return TimeStep(Builder(), {ERROR: len(group.F)}, {}, ())
+    return TimeStep(Builder(), {RULE_ERROR: len(group.F)}, {}, ())
 
 
 def _decide(tick: TimeStep, group: Group, sends: int) -> int:
     """Reset the error if it is sent, advance it by a step, and return the cost of the error that was not sent."""
     builder, spread = tick.builder, factor(group.noise)
     zero = builder.constant(0.0)
-    tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(ERROR)]
+    tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(RULE_ERROR)]
     excess = tick.form(Form((KEPT,), group.Gamma))
     tick.signals[NORMAL] = [builder.input(f"{NORMAL} {i}") for i in range(spread.shape[1])]
-    tick.signals[ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
+    tick.signals[RULE_ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
     return excess
 
 
-def start(program: Program, paths: int, seed: int, first: int = 0) -> Array:
+def start_loops(program: Program, paths: int, seed: int, first: int = 0) -> Array:
     """Return the initial program states of simulated loops with errors of 0, (states, paths)."""
     drawn = seed_generators(seed, paths, first)
     starts = [state.start for state in program.states]

@@ -19,7 +19,8 @@ from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
-from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.evaluate import evaluate
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.lower import choose_confidence, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
 from taciturn.study.sweeping.identity import Report, accepted, asked, refuse_other_versions
@@ -109,6 +110,11 @@ def run_cells(
         ProblemError: the executor fails, a worker runs another version or other code of this package, or the store
             cannot be written to.
     """
+    if store is not None and problem.own is not None:
+        raise ProblemError(
+            "a store is given, but the policy comes from Python code, which a stored result does not identify; "
+            "expected no store, or a Problem with a policy kind"
+        )
     done = 0
 
     def advance(within: float = 0.0) -> None:

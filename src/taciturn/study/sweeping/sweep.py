@@ -20,9 +20,10 @@ from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import digest, encode, fingerprint, origin
 from taciturn.study.sweeping.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
 from taciturn.study.sweeping.store import Store
@@ -35,7 +36,7 @@ TAKEN = ("drop", "method", "tolerance")  # argument names of the selection metho
 
 
 def sweep(
-    problem: Problem,
+    problem: Studied,
     over: Mapping[str, Sequence[object]],
     *,
     executor: Executor | None = None,
@@ -81,7 +82,7 @@ def sweep(
         >>> bool(found.cost.sel(period=0.25) < found.cost.sel(period=0.5))
         True
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     listed = check_grid(over)
     for name in listed:

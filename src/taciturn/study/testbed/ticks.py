@@ -20,7 +20,7 @@ SETTLED = 5.0  # time constants at the start that an average omits
 
 def settled(loop: Loop) -> int:
     """Return the number of steps at the start that an average omits."""
-    return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.settling))
+    return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.theory.settling))
 
 
 def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from taciturn._arrays import number
-from taciturn.design.catalogue import TradeoffParameter
+from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem

@@ -11,7 +11,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
 from taciturn.model.table import Columns, Tabular, columns_of
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.study.printed import periods_text
 from taciturn.study.tuning.tune import Tuned, tune
 
@@ -65,7 +65,7 @@ class TunedPeriod(Tabular):
 
 
 def tune_period(
-    problem: Problem,
+    problem: Studied,
     *,
     rate: float,
     least: float,
@@ -96,14 +96,14 @@ def tune_period(
     Source: khashooei2017
 
     Example:
-        >>> from taciturn import ContinuousPlant, Cost, Network
+        >>> from taciturn import ContinuousPlant, Cost, Network, Problem
         >>> walk, cost = ContinuousPlant([[0.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
         >>> problem = Problem(walk, cost, Network(), "consistent", {"period": 0.5})
         >>> found = tune_period(problem, rate=1.0, least=0.1)
         >>> found.best.problem.parameters["period"], found.best.evaluation.consistency
         (0.125, 'verified')
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     period = problem.parameters.get("period")
     if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
         raise ProblemError(f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period")

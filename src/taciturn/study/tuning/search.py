@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Never
 
@@ -12,13 +11,12 @@ from taciturn import _scipy
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import per_unit
-from taciturn.design.catalogue import TradeoffParameter
+from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
-from taciturn.model.estimate import Estimate
-from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.tuning.trials import look_at
+from taciturn.study.tuning.tuned import EXACT, Goal
 
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
@@ -36,53 +34,6 @@ ROUNDS = 3  # corrections at full precision
 KEPT, AIMED, FAR = 2.0, 3.0, 8.0  # standard errors below the budget: least, target of a correction, and most
 PASSED = 20  # integers on either side that are skipped if no policy can be designed for them
 SURE = 3.0  # standard errors by which a trial at the limit of the range may miss the budget
-EXACT = 1e-9  # relative tolerance of the budget
-
-
-@dataclass(frozen=True, repr=False)
-class Goal(Displayed):
-    """The budget to meet: an upper limit on the ``rate`` or the ``cost``."""
-
-    name: str
-    budget: float
-    link: LinkName | None
-
-    def short(self) -> str:
-        """Return the budget as text."""
-        return f"{self.name} at most {self.budget:.6g}"
-
-    def rate(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link to which the budget refers.
-
-        Raises:
-            ProblemError: the policy does not decide on it.
-        """
-        link = next(iter(evaluation.rates)) if self.link is None else self.link
-        if link not in evaluation.rates:
-            raise ProblemError(
-                f"link is {link!r}, on which {evaluation.policy} does not decide; "
-                f"expected {' or '.join(evaluation.rates)}"
-            )
-        return evaluation.rates[link]
-
-    def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the estimate of the rate or cost that the budget limits."""
-        return evaluation.cost if self.name == "cost" else self.rate(evaluation)
-
-    def confidence(self, evaluation: Evaluation) -> float | None:
-        """Return the probability that the answer meets the budget, for normally distributed errors.
-
-        It is 1 for a rate that no policy exceeds, and None if the standard error cannot be trusted.
-        """
-        found = self.of(evaluation)
-        if self.name == "rate" and evaluation.base_rate is not None and self.budget >= evaluation.base_rate:
-            return 1.0
-        if not evaluation.trusted:
-            return None
-        below = self.budget - found.value - found.error
-        if found.standard_error > 0:
-            return 0.5 * math.erfc(-below / found.standard_error / math.sqrt(2))
-        return float(below >= -EXACT * self.budget)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

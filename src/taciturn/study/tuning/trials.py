@@ -9,7 +9,8 @@ from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.policy import OptimalPolicy
-from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.evaluate import evaluate
+from taciturn.study.evaluation import Evaluation
 
 ROUGHLY = 1e-5  # relative accuracy of the cost in a trial by quadrature
 

@@ -5,22 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 
 from taciturn._progress import Progress, in_notebook
-from taciturn.design.catalogue import TRADEOFF_PARAMETERS, TradeoffParameter
+from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
 from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.search import EXACT, Goal, Look, Search
-from taciturn.study.tuning.tuned import Parameter, Tuned
+from taciturn.study.tuning.search import Look, Search
+from taciturn.study.tuning.tuned import EXACT, Goal, Parameter, Tuned
 
 
 def tune(
-    problem: Problem,
+    problem: Studied,
     *,
     rate: float | str | None = None,
     cost: float | str | None = None,
@@ -62,7 +63,7 @@ def tune(
         >>> round(found.parameter.value, 1), round(found.evaluation.rates["actuator"].value, 2)
         (1.1, 0.3)
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     check_effort(seed, standard_error, None)
     if (rate is None) == (cost is None):
         got = "both rate and cost are given" if rate is not None else "neither rate nor cost is given"
@@ -122,7 +123,7 @@ def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
     continuous, given = isinstance(problem.plant, ContinuousPlant), problem.parameters
     tunings = [
         tuning
-        for tuning in TRADEOFF_PARAMETERS[problem.kind]
+        for tuning in problem.record.tuning
         if tuning.continuous in (None, continuous)
         and (tuning.link is None or (tuning.name in given and link in (None, tuning.link)))
     ]
@@ -134,7 +135,5 @@ def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
             f"{problem.kind} decides on two links; expected link to be one of {[k.link for k in tunings]}"
         )
     if not tunings:
-        raise ProblemError(
-            f"{problem.kind} has no parameter that changes this rate; expected another policy kind, such as lqg"
-        )
+        raise ProblemError(f"{problem.kind} has no parameter that changes this rate; expected {problem.record.remedy}")
     return tunings[0]

@@ -2,20 +2,68 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from taciturn._display import Displayed
+from taciturn._text import Lines, pairs_text, per_unit, percent
+from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.policy import LinkName
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.study.clock import Cycle
-from taciturn.study.evaluate import Evaluation
-from taciturn.study.lines import budget_text, tuned_text
+from taciturn.study.evaluation import Evaluation
 
-if TYPE_CHECKING:
-    from taciturn.study.tuning.search import Goal
+EXACT = 1e-9  # relative tolerance of the budget
+
+
+@dataclass(frozen=True, repr=False)
+class Goal(Displayed):
+    """The budget to meet: an upper limit on the ``rate`` or the ``cost``."""
+
+    name: str
+    budget: float
+    link: LinkName | None
+
+    def short(self) -> str:
+        """Return the budget as text."""
+        return f"{self.name} at most {self.budget:.6g}"
+
+    def rate(self, evaluation: Evaluation) -> Estimate:
+        """Return the rate of the link to which the budget refers.
+
+        Raises:
+            ProblemError: the policy does not decide on it.
+        """
+        link = next(iter(evaluation.rates)) if self.link is None else self.link
+        if link not in evaluation.rates:
+            raise ProblemError(
+                f"link is {link!r}, on which {evaluation.policy} does not decide; "
+                f"expected {' or '.join(evaluation.rates)}"
+            )
+        return evaluation.rates[link]
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the estimate of the rate or cost that the budget limits."""
+        return evaluation.cost if self.name == "cost" else self.rate(evaluation)
+
+    def confidence(self, evaluation: Evaluation) -> float | None:
+        """Return the probability that the answer meets the budget, for normally distributed errors.
+
+        It is 1 for a rate that no policy exceeds, and None if the standard error cannot be trusted.
+        """
+        found = self.of(evaluation)
+        if self.name == "rate" and evaluation.base_rate is not None and self.budget >= evaluation.base_rate:
+            return 1.0
+        if not evaluation.trusted:
+            return None
+        below = self.budget - found.value - found.error
+        if found.standard_error > 0:
+            return 0.5 * math.erfc(-below / found.standard_error / math.sqrt(2))
+        return float(below >= -EXACT * self.budget)
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,7 +134,7 @@ class Tuned(Tabular):
 
     def about(self) -> dict[str, object]:
         """Return the parameter, the budget and the description of the evaluation, by name."""
-        return {"parameter": self.parameter.short(), "budget": budget_text(self), **self.evaluation.about()}
+        return {"parameter": self.parameter.short(), "budget": _budget_text(self), **self.evaluation.about()}
 
     def columns(self) -> Columns:
         """Return the rows of the evaluation at the tuned parameter."""
@@ -94,7 +142,15 @@ class Tuned(Tabular):
 
     def __str__(self) -> str:
         """Return the text that ``taciturn tune`` prints."""
-        return tuned_text(self)
+        parameter = self.parameter
+        lines: Lines = [(parameter.name, str(parameter)), ("budget", _budget_text(self))]
+        if self.beyond is not None:
+            other = self.beyond
+            rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
+            text = f"{other.parameter.beside(parameter)}: {rates}, cost {other.evaluation.cost}"
+            jump = f"the {self.goal.name} jumps across the budget; on the other side:"
+            lines.append(("beyond", f"{jump} {parameter.name} = {text}"))
+        return f"{pairs_text(lines)}\n{self.evaluation}"
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tune --json``."""
@@ -110,3 +166,14 @@ class Tuned(Tabular):
             jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
             found["beyond"] = jump
         return found
+
+
+def _budget_text(found: Tuned) -> str:
+    """Return a text that states whether the budget is met, and with which confidence."""
+    goal, sure = found.goal, found.confidence
+    unit = found.evaluation.rate_unit if goal.name == "rate" else found.evaluation.unit
+    if sure is None:
+        kept = "met in this simulation, whose standard error cannot be trusted"
+    else:
+        kept = "met exactly" if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
+    return f"{goal.name} at most {goal.budget:.6g} {per_unit(unit)}, {kept}"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn.design.certainty import SEND
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -17,12 +18,13 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
-from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy
+from taciturn.model.policy import Evaluate, Location, Policy
+from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
-from taciturn.renewal.sampled import LATE, SampledProcess
+from taciturn.renewal.sampled import PERIOD_TOLERANCE, SampledProcess
 
 MARGIN, SINCE = "margin", "since"
 MOST_PLACES = 20_000  # largest number of checks after a send that a node can count
@@ -190,7 +192,7 @@ def _looking(
     checks since the last send by a location, up to the number after which the allowed value no longer changes.
     """
     period = process.period
-    if period > trigger.h_max * LATE:
+    if period > trigger.h_max * PERIOD_TOLERANCE:
         raise ProblemError(f"period is {period:g} and h_max is {trigger.h_max:g}; expected period ≤ h_max")
     places = _places(trigger, period)
     if places > MOST_PLACES:
@@ -201,15 +203,15 @@ def _looking(
     prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
     allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
-    if process.running > allowed[1] * LATE:
+    if process.running > allowed[1] * PERIOD_TOLERANCE:
         raise ProblemError(
             f"period is {period:g}, and the noise alone adds a cost of {process.running:.4g} in one period, but only "
             f"{allowed[1]:.4g} is allowed; expected a shorter period, or a larger slope or alpha"
         )
     more = process.running - np.diff(allowed)  # growth of the margin per check in addition to e'Γe
     looks = np.arange(1, len(more))
-    gate = np.where((looks + 1) * period > trigger.h_max * LATE, NEVER, 0.0)
-    gate[looks * period * LATE < trigger.h_min] = -NEVER
+    gate = np.where((looks + 1) * period > trigger.h_max * PERIOD_TOLERANCE, NEVER, 0.0)
+    gate[looks * period * PERIOD_TOLERANCE < trigger.h_min] = -NEVER
     closed, Gamma = problem.plant.A + problem.plant.B, process.Gamma
     location = Location(SINCE, np.stack([np.minimum(looks, len(looks) - 1), 0 * looks], axis=1), "sensor", SEND)
     ahead = Form((ERROR,), Gamma, Scheduled(SINCE, more[1:]), {MARGIN: 1.0})
@@ -223,18 +225,19 @@ def _looking(
             Evaluate("sensor", MARGIN, (ahead, afresh), SEND),
         ),
         model=problem.plant,
-        cost_all_time=base,
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=cost,
+            cost_all_time=base,
+            noise_cost=problem.noise_cost,
+            settling=1 / (1 - problem.slowest(closed)),
+            guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
+            identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=(location,),
         initial={"prediction": plant.mean, "forecast": plant.mean, MARGIN: more[:1]},
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - problem.slowest(closed)),
-        cost=cost,
         prediction=prediction,
-        guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
-        identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
         notes=tuple(notes),
     )
 
@@ -349,3 +352,30 @@ class _Search:
     def after(self, alpha: float, cycles: int) -> CycleEstimate:
         """Return estimates of mean interval and cost from simulated intervals with the given α."""
         return estimate_cycles(self.process, replace(self.trigger, c=alpha * self.slope), cycles=cycles)
+
+
+KIND = Kind(
+    name="integral",
+    design=integral,
+    goal="a cost that never exceeds that of periodic control, for rare disturbances (Poisson jumps)",
+    tuning=(TradeoffParameter("slope"),),
+    example={"slope": 5.0, "h_max": 2.0, "alpha": 0.5, "period": 0.05},
+    built_in="double-integrator",
+    nodes="S, C+A",
+    plants=("continuous", "jumps"),
+    proved=r"$V\le V_p(r)$ at its mean interval",
+    refused=(
+        "a slope for which f < g does not hold; α > L(α); a period in which the noise alone costs more than "
+        "the allowed cost"
+    ),
+    data=(
+        "the data of `consistent`, and an `Evaluate` memory `margin` of the cost beyond the allowed cost; "
+        "the location `since` counts the checks since the last send (h_min, ε, h_max). Without a period an "
+        "`EventPolicy`: process and trigger of `renewal/`"
+    ),
+    order=(
+        "operations of `consistent`, then the margin on the decision. Without a period the trigger is "
+        "monitored continuously between jumps, and `close` refuses a loop of nodes"
+    ),
+    check=partial(refuse_what_is_not_predicted, "integral"),
+)

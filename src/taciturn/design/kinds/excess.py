@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST, bound_by_silence
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
     Actuation,
@@ -12,6 +12,7 @@ from taciturn.design.certainty import (
     control_steps,
     design_certainty,
 )
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -82,5 +83,22 @@ def excess(
 def _price(certainty: CertaintyEquivalentDesign, delta: float | None, theta: float | None) -> float:
     """Return δ per step."""
     if delta is not None:
-        return number("delta", delta, 0.0, LARGEST, closed=True)
-    return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST, closed=True) * certainty.cost_all_time
+        return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    return (
+        number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * certainty.cost_all_time
+    )
+
+
+KIND = Kind(
+    name="excess",
+    design=excess,
+    goal="few packets with a bound on the cost: at most 1 + θ times the cost of sending every sample",
+    tuning=(TradeoffParameter("delta"), TradeoffParameter("theta")),
+    example={"theta": 0.1},
+    proved=r"$J\le J_{all}+\delta(1-\text{rate})\le(1+\theta)J_{all}$, rate in sends per step",
+    data="trigger e'He against δ",
+    order="operations of `lqg`",
+    usual={"theta": 0.1, "actuation": "model"},  # a model sends fewer packets than a held input
+    asked=("theta",),
+    offered=1,
+)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
-from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty
-from taciturn.design.prediction import predict_continuously, predicted_policy
-from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.modelled import modelled
+from taciturn.lqg.discrete import Discrete
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Reset
-from taciturn.model.trigger import Form, GaussianTerm, Trigger
+from taciturn.model.trigger import Form, GaussianTerm
 
 
 def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> Policy:
@@ -48,49 +45,8 @@ def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, pe
         >>> policy.decisions["send"].labels
         ('silent', 'send')
     """
-    price = number("price", price, 0.0, LARGEST)
+    price = number("price", price, 0.0, LARGEST_PARAMETER)
     return modelled("near-optimal", plant, cost, period, lambda problem, reset: _silence(problem, reset, price))
-
-
-def modelled(
-    kind: str,
-    plant: Plant | ContinuousPlant,
-    cost: Cost,
-    period: float | None,
-    silence: Callable[[Discrete, Reset], Form],
-) -> Policy:
-    """Return a policy whose actuator runs a model, and which sends if a function of the model's error is positive.
-
-    Args:
-        kind: name of the policy kind in the catalogue.
-        plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
-        cost: the average cost.
-        period: seconds between checks; only with a continuous plant.
-        silence: function that returns the form over the error of the reset.
-    """
-    if isinstance(plant, ContinuousPlant) and plant.full_state:
-        found = predict_continuously(kind, plant, cost, period)
-        rule = Trigger({"silent": silence(found.problem, found.reset), SEND: Form()})
-        return predicted_policy(kind, found, rule, notes=_notes(found.problem))
-    problem = discretise(plant, cost, period)
-    certainty = design_certainty(kind, problem)
-    reset = certainty.reset("model")
-    if reset is None:
-        raise ProblemError(
-            "the plant has jumps and C or V is given, so successive estimation errors are dependent; "
-            "expected Gaussian noise, or neither C nor V"
-        )
-    rule = Trigger({"silent": silence(problem, reset), SEND: Form()})
-    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, "model", rule)
-    return certainty_policy(
-        kind, certainty, steps, initial, identity=certainty.completed_square(), reset=reset, notes=_notes(problem)
-    )
-
-
-def _notes(problem: Discrete) -> tuple[str, ...]:
-    """Return a note on the approximation of jumps by Gaussian noise, if the plant has jumps."""
-    told = "the plant has jumps: the schedule is optimised for Gaussian noise of the same covariance"
-    return () if problem.jumps is None else (told,)
 
 
 def _silence(problem: Discrete, reset: Reset, price: float) -> Form:
@@ -98,3 +54,19 @@ def _silence(problem: Discrete, reset: Reset, price: float) -> Form:
 
     found = fit_schedule(problem.plant.A, reset.covariance, reset.weight, price / problem.tick)
     return Form((reset.error,), reset.weight, -found.gain, bell=GaussianTerm(-found.height, found.Pi))
+
+
+KIND = Kind(
+    name="near-optimal",
+    design=near_optimal,
+    goal="a price per packet, with cost + price × rate close to its minimum",
+    tuning=(TradeoffParameter("price"),),
+    example={"price": 1.0, "period": 0.1},
+    built_in="wiener-double-integrator",
+    nodes="S+C, A; for a continuous plant with measured state S, C+A",
+    proved="no bound in advance; `evaluate` reports a lower bound for all schedules",
+    refused="a price so high that the policy would almost never send; jumps with `C` or `V`",
+    data="a trigger form with a bell, over `deviation` or `error`",
+    order="operations of `lqg` with model; for S, C+A those of `consistent`",
+    offered=2,
+)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.cost import Cost
@@ -45,7 +46,7 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
         >>> send_on_delta(plant, cost, delta=1.0).scheduled
         ('sensor',)
     """
-    delta = number("delta", delta, 0.0, LARGEST, closed=True)
+    delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)
@@ -73,3 +74,16 @@ def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:
         {"prior": plant.mean},
         None,
     )
+
+
+KIND = Kind(
+    name="send-on-delta",
+    design=send_on_delta,
+    goal="a simple sensor that sends when an output has changed by Δ",
+    tuning=(TradeoffParameter("delta"),),
+    example={"delta": 0.2},
+    nodes="S, C+A",
+    data="memories `last` at S and `heard` at C; one label per output",
+    order="compare y with the last sent value, decide, send y, filter, input",
+    offered=6,
+)

@@ -10,55 +10,23 @@ import numpy as np
 from taciturn._arrays import choice, count
 from taciturn._modes import stationary
 from taciturn.design.certainty import (
-    CLOCK,
-    SEND,
     Actuation,
-    CertaintyEquivalentDesign,
-    certainty_policy,
-    control_steps,
-    count_ticks,
     design_certainty,
 )
+from taciturn.design.clocked import every_tick, held_in_cycles, predicted_cost, time_triggered
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.periodic import Pattern, lift
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
-from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send
-from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
+from taciturn.model.policy import Assign, Policy, Received, Send
+from taciturn.model.theory import ClosedForm, Theory
 
 LONGEST = 1_000_000  # largest number of steps of a cycle
 MEASURES_WHEN_IT_SENDS = (
     "it measures only when it sends; with every = 1, 2, … and a shorter period it measures between sends too"
 )
-
-
-def all_time(plant: Plant | ContinuousPlant, cost: Cost, *, period: float | None = None) -> Policy:
-    """Design optimal LQG control that sends at every step.
-
-    Its cost per step is J_all = tr(QΣ) + tr(K(Σ̃ − Σ)).
-
-    Args:
-        plant: the plant.
-        cost: the average cost.
-        period: seconds between steps; only with a continuous plant.
-
-    Returns:
-        The policy, with its exact cost.
-
-    Raises:
-        ProblemError: if period is missing or not applicable.
-        UnstableError: if no stabilising gain or filter exists.
-
-    Source: anderson1990optimal
-
-    Example:
-        >>> all_time(Plant([[0.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])).cost_all_time
-        1.0
-    """
-    certainty = design_certainty("all-time", discretise(plant, cost, period))
-    return _every_tick("all-time", certainty)
 
 
 def periodic(
@@ -97,9 +65,9 @@ def periodic(
 
     Example:
         >>> plant = ContinuousPlant([[0.0]], [[1.0]], [[1.0]])
-        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.5).closed_form.rates
+        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.5).theory.closed_form.rates
         {'actuator': 1.0}
-        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.1, every=(4, 6)).closed_form.rates
+        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.1, every=(4, 6)).theory.closed_form.rates
         {'actuator': 0.2}
     """
     choice("actuation", actuation, ("hold", "model"))
@@ -107,32 +75,13 @@ def periodic(
         if actuation == "model":
             return _predicted(plant, cost, period)
         certainty = design_certainty("periodic", discretise(plant, cost, period))
-        return _every_tick("periodic", certainty, () if plant.full_state else (MEASURES_WHEN_IT_SENDS,))
+        return every_tick("periodic", certainty, () if plant.full_state else (MEASURES_WHEN_IT_SENDS,))
     certainty = design_certainty("periodic", discretise(plant, cost, period))
     intervals = _cycle(every)
     if actuation == "hold":
         return held_in_cycles("periodic", certainty, certainty.held.solve(intervals))
     average = predicted_cost(certainty, intervals)
-    return _time_triggered("periodic", certainty, certainty.regulator.L, "model", intervals, average)
-
-
-def predicted_cost(certainty: CertaintyEquivalentDesign, intervals: Sequence[int]) -> float:
-    """Return the cost per step of periodic control whose actuator predicts the state between sends.
-
-    The additional cost above J_all is the sum of Σ_{j<k} tr(L'HL V_j) over all intervals k of the cycle, divided by the
-    number of its steps. V_j is the error covariance accumulated from the innovations of j steps after a send.
-    """
-    plant = certainty.problem.plant
-    free = np.zeros((plant.inputs, plant.inputs))
-    given = plant.A, plant.B, certainty.square, free, np.zeros_like(plant.B), certainty.corrections
-    return certainty.cost_all_time + sum(lift(*given, ticks).noise_cost for ticks in intervals) / sum(intervals)
-
-
-def held_in_cycles(kind: str, certainty: CertaintyEquivalentDesign, pattern: Pattern) -> Policy:
-    """Return the policy that holds its input and updates it according to a periodic pattern, with its exact cost."""
-    _, gains = pattern.unrolled()
-    L = gains[0] if len(pattern.gains) == 1 else Scheduled(CLOCK, gains)
-    return _time_triggered(kind, certainty, L, "hold", pattern.intervals, certainty.estimation_cost + pattern.cost)
+    return time_triggered("periodic", certainty, certainty.regulator.L, "model", intervals, average)
 
 
 def _cycle(every: object) -> tuple[int, ...]:
@@ -152,46 +101,6 @@ def _cycle(every: object) -> tuple[int, ...]:
     if sum(intervals) > LONGEST:
         raise ProblemError(f"every adds up to {sum(intervals)} steps; expected at most {LONGEST}")
     return intervals
-
-
-def _time_triggered(
-    kind: str,
-    certainty: CertaintyEquivalentDesign,
-    L: Matrix,
-    actuation: Actuation,
-    intervals: Sequence[int],
-    average: float,
-) -> Policy:
-    """Return the policy that sends after each of the given intervals, with its cost per step."""
-    length, sends = sum(intervals), np.cumsum((0, *intervals[:-1]))
-    turn = Scheduled(CLOCK, np.where(np.isin(np.arange(length), sends), -1.0, 1.0))
-    trigger = Trigger({"silent": Form(), SEND: Form(constant=turn)})
-    steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
-    return certainty_policy(
-        kind,
-        certainty,
-        steps,
-        initial,
-        identity=None,
-        locations=(count_ticks(length, 0),),
-        closed_form=ClosedForm(certainty.problem.per_unit(average), {"actuator": len(intervals) / length}),
-        reset=certainty.reset(actuation),
-        slower=length,
-    )
-
-
-def _every_tick(kind: str, certainty: CertaintyEquivalentDesign, notes: tuple[str, ...] = ()) -> Policy:
-    plant, L = certainty.problem.plant, certainty.regulator.L
-    steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
-    return certainty_policy(
-        kind,
-        certainty,
-        steps,
-        initial,
-        identity=None,
-        closed_form=ClosedForm(certainty.problem.per_unit(certainty.cost_all_time), {"actuator": 1.0}),
-        notes=notes,
-    )
 
 
 def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Policy:
@@ -217,13 +126,32 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
             Assign("controller", "input", ({"input": unit}, {"y": unit}), Received("sensor")),
         ),
         model=problem.plant,
-        cost_all_time=per_unit,
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=cost,
+            cost_all_time=per_unit,
+            noise_cost=problem.noise_cost,
+            settling=1 / (1 - problem.slowest(closed)),
+            closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - problem.slowest(closed)),
-        cost=cost,
         prediction=prediction,
-        closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
     )
+
+
+KIND = Kind(
+    name="periodic",
+    design=periodic,
+    goal="only a rate that is known in advance, with the best gains",
+    tuning=(
+        TradeoffParameter("every", least=1, whole=True, cycles=True),
+        TradeoffParameter("period", continuous=True),
+    ),
+    example={"every": 3},
+    nodes="S+C, A (`model` with a continuous plant: S, C+A)",
+    proved="cost and rate, exactly",
+    data='the step counter `clock`; the constant of "send", read from a table by `clock`',
+    order="filter, command, decide by the step counter, send, hold or model, predict",
+    usual={"every": 2},
+    asked=("every",),
+)

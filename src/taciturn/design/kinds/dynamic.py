@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import block_diagonal, number
-from taciturn.design.bounds import LARGEST, bound_by_state
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -61,8 +62,8 @@ def dynamic(
         >>> dynamic(plant, cost, sigma=0.5, rho=0.8, gain=2.0).guarantee.source
         'girard2015'
     """
-    sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
-    rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST)
+    sigma = number("sigma", sigma, 0.0, LARGEST_PARAMETER, closed=True)
+    rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST_PARAMETER)
     if gain * rho < 1 - 1e-12:
         raise ProblemError(
             f"gain is {gain:g} and rho is {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "
@@ -94,3 +95,16 @@ def dynamic(
         slower=max(1.0, 1 / (1 - rho) / certainty.settling),
         notes=notes,
     )
+
+
+KIND = Kind(
+    name="dynamic",
+    design=dynamic,
+    goal="a relative threshold on a filtered error, which sends less often",
+    tuning=(TradeoffParameter("sigma"),),
+    example={"sigma": 0.03, "rho": 0.8, "gain": 2.0},
+    proved="the bound of `relative`",
+    data="`Evaluate` memory `credit`⁺ = ρ·credit + σ²x̂'x̂ − e'e, which the trigger adds (`plus`)",
+    order="operations of `lqg`; the memory is updated after the decision, by its outcome",
+    usual={"sigma": 0.1, "rho": 0.5, "gain": 2.0},
+)

@@ -17,11 +17,13 @@ from taciturn.design.certainty import (
     design_certainty,
     silence_form,
 )
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Guarantee, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 
@@ -124,3 +126,17 @@ def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float
     Z = p.R + (1 + theta) * B.T @ K @ B + (theta / epsilon) * G.T @ G
     Y = theta * (M - epsilon * np.eye(p.plant.states))
     return Form(("estimate", "error"), block_diagonal(-symmetrised(Y), symmetrised(Z)))
+
+
+KIND = Kind(
+    name="lqg",
+    design=lqg,
+    goal="the bound of excess, with the trigger of the thesis and an actuator that holds its input",
+    tuning=(TradeoffParameter("theta"),),
+    example={"theta": 0.1},
+    proved=r"$J\le(1+\theta)J_{all}$",
+    data="trigger over [x̂; candidate; e]",
+    order="filter, command, candidate, error, decide, send, hold or model, predict",
+    usual={"theta": 0.1},
+    offered=4,
+)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from taciturn._arrays import number
 from taciturn.design.certainty import SEND
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predict_continuously, predicted_policy, refuse_what_is_not_predicted
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -60,3 +63,25 @@ def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, del
         notes = (f"delta = {delta:g} is above its largest consistent value {largest:.6g}: consistency not guaranteed",)
     rule = Trigger({"silent": Form((ERROR,), found.Gamma), SEND: Form(constant=delta)})
     return predicted_policy("consistent", found, rule, guarantee, notes)
+
+
+KIND = Kind(
+    name="consistent",
+    design=consistent,
+    goal="a cost proved to be no higher than that of periodic control at the same rate",
+    tuning=(TradeoffParameter("delta"),),
+    example={"period": 0.5},
+    built_in="double-integrator",
+    nodes="S, C+A",
+    plants=("continuous", "jumps"),
+    proved=r"$V\le V_p(r)$",
+    data=(
+        "trigger e'Γ(τ)e against δ; the input is the state of the model, predicted in continuous time "
+        "(`prediction`); `reset` names the error"
+    ),
+    order=(
+        "error of the model, decide, send x, estimate on `Received`, forecast; copy and prediction at S on the decision"
+    ),
+    offered=3,
+    check=partial(refuse_what_is_not_predicted, "consistent"),
+)

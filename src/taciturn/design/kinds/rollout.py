@@ -19,11 +19,13 @@ from taciturn.design.certainty import (
     measure_excess,
 )
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Location, Policy
+from taciturn.model.policy import Assign, Decide, Evaluate, Location, Policy
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 FUTURE, BEGIN, PLACE, DUE = "future", "begin", "place", "due"
@@ -188,3 +190,22 @@ class _Rooms:
 
 def _rest(future: _Future, tick: int) -> tuple[int, ...]:
     return tuple(sent for sent in future.sends if sent >= tick)
+
+
+KIND = Kind(
+    name="rollout",
+    design=rollout,
+    goal="a fixed rate, with a cost that never exceeds that of periodic control",
+    tuning=(TradeoffParameter("every", least=2, whole=True),),
+    example={"horizon": 6, "every": 3},
+    proved=r"$J\le J_{per}$, the rate is 1/`every`",
+    data=(
+        "one label with one form per schedule of the window; the step counter `clock` starts the windows; "
+        "the location `place` stores the remaining sends"
+    ),
+    order=(
+        "filter, compare the schedules, select the best schedule at the start of a window, send when the "
+        "selected schedule sends"
+    ),
+    usual={"every": 2, "horizon": 4},
+)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
-from taciturn.design.near_optimal import modelled
+from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.modelled import modelled
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.trigger import Form
@@ -40,7 +41,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         >>> optimal(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), price=10.0).price
         10.0
     """
-    price = number("price", price, 0.0, LARGEST)
+    price = number("price", price, 0.0, LARGEST_PARAMETER)
     policy = modelled(
         "optimal",
         plant,
@@ -48,4 +49,26 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         period,
         lambda problem, reset: Form((reset.error,), reset.weight, -price / problem.tick),
     )
-    return OptimalPolicy("optimal", policy, price)
+    return OptimalPolicy("optimal", policy, price, "near-optimal")
+
+
+KIND = Kind(
+    name="optimal",
+    design=optimal,
+    goal="the possible remaining improvement, for analysis: nodes cannot run it",
+    tuning=(TradeoffParameter("price"),),
+    example={"price": 1.0, "period": 0.1},
+    built_in="wiener-double-integrator",
+    nodes="none",
+    plants=("discrete", "continuous", "outputs"),
+    proved="the least cost of all schedules",
+    refused=(
+        "a price as for `near-optimal`; errors of more than three dimensions, or with a direction that the "
+        "noise between two checks does not excite"
+    ),
+    data=(
+        "an `OptimalPolicy`: a price, and a policy with the same nodes that defines the loop; its free "
+        "boundary is not a quadratic form"
+    ),
+    order="`close` refuses a loop of nodes",
+)

@@ -6,7 +6,8 @@ from math import comb
 
 from taciturn._arrays import count
 from taciturn.design.certainty import design_certainty
-from taciturn.design.periodic import held_in_cycles
+from taciturn.design.clocked import held_in_cycles
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import Pattern, necklaces
@@ -45,7 +46,7 @@ def periodic_schedule(
 
     Example:
         >>> plant, cost = Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
-        >>> periodic_schedule(plant, cost, length=5, sends=2).closed_form.rates
+        >>> periodic_schedule(plant, cost, length=5, sends=2).theory.closed_form.rates
         {'actuator': 0.4}
     """
     length, sends = count("length", length), count("sends", sends)
@@ -73,3 +74,16 @@ def periodic_schedule(
             "control every mode; expected another length, or more sends"
         )
     return held_in_cycles("periodic-schedule", certainty, found)
+
+
+KIND = Kind(
+    name="periodic-schedule",
+    design=periodic_schedule,
+    goal="the best periodic pattern with a given number of sends",
+    tuning=(TradeoffParameter("sends", least=1, whole=True, falls=False),),
+    example={"length": 4, "sends": 2},
+    proved="cost and rate, exactly",
+    data="the step counter `clock` of the pattern; sends and gains are read by `clock`",
+    order="operations of `periodic`",
+    usual={"length": 5, "sends": 2},
+)

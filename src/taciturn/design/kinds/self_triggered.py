@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number, symmetrised
-from taciturn.design.bounds import LARGEST, less_noise
+from taciturn.design.bounds import LARGEST_PARAMETER, less_noise
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import step_back
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Policy, Step
+from taciturn.model.policy import Assign, Decide, Evaluate, Policy, Step
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 SLEEP, LEFT = "sleep", "left"
@@ -55,7 +57,7 @@ def self_triggered(
         >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
         1.2
     """
-    beta, max_interval = number("beta", beta, 1.0, LARGEST, closed=True), count("max_interval", max_interval)
+    beta, max_interval = number("beta", beta, 1.0, LARGEST_PARAMETER, closed=True), count("max_interval", max_interval)
     if max_interval > LONGEST:
         raise ProblemError(f"max_interval is {max_interval}; expected at most {LONGEST} steps")
     problem = discretise(plant, cost, period)
@@ -100,3 +102,16 @@ def self_triggered(
         ),
         slower=max_interval,
     )
+
+
+KIND = Kind(
+    name="self-triggered",
+    design=self_triggered,
+    goal="a next send whose time is known at the previous one",
+    tuning=(TradeoffParameter("beta", least=1.0),),
+    example={"beta": 1.1, "max_interval": 10},
+    proved=r"$J\le\beta J_{all}$",
+    data="a decision and a gain per sleeping time; `Evaluate` memories `sleep` and `left`",
+    order="filter, evaluate every sleeping time, send when no step is left, count",
+    usual={"beta": 1.2, "max_interval": 5},
+)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -14,7 +15,7 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Location, Policy
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
-WAIT = "wait"
+WAIT_LABEL = "wait"
 LONGEST = 10_000  # largest number of steps between checks
 
 
@@ -62,10 +63,10 @@ def downsampled(
         raise ProblemError(f"slow is {slow}; expected at most {LONGEST} steps")
     if slow < fast:
         raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in steps between checks")
-    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
+    threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("downsampled", problem), np.eye(problem.plant.states)
-    looked_at = Scheduled(WAIT, [unit] + [0 * unit] * (slow - 1))
+    looked_at = Scheduled(WAIT_LABEL, [unit] + [0 * unit] * (slow - 1))
     rule = Trigger({"silent": Form((DEVIATION,), looked_at), SEND: Form(constant=threshold**2)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
     left = [[slow - 1, fast - 1], *([wait - 1] * 2 for wait in range(1, slow))]
@@ -75,7 +76,22 @@ def downsampled(
         steps,
         initial,
         identity=certainty.completed_square(),
-        locations=(Location(WAIT, np.array(left), "controller", SEND),),
+        locations=(Location(WAIT_LABEL, np.array(left), "controller", SEND),),
         reset=certainty.reset(actuation),
         slower=slow,
     )
+
+
+KIND = Kind(
+    name="downsampled",
+    design=downsampled,
+    goal="a next check whose time is known at the previous one",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"fast": 1, "slow": 3, "threshold": 1.0},
+    data=(
+        "the location `wait` counts down to the next check and is moved by the decision; the weight of the "
+        "trigger is read by `wait`"
+    ),
+    order="operations of `lqg`",
+    usual={"fast": 1, "slow": 2},
+)

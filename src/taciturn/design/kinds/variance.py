@@ -7,13 +7,15 @@ import numpy as np
 from taciturn._arrays import Array, number
 from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import Predictor, schedule_by_variance
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, ClosedForm, Decide, Policy, Received, Send
+from taciturn.model.policy import Assign, Decide, Policy, Received, Send
 from taciturn.model.schedule import Schedule
+from taciturn.model.theory import ClosedForm
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 
@@ -42,7 +44,7 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
     Example: a random walk of variance 1 that is measured exactly.
 
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
-        >>> variance(plant, cost, threshold=2.5).closed_form.rates
+        >>> variance(plant, cost, threshold=2.5).theory.closed_form.rates
         {'sensor': 0.3333333333333333}
     """
     threshold = number("threshold", threshold, 0.0, closed=True)
@@ -88,3 +90,16 @@ def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> FilterSte
         {"prior": plant.mean},
         None,
     )
+
+
+KIND = Kind(
+    name="variance",
+    design=variance,
+    goal="a schedule of measurements that is known in advance",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"threshold": 0.05},
+    nodes="S, C+A",
+    proved="cost and rate, exactly",
+    data="the step counter `clock` of the schedule; queries and filter gains are read by `clock`",
+    order="decide by the step counter, send y, filter on `Received`, input",
+)

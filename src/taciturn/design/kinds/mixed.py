@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from taciturn._arrays import block_diagonal, number
-from taciturn.design.bounds import LARGEST, bound_by_state
-from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
-from taciturn.design.estimation import ESTIMATE
-from taciturn.lqg.discrete import discretise
+from taciturn.design.certainty import Actuation
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.thresholds import relative_to_state
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.trigger import Form, Trigger
 
 
 def mixed(
@@ -55,32 +50,14 @@ def mixed(
     return relative_to_state("mixed", plant, cost, sigma, threshold, period, actuation, "donkers2012")
 
 
-def relative_to_state(
-    kind: str,
-    plant: Plant | ContinuousPlant,
-    cost: Cost,
-    sigma: float,
-    threshold: float,
-    period: float | None,
-    actuation: Actuation,
-    source: str,
-) -> Policy:
-    """Return the policy that sends when the squared error |e|² exceeds the threshold σ²|x̂|² + Y²."""
-    sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
-    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
-    problem = discretise(plant, cost, period)
-    certainty, unit = design_certainty(kind, problem), np.eye(problem.plant.states)
-    silent = Form((DEVIATION, ESTIMATE), block_diagonal(unit, -(sigma**2) * unit))
-    rule = Trigger({"silent": silent, SEND: Form(constant=threshold**2)})
-    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
-    guarantee, notes = bound_by_state(certainty, sigma, threshold, source)
-    return certainty_policy(
-        kind,
-        certainty,
-        steps,
-        initial,
-        identity=certainty.completed_square(),
-        guarantee=guarantee,
-        reset=certainty.reset(actuation),
-        notes=notes,
-    )
+KIND = Kind(
+    name="mixed",
+    design=mixed,
+    goal="a threshold with an absolute and a relative part",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"sigma": 0.03, "threshold": 0.1},
+    proved=r"$J\le(J_{all}-s\operatorname{tr}(Q\Sigma)+\mu Y^2(1-\text{rate}))/(1-s)$ if $s<1$",
+    data="trigger over [x̃ − x̂; x̂] (`deviation`)",
+    order="operations of `lqg`",
+    usual={"sigma": 0.1},
+)

@@ -8,6 +8,7 @@ from taciturn._arrays import instance, number
 from taciturn._modes import lost_modes, radius
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -24,22 +25,12 @@ from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import (
-    ONE,
-    Acknowledged,
-    Assign,
-    Decide,
-    Guarantee,
-    Identity,
-    Policy,
-    Received,
-    Send,
-    Step,
-)
+from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.reference import Reference, Tracking
+from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
-REFERENCE, FEEDFORWARD, DEVIATION = "reference", "feedforward", "deviation"
+REFERENCE, FEEDFORWARD, OFF_REFERENCE = "reference", "feedforward", "deviation"
 
 
 def lossy_lqg(
@@ -123,26 +114,28 @@ def lossy_lqg(
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
     refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
-    silent = Form((ESTIMATE if reference is None else DEVIATION,), by_clock(gains.Gamma))
+    silent = Form((ESTIMATE if reference is None else OFF_REFERENCE,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     return Policy(
         kind="lossy-lqg",
         steps=_steps(plant, network, by_clock(gains.L), trigger, reference),
         model=plant,
-        cost_all_time=cost_all_time,
+        theory=Theory(
+            cost=cost,
+            cost_all_time=cost_all_time,
+            settling=float(settling),
+            guarantee=Guarantee(
+                cost_all_time + price * ticks,
+                f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
+                "khashooei2017",
+                cost_all_time,
+                price * ticks,
+            ),
+            identity=Identity(cost_all_time, (silent, Form()), SEND),
+        ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
         initial={"prior": plant.mean},
         network=given,
-        settling=float(settling),
-        cost=cost,
-        guarantee=Guarantee(
-            cost_all_time + price * ticks,
-            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
-            "khashooei2017",
-            cost_all_time,
-            price * ticks,
-        ),
-        identity=Identity(cost_all_time, (silent, Form()), SEND),
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )
@@ -189,7 +182,7 @@ def _steps(
 ) -> tuple[Step, ...]:
     n, m = np.eye(plant.states), np.eye(plant.inputs)
     acknowledged = network.protocol == "tcp"
-    subject = ESTIMATE if reference is None else DEVIATION
+    subject = ESTIMATE if reference is None else OFF_REFERENCE
     deviate: tuple[Step, ...] = ()
     supply: tuple[Step, ...] = (Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),)
     silent, sent = {ESTIMATE: plant.A}, {ESTIMATE: plant.A, "command": (1 - network.loss("actuator")) * plant.B}
@@ -200,7 +193,7 @@ def _steps(
         deviate = (
             Assign("controller", REFERENCE, {ONE: Scheduled(CLOCK, states)}),
             Assign("controller", "push", {ONE: Scheduled(CLOCK, plant.B @ inputs)}),
-            Assign("controller", DEVIATION, {ESTIMATE: n, REFERENCE: -n}),
+            Assign("controller", OFF_REFERENCE, {ESTIMATE: n, REFERENCE: -n}),
         )
         supply = (
             Assign("actuator", FEEDFORWARD, {ONE: Scheduled(CLOCK, inputs)}),
@@ -226,3 +219,27 @@ def _steps(
         order = (*watch, Assign("controller", ESTIMATE, {"seen": n}), *act)
     known = Acknowledged("actuator") if acknowledged else SEND
     return (*order, Assign("controller", "prior", (silent, sent), known))
+
+
+KIND = Kind(
+    name="lossy-lqg",
+    design=lossy_lqg,
+    goal="a link that drops packets, with a price per packet",
+    tuning=(TradeoffParameter("price"),),
+    example={"price": 0.1},
+    built_in="lossy-double-integrator",
+    nodes="S, C, A; the sensor sends at every step",
+    plants=("discrete",),
+    costs=("average", "horizon"),
+    proved=r"$J\le J_{all}+\lambda(1-\text{rate})$; critical losses",
+    refused="`cost.N`; an average cost with losses at or above the critical loss probabilities",
+    data="the step counter `clock` of a finite horizon; gains, Γ and the reference are read by `clock`",
+    order=(
+        "send y, set the estimate on `Received`, command, decide, send, zero input (or the feedforward) "
+        "unless `Received`, predict with the mean loss on the decision, or with the `Acknowledged` input "
+        "under tcp. With a delay: estimate := prior first, and S sends after A"
+    ),
+    offered=7,
+    requires="a discrete-time model, a measurement of the full state, and N = 0",
+    check=refuse_what_is_not_covered,
+)

@@ -21,6 +21,7 @@ from taciturn.design.certainty import (
     steps_at_the_actuator,
 )
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prices import Prices, by_clock, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -28,28 +29,12 @@ from taciturn.lqg.kalman import expect_known_start, forgetting, steady_filter
 from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedule_queries
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import (
-    Assign,
-    ClosedForm,
-    Decide,
-    Guarantee,
-    Innovations,
-    LinkName,
-    NodeName,
-    Policy,
-    Received,
-    Send,
-    Step,
-)
+from taciturn.model.policy import Assign, Decide, NodeName, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
+from taciturn.model.theory import ClosedForm, Guarantee, Innovations, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 Controller = Literal["remote", "actuator", "sensor"]
-LINKS: Mapping[Controller, tuple[LinkName, ...]] = {
-    "remote": ("actuator", "sensor"),
-    "actuator": ("sensor",),
-    "sensor": ("actuator",),
-}
 SITES: Mapping[Controller, tuple[frozenset[NodeName], ...]] = {
     "remote": (),
     "actuator": (frozenset({"controller", "actuator"}),),
@@ -102,7 +87,7 @@ def remote_lqg(
         >>> remote_lqg(plant, Cost([[1.0]], [[2.0]]), theta=0.2, zeta=1.5).schedule.period
         3
     """
-    choice("controller", controller, LINKS)
+    choice("controller", controller, SITES)
     theta = _parameter("theta", theta, controller, "actuator")
     zeta = _parameter("zeta", zeta, controller, "sensor")
     problem = discretise(plant, cost, period)
@@ -125,24 +110,25 @@ def remote_lqg(
         kind="remote-lqg",
         steps=steps,
         model=problem.plant,
-        cost_all_time=prices.in_units(cost_all_time),
-        scheduled=LINKS[controller],
+        theory=Theory(
+            cost=cost,
+            cost_all_time=prices.in_units(cost_all_time),
+            noise_cost=problem.noise_cost,
+            settling=_settling(prices, watch) if prices.average else 0.0,
+            guarantee=Guarantee(
+                prices.in_units((1 + theta) * (cost_all_time + zeta * queries)),
+                _statement(prices, controller),
+                "khashooei2017",
+            ),
+            identity=None if controller == "actuator" else completed_square(cost_of_watch, prices.square()),
+            innovations=estimation.innovations,
+            closed_form=closed_form,
+            fixed_rates={} if watch.schedule is None else {"sensor": watch.schedule.rate},
+        ),
         sites=SITES[controller],
         locations=(count_ticks(len(watch.covariance), watch.start),),
         initial=initial,
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=_settling(prices, watch) if prices.average else 0.0,
-        cost=cost,
-        guarantee=Guarantee(
-            prices.in_units((1 + theta) * (cost_all_time + zeta * queries)),
-            _statement(prices, controller),
-            "khashooei2017",
-        ),
-        identity=None if controller == "actuator" else completed_square(cost_of_watch, prices.square()),
-        innovations=estimation.innovations,
-        closed_form=closed_form,
-        fixed_rates={} if watch.schedule is None else {"sensor": watch.schedule.rate},
         schedule=watch.schedule,
     )
 
@@ -243,3 +229,28 @@ def _estimate(plant: Plant, watch: _Watch) -> FilterSteps:
         {"prior": plant.mean},
         innovations,
     )
+
+
+KIND = Kind(
+    name="remote-lqg",
+    design=remote_lqg,
+    goal="a sensor that is queried by a schedule, and inputs that are sent when needed",
+    tuning=(TradeoffParameter("theta", "actuator"), TradeoffParameter("zeta", "sensor")),
+    example={"theta": 0.2, "zeta": 1.5},
+    built_in="remote-scalar",
+    nodes="S, C, A (or C with S or A); the sensor link has a delay of one step",
+    costs=("average", "horizon", "discount"),
+    proved=r"$J\le(1+\theta)(J_{all}+\zeta)$; the queries are a schedule",
+    refused="a sensor that is never queried with an unstable plant; a schedule that does not repeat",
+    data=(
+        "the step counter `clock` runs through the schedule and returns to the step from which the schedule "
+        "repeats; queries, filter gains and tr(QΣ) are read by `clock`, and for a finite horizon also L and H"
+    ),
+    order=(
+        "estimate := prior, command, candidate, error, decide, send, hold, decide the query by the step "
+        "counter, send y, innovation on `Received`, predict"
+    ),
+    usual={"theta": 0.1},
+    asked=("theta", "zeta"),
+    offered=5,
+)

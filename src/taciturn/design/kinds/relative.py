@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from taciturn.design.certainty import Actuation
-from taciturn.design.mixed import relative_to_state
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.thresholds import relative_to_state
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -47,3 +48,16 @@ def relative(
         True
     """
     return relative_to_state("relative", plant, cost, sigma, 0.0, period, actuation, "tabuada2007")
+
+
+KIND = Kind(
+    name="relative",
+    design=relative,
+    goal="a threshold that grows with the norm of the state",
+    tuning=(TradeoffParameter("sigma"),),
+    example={"sigma": 0.03},
+    proved=r"$J\le(J_{all}-s\operatorname{tr}(Q\Sigma))/(1-s)$ if $s<1$",
+    data="trigger over [x̃ − x̂; x̂] (`deviation`)",
+    order="operations of `lqg`",
+    usual={"sigma": 0.1},
+)

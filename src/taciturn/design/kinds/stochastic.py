@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, ArrayLike, number, semidefinite, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, number, semidefinite, symmetrised
 from taciturn._modes import root
-from taciturn.design.bounds import LARGEST, largest_ratio
+from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
 from taciturn.design.certainty import (
     DEVIATION,
     SEND,
@@ -16,14 +16,16 @@ from taciturn.design.certainty import (
     control_steps,
     design_certainty,
 )
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ClosedForm, Draw, Guarantee, Policy
+from taciturn.model.policy import Draw, Policy
+from taciturn.model.theory import ClosedForm, Guarantee
 from taciturn.model.trigger import Form, Trigger
 
-DRAWN = "luck"
+LUCK = "luck"
 LONGEST = 100_000  # largest number of silent steps that are computed one by one
 CONVERGED = 1e-13  # relative change of a covariance at convergence
 
@@ -67,10 +69,10 @@ def stochastic(
 
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[3.0]]), Cost([[1.0]], [[1.0]])
         >>> policy = stochastic(plant, cost, actuation="model")
-        >>> round(policy.closed_form.rates["actuator"], 6)
+        >>> round(policy.theory.closed_form.rates["actuator"], 6)
         0.520178
     """
-    scale = number("scale", scale, 0.0, LARGEST)
+    scale = number("scale", scale, 0.0, LARGEST_PARAMETER)
     problem = discretise(plant, cost, period)
     certainty, n = design_certainty("stochastic", problem), problem.plant.states
     W = scale * (np.eye(n) if weight is None else semidefinite("weight", weight, n, "(states, states)"))
@@ -78,14 +80,14 @@ def stochastic(
         raise ProblemError(
             "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
         )
-    rule = Trigger({"silent": Form((DEVIATION,), W / 2), SEND: Form(plus={DRAWN: 1.0})})
+    rule = Trigger({"silent": Form((DEVIATION,), W / 2), SEND: Form(plus={LUCK: 1.0})})
     steps, initial = control_steps(
         problem.plant,
         certainty.estimation,
         certainty.regulator.L,
         actuation,
         rule,
-        before=(Draw("controller", DRAWN),),
+        before=(Draw("controller", LUCK),),
     )
     mu, guarantee = largest_ratio(certainty.square, W), None
     if mu is not None:
@@ -124,7 +126,7 @@ def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | Non
         following = symmetrised(A @ kept @ A.T + noise)
         silent *= stays
         paid = silent * float(np.sum(certainty.square * kept))
-        unit = np.sqrt(np.maximum(np.diag(following), TINY))
+        unit = np.sqrt(np.maximum(np.diag(following), NO_VARIANCE))
         settled = np.abs((following - Sigma) / unit / unit[:, None]).max() <= CONVERGED
         tail = stays / (1 - stays) if settled and stays < 1 else 0.0  # the remaining sum is geometric
         length, excess = length + silent * (1 + tail), excess + paid * (1 + tail)
@@ -142,3 +144,15 @@ def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | Non
         if not np.isfinite(Sigma @ Sigma).all():
             return None
     return None
+
+
+KIND = Kind(
+    name="stochastic",
+    design=stochastic,
+    goal="exact cost and rate without simulation, by a random threshold",
+    tuning=(TradeoffParameter("scale", falls=False),),
+    example={"actuation": "model"},
+    proved=r"$J\le J_{all}+2\mu/(e\,s)$; with a model exact cost and rate",
+    data="`Draw` ξ, which the trigger adds (`plus`)",
+    order="draw, then operations of `lqg`",
+)

@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import ArrayLike, choice, number, semidefinite
-from taciturn.design.bounds import LARGEST, bound_by_silence, largest_ratio
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence, largest_ratio
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -56,7 +57,7 @@ def absolute(
         >>> round(absolute(plant, cost, threshold=3.0, actuation="model").guarantee.cost, 3)
         10.0
     """
-    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
+    threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     choice("error", error, ("input", "state"))
     problem = discretise(plant, cost, period)
     certainty = design_certainty("absolute", problem)
@@ -84,3 +85,15 @@ def absolute(
         reset=certainty.reset(actuation),
         notes=("no bound is known: the weight is zero for some errors that have a cost",) if mu is None else (),
     )
+
+
+KIND = Kind(
+    name="absolute",
+    design=absolute,
+    goal="an absolute threshold on the error of the input or of the state",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"threshold": 1.0},
+    proved=r"$J\le J_{all}+\mu Y^2(1-\text{rate})$",
+    data="trigger over e, or over `deviation`",
+    order="operations of `lqg`",
+)

@@ -1,0 +1,60 @@
+"""A policy kind of one's own: the threshold of the trigger decays with the time since the last send."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn import Cost, Plant, Policy, Trigger
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.lqg.riccati import regulate
+from taciturn.model.policy import ONE, Assign, Decide, Form, Received, Send
+
+
+def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Policy:
+    """Design LQG control that sends when silence would cost more than a threshold that decays until the next send.
+
+    With the held input û, the command Lx and H = R + B'KB, an input is sent iff (û − Lx)'H(û − Lx) > δρ^k, k steps
+    after the step that follows the last send.
+
+    Args:
+        plant: discrete-time plant with measured full state.
+        cost: the average cost.
+        delta: threshold δ > 0 in the step after a send, a cost per step.
+        rho: factor ρ in (0, 1] of the threshold per step.
+
+    Returns:
+        The policy; silence in a step costs at most δ.
+
+    Source: astrom2002
+    """
+    found, unit = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N), np.eye(plant.inputs)
+    steps = (
+        Assign("controller", "command", {"y": found.L}),
+        Assign("controller", "gap", {"command": unit, "held": -unit}),
+        Decide("controller", "send", Trigger({"silent": Form(("gap",), found.H), "send": Form(plus={"level": 1.0})})),
+        Send("controller", "actuator", ("command",), "send"),
+        Assign("controller", "held", ({"held": unit}, {"command": unit}), "send"),
+        Assign("controller", "level", ({"level": [[rho]]}, {ONE: [[delta]]}), "send"),
+        Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator")),
+    )
+    return Policy(
+        kind="decaying",
+        steps=steps,
+        model=plant,
+        cost_all_time=float(np.trace(found.K @ plant.W)),
+        sites=(frozenset({"sensor", "controller"}),),
+        initial={"level": [delta]},
+        cost=cost,
+    )
+
+
+KIND = Kind(
+    name="decaying",
+    design=decaying,
+    goal="a threshold that forgets: rare sends after a send, and none that is long overdue",
+    tuning=(TradeoffParameter("delta"),),
+    example={"delta": 0.1},
+    built_in="lossy-double-integrator",
+    plants=("discrete",),
+    usual={"delta": 0.1},
+)

@@ -1,0 +1,48 @@
+"""Optimal LQG control that sends at every step."""
+
+from __future__ import annotations
+
+from taciturn.design.certainty import design_certainty
+from taciturn.design.clocked import every_tick
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+
+
+def all_time(plant: Plant | ContinuousPlant, cost: Cost, *, period: float | None = None) -> Policy:
+    """Design optimal LQG control that sends at every step.
+
+    Its cost per step is J_all = tr(QΣ) + tr(K(Σ̃ − Σ)).
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        period: seconds between steps; only with a continuous plant.
+
+    Returns:
+        The policy, with its exact cost.
+
+    Raises:
+        ProblemError: if period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> all_time(Plant([[0.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])).cost_all_time
+        1.0
+    """
+    certainty = design_certainty("all-time", discretise(plant, cost, period))
+    return every_tick("all-time", certainty)
+
+
+KIND = Kind(
+    name="all-time",
+    design=all_time,
+    goal="a comparison with standard LQG at every sample",
+    tuning=(TradeoffParameter("period", continuous=True),),
+    proved="cost and rate, exactly",
+    order="filter, command, send, hold, predict",
+)

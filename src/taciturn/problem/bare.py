@@ -1,0 +1,121 @@
+"""Problems of a policy without a problem file, and of a function that returns the policy for its parameters.
+
+A policy is studied on the plant, the cost and the network that it was designed for. Its policy kind is a record that
+returns the given policy; the parameters of the kind are those of the function.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias, cast
+
+from taciturn._arrays import quoted
+from taciturn.design.bare import own_problem
+from taciturn.design.kind import AnyPolicy, Kind, TradeoffParameter
+from taciturn.errors import ProblemError
+from taciturn.model.cost import Cost
+from taciturn.model.packets import fingerprint
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.problem import Problem
+
+Studied: TypeAlias = Problem | Policy | Callable[..., Policy]
+
+
+def as_problem(name: str, value: object) -> Problem:
+    """Return the problem to study: a problem as it is, or the problem of a policy or of a function that returns one.
+
+    The first parameter of a function is its tuning parameter. Its values are positive, and integers if it is
+    annotated as ``int``. The rate must fall as it increases. A parameter without a default is 1 in the policy that
+    determines plant, cost and network.
+
+    Args:
+        name: name of the argument, for messages.
+        value: the problem, the policy, or the function.
+
+    Raises:
+        ProblemError: if the value is neither of these, the function fails for these parameters, or the policy cannot be
+            studied without a problem.
+    """
+    if isinstance(value, Problem):
+        return value
+    if isinstance(value, Policy):
+        return _problem(BareKind(value.kind, _Given(value), "the given policy", base=value), {})
+    if not callable(value):
+        raise ProblemError(
+            f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file; or a Policy, or a "
+            "function that returns one"
+        )
+    function = cast("Callable[..., Policy]", value)
+    given = list(inspect.signature(function).parameters.values())
+    defaults = {one.name: one.default for one in given if one.default is not one.empty}
+    base = function(**{one.name: defaults.get(one.name, 1) for one in given})
+    if not isinstance(cast("object", base), Policy):
+        raise ProblemError(
+            f"{name} is a function that returns {quoted(base)}; expected a function that returns a Policy"
+        )
+    tuning = tuple(_tuning(one) for one in given[:1])
+    return _problem(BareKind(base.kind, function, "the given function", tuning, base=base), defaults)
+
+
+def _tuning(one: inspect.Parameter) -> TradeoffParameter:
+    whole = one.annotation in (int, "int")
+    return TradeoffParameter(one.name, least=float(whole), whole=whole)
+
+
+def _problem(kind: BareKind, parameters: Mapping[str, Any]) -> Problem:
+    assert kind.base is not None
+    plant, cost, network = own_problem(kind.base)
+    return Problem(plant, cost, network, kind.name, parameters, own=kind)
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A function without parameters that returns a policy; it can be pickled."""
+
+    policy: Policy
+
+    def __call__(self) -> Policy:
+        """Return the policy."""
+        return self.policy
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BareKind(Kind):
+    """The kind of a policy without a problem: its design function takes the parameters alone.
+
+    Args:
+        base: the policy that determines plant, cost and network.
+    """
+
+    base: Policy | None = None
+
+    @cached_property
+    def arguments(self) -> Mapping[str, inspect.Parameter]:
+        """The parameters of the function, and the network, which the policy itself states."""
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        own = [one.replace(kind=keyword) for one in inspect.signature(self.design).parameters.values()]
+        return {one.name: one for one in (*own, inspect.Parameter("network", keyword))}
+
+    @property
+    def identity(self) -> str:
+        """The kind and the fingerprint of its policy."""
+        assert self.base is not None
+        return f"{self.name} {fingerprint(self.base, self.base.network):016x}"
+
+    @property
+    def remedy(self) -> str:
+        """The remedy in the message that there is no tuning parameter."""
+        return "a function that returns the policy for a parameter"
+
+    @cached_property
+    def hints(self) -> Mapping[str, Any]:
+        """No types: the function checks its arguments."""
+        return {}
+
+    def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
+        """Return the policy for some parameters."""
+        return self.design(**{name: value for name, value in given.items() if name != "network"})

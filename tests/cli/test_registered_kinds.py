@@ -1,0 +1,156 @@
+"""A policy kind of another package: an entry point gives it all that the kinds of this package have."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RULE = Path(__file__).parents[2] / "docs" / "decaying.py"
+COMMANDS = """
+import json, sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from taciturn.cli import main
+found = []
+for command in json.loads(sys.argv[1]):
+    out, err, code = StringIO(), StringIO(), 0
+    sys.argv = ["taciturn", *command]
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code or 0
+    found.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(found))
+"""
+PROBLEM = """
+[plant]
+dt = 0.1
+A = [[1.0, 0.1], [0.0, 0.9]]
+B = [[0.005], [0.1]]
+W = [[0.0, 0.0], [0.0, 0.01]]
+[cost]
+Q = [[1.0, 0.0], [0.0, 0.1]]
+R = [[0.1]]
+[policy]
+"""
+
+
+def installed(folder: Path, entries: dict[str, str], package: str = "decaying") -> dict[str, str]:
+    """Install a package with these entry points in a folder, and return the environment that sees it."""
+    about = folder / f"{package}-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
+    lines = ["[taciturn.kinds]", *(f"{name} = {place}" for name, place in entries.items())]
+    (about / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    shutil.copy(RULE, folder)
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+
+
+def told(env: dict[str, str], folder: Path, *commands: str) -> list[tuple[int, str, str]]:
+    """Return exit code, output and messages of each command, all in one process."""
+    listed = json.dumps([command.split() for command in commands])
+    run = subprocess.run(
+        [sys.executable, "-c", COMMANDS, listed], cwd=folder, env=env, capture_output=True, text=True, check=True
+    )
+    return [tuple(one) for one in json.loads(run.stdout)]
+
+
+def problems(folder: Path) -> dict[str, str]:
+    """Write a problem of the registered kind and one of periodic control, and return the environment."""
+    (folder / "mine.toml").write_text(PROBLEM + 'kind = "decaying"\ndelta = 0.1\n', encoding="utf-8")
+    (folder / "clock.toml").write_text(PROBLEM + 'kind = "periodic"\nevery = 3\n', encoding="utf-8")
+    return installed(folder / "site", {"decaying": "decaying:KIND"})
+
+
+def test_a_registered_kind_is_evaluated_run_and_exported(tmp_path: Path) -> None:
+    """As the kinds of this package; a name that is nearly its name is recognised."""
+    *right, written, wrong = told(
+        problems(tmp_path),
+        tmp_path,
+        "show mine.toml --json",
+        "evaluate mine.toml --steps 20000 --json",
+        "network mine.toml --ticks 50 --json",
+        "export mine.toml --c code",
+        "new own.toml --kind decaying",
+        "evaluate mine.toml --set kind=decaing",
+    )
+    assert [(code, err) for code, _, err in right] == [(0, "")] * 4
+    shown, evaluated, run = (json.loads(out) for _, out, _ in right[:3])
+    assert shown["policy"] == evaluated["policy"] == "decaying"
+    assert run["rates"]["actuator"]["value"] > 0
+    assert (tmp_path / "code").is_dir()
+    assert written[1].startswith("Is the model continuous in time")
+    assert "Did you mean 'decaying'?" in wrong[2]
+
+
+@pytest.mark.evidence
+def test_a_registered_kind_is_tuned_and_compared(tmp_path: Path) -> None:
+    """By the tuning parameter of its record."""
+    right = told(
+        problems(tmp_path),
+        tmp_path,
+        "tune mine.toml --rate 0.3 --standard-error 0.01 --json",
+        "compare mine.toml clock.toml --rate 0.3 --standard-error 0.01 --json",
+        "tradeoff mine.toml --over delta=0.1,0.2 --standard-error 0.01 --json",
+    )
+    assert [(code, err) for code, _, err in right] == [(0, "")] * 3
+    tuned, compared, traded = (json.loads(out) for _, out, _ in right)
+    assert tuned["parameter"]["name"] == "delta"
+    assert tuned["rates"]["actuator"]["value"] == pytest.approx(0.3, abs=0.01)
+    assert "decaying" in json.dumps(compared)
+    assert len(traded["points"]) == 2
+
+
+def test_a_registered_kind_is_completed_without_its_import(tmp_path: Path) -> None:
+    """By the name of the entry point, also if the package is broken."""
+    env = installed(tmp_path / "site", {"decaying": "decaying:KIND", "lost": "missing:KIND"})
+    code = (
+        "import sys\nfrom taciturn.cli.words import complete_kind\n"
+        "print(complete_kind('de'), complete_kind('lo'), 'decaying' in sys.modules, 'numpy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[0] == "['decaying'] ['lossy-lqg', 'lost'] False False"
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        (
+            {"lost": "missing:KIND"},
+            "the policy kind lost of the package decaying cannot be loaded (ModuleNotFoundError",
+        ),
+        ({"lost": "decaying:decaying"}, "the policy kind lost of the package decaying names a function; expected"),
+        ({"lost": "decaying:KIND"}, "the policy kind lost of the package decaying names the kind decaying; expected"),
+        ({"lqg": "decaying:KIND"}, "the policy kind lqg is registered by the package decaying and by taciturn itself"),
+    ],
+)
+def test_a_wrong_registration_is_refused_when_it_is_asked_for(
+    tmp_path: Path, entries: dict[str, str], words: str
+) -> None:
+    """In one sentence; other kinds are not affected."""
+    (name,) = entries
+    code = (
+        "from taciturn.design.catalogue import CATALOGUE\nfrom taciturn.problem.parameters import find_kind\n"
+        f"print(len(CATALOGUE), find_kind('periodic').name)\nfind_kind({name!r})"
+    )
+    env = installed(tmp_path / "site", entries)
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.stdout.split()[1:] == ["periodic"]
+    assert done.stderr.splitlines()[-1].startswith("taciturn.errors.ProblemError: the policy ")
+    assert words in done.stderr.splitlines()[-1]
+
+
+def test_two_packages_with_a_kind_of_the_same_name_are_named(tmp_path: Path) -> None:
+    """Neither is preferred."""
+    installed(tmp_path / "site", {"decaying": "decaying:KIND"})
+    env = installed(tmp_path / "site", {"decaying": "decaying:KIND"}, "other")
+    code = "from taciturn.design.catalogue import CATALOGUE\nCATALOGUE['decaying']"
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert "the policy kind decaying is registered by the package" in done.stderr.splitlines()[-1]
