@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,14 +14,15 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import BURSTS, FUNCTION, JUMPS, LIMIT, ROUNDING, SIMULATED, uncovered
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Policy, Step
+from taciturn.model.policy import ENDS, Assign, Policy
 from taciturn.model.steps import assigned
 from taciturn.model.theory import Identity
-from taciturn.model.trigger import Form, Matrix, Scheduled
-from taciturn.program.controller import Begin, begin_time_step
+from taciturn.model.trigger import Form
+from taciturn.program.controller import Begin, begin_time_step, replaced
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
@@ -90,6 +91,12 @@ class Loop(Displayed):
     def departures(self) -> tuple[str, ...]:
         """The former name of ``violated_assumptions``."""
         return self.violated_assumptions
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """The parts that every interpreter of the loop must cover."""
+        problem = self.problem
+        return problem.source, problem.plant, problem.cost, self.network, self.policy.parts
 
     @property
     def identity(self) -> Identity | None:
@@ -172,7 +179,7 @@ class Loop(Displayed):
             if isinstance(step, Assign) and step.signal == innovations.signal:
                 tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
             else:
-                tick.take(_driven(step, innovations.signal, spread))
+                tick.take(replaced(step, innovations.signal, INNOVATION_DRAWS, spread))
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
@@ -333,13 +340,15 @@ def close(
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
+    SIMULATED.check(network, policy.parts, policy.designed_for)
     check_network(policy, network)
     _check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
         raise ProblemError(
             f"cost.horizon is {cost.horizon}, but the reference has {policy.cost.horizon} steps; expected equal lengths"
         )
-    return Loop(problem, policy, network, _violated_assumptions(problem, policy, network))
+    missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
+    return Loop(problem, policy, network, _violated_assumptions(problem, policy, network, missing))
 
 
 def _check_plants(problem: Discrete, policy: Policy) -> None:
@@ -362,40 +371,31 @@ def _check_plants(problem: Discrete, policy: Policy) -> None:
         )
 
 
-def _violated_assumptions(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
+def _violated_assumptions(
+    problem: Discrete, policy: Policy, network: Network, missing: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the properties ``missing`` in the theory's coverage, and the differences from the design, as text."""
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
-    filtered = not plant.full_state and policy.theory.closed_form is None
-    bursts = any(network.burst(link) is not None for link in ENDS)
     exact, designed = network.without_rounding(), policy.network.without_rounding()
+
+    def lacks(names: frozenset[str]) -> bool:
+        return not names.isdisjoint(missing)
+
     found = {
-        "the plant is not linear (A and B are its linearisation)": plant.function is not None,
+        "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
         "the plant is not the one of the design": not plant.same_as(model),
         "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
-        "inputs are clipped (input_limit)": plant.input_limit is not None,
-        "the noise has jumps, but the filter's theory assumes Gaussian noise": filtered and problem.jumps is not None,
-        "losses come in bursts, but the design uses only their mean": bursts,
-        "the network is not the one of the design": not bursts and exact != designed.without_bursts(),
+        "inputs are clipped (input_limit)": lacks(LIMIT),
+        "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
+        "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
+        "the network is not the one of the design": not lacks(BURSTS) and exact != designed.without_bursts(),
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
-        f"packets contain rounded numbers ({network.payload})": network.payload != "float64",
+        f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
-    return tuple(text for text, departs in found.items() if departs)
-
-
-def _driven(step: Step, innovation: str, spread: Array) -> Step:
-    """Return the step with the innovation replaced by its factor times normal draws."""
-    if not isinstance(step, Assign) or not any(innovation in terms for terms in step.branches):
-        return step
-
-    def driven(name: str, matrix: Matrix) -> tuple[str, Matrix]:
-        return (INNOVATION_DRAWS, _times(matrix, spread)) if name == innovation else (name, matrix)
-
-    return replace(step, branches=tuple(dict(driven(*term) for term in terms.items()) for terms in step.branches))
-
-
-def _times(matrix: Matrix, other: Array) -> Matrix:
-    return Scheduled(matrix.by, matrix.values @ other) if isinstance(matrix, Scheduled) else matrix @ other
+    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING]
+    return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
 
 
 def _normals(tick: TimeStep, number: int, first: int) -> list[int]:

@@ -26,6 +26,7 @@ from taciturn.analyse.reduction import relevant
 from taciturn.analyse.switched import decisions_of, read_steps, refuse_loops
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.coverage import BURSTS, LOSSES, ROUNDING
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Send
 
@@ -89,7 +90,7 @@ def outcomes(loop: Loop) -> Outcomes | None:
     if not links:
         return None
     try:
-        refuse_loops(loop, dropping=True)
+        refuse_loops(loop, LOSSES | BURSTS | ROUNDING)
         return _read(loop, links)
     except ProblemError:
         return None

@@ -13,8 +13,24 @@ from taciturn._modes import factor
 from taciturn.analyse.reduction import Switched, reduce
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, SENT, Loop
+from taciturn.model.coverage import (
+    BELLS,
+    BURSTS,
+    DRAWS,
+    ENDING,
+    FUNCTION,
+    FUNCTIONS,
+    JUMPS,
+    LIMIT,
+    LINEAR_LOOP,
+    LOSSES,
+    MEMORIES,
+    ROUNDING,
+    TRACKING,
+    uncovered,
+)
 from taciturn.model.network import Network
-from taciturn.model.policy import ENDS, ONE, Apply, Condition, Draw, Evaluate, LinkName, Policy, Send, Step
+from taciturn.model.policy import ENDS, ONE, Apply, Condition, Draw, Evaluate, LinkName, Policy, Step
 from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import NORMAL
@@ -23,6 +39,9 @@ from taciturn.program.lower import TimeStep, Truth
 from taciturn.program.quadratic import as_form, read_polynomials
 
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
+
+# the properties of a loop that its step represents, or refuses where it meets them (_FixedStep)
+CERTIFIED = LINEAR_LOOP | JUMPS | MEMORIES | BELLS | DRAWS
 
 
 class Case(NamedTuple):
@@ -229,27 +248,29 @@ def _beyond(step: Evaluate | Apply | Draw) -> str:
     return f"stores {step.signal}, a quadratic form"
 
 
-def refuse_loops(loop: Loop, dropping: bool = False) -> None:
+def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     """Raise an error if a loop is not a switched linear map over an infinite horizon.
 
-    ``dropping`` allows links that drop packets.
+    ``more`` are further properties that the caller supports.
     """
-    policy, network = loop.policy, loop.network
-    sent = {step.link for step in policy.steps if isinstance(step, Send)}
-    lost = [link for link in ENDS if link in sent and network.loss(link) > 0]
+    policy = loop.policy
+    missing = [name for name in uncovered(CERTIFIED, loop.parts) if name not in more]
     functions = [step for step in policy.steps if isinstance(step, Apply)]
-    found = {
-        "the plant is not linear": loop.problem.plant.function is not None,
-        f"{policy.kind} {_beyond(functions[0]) if functions else ''}": bool(functions),
-        f"{policy.kind} follows a reference": policy.tracking is not None,
-        f"{policy.kind} adds constants": any(ONE in read(step) for step in policy.steps),
-        "the loop is a finite-horizon run, with a horizon or a discount": loop.horizon is not None,
-        "inputs are clipped (input_limit)": loop.problem.plant.input_limit is not None,
-        f"the {lost[0] if lost else ''} link drops packets": bool(lost) and not dropping,
+    constants = any(ONE in read(step) for step in policy.steps)
+    links = [link for link in ENDS if loop.network.loss(link) > 0]
+    known = {
+        "the plant is not linear": FUNCTION,
+        f"{policy.kind} {_beyond(functions[0]) if functions else ''}": FUNCTIONS,
+        f"{policy.kind} follows a reference": TRACKING,
+        f"{policy.kind} adds constants": frozenset({ONE} if constants else ()),
+        "the loop is a finite-horizon run, with a horizon or a discount": ENDING,
+        "inputs are clipped (input_limit)": LIMIT,
+        f"the {links[0] if links else ''} link drops packets": LOSSES | BURSTS,
+        f"packets contain rounded numbers ({loop.network.payload})": ROUNDING,
     }
-    for text, given in found.items():
-        if given:
-            raise ProblemError(f"{text}, {_unserved()}")
+    found = [text for text, names in known.items() if ONE in names or not names.isdisjoint(missing)]
+    for text in (*found, *(f"{name} is given" for name in missing)):
+        raise ProblemError(f"{text}, {_unserved()}")
 
 
 def _unserved() -> str:

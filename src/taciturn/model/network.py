@@ -199,6 +199,12 @@ class Network(Displayed):
             sensor_burst=None,
         )
 
+    def without_constant_bursts(self) -> Network:
+        """Return the network in which a burst model that never changes its state is a loss probability."""
+        constant = [f"{link}_" for link in ("actuator", "sensor") if self._given_burst(link) and not self.burst(link)]
+        changes = {f"{link}loss": self.loss(link[:-1]) for link in constant}
+        return replace(self, **{**dict.fromkeys(f"{link}burst" for link in constant), **changes}) if constant else self
+
     def without_rounding(self) -> Network:
         """Return the network whose packets transmit numbers without rounding."""
         return replace(self, payload="float64", actuator_range=None, sensor_range=None)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TypeAlias
 
 from taciturn._arrays import Array
 from taciturn.model.network import Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import ENDS, Policy
+from taciturn.model.policy import ENDS, Assign, Policy, Step
+from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep, encode_payloads, is_bad
 from taciturn.program.ops import Precision
@@ -56,3 +58,16 @@ def begin_time_step(
     sizes = {**policy.sizes, **sizes, **dict.fromkeys(bad, 1)}
     initial = {**policy.initial, **initial, **{name: name for name in bad}}
     return begin(Builder(precision), sizes, initial, policy.locations, told)
+
+
+def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
+    """Return a policy step with a signal replaced by the product of a matrix and another signal."""
+    if not isinstance(step, Assign) or not any(signal in terms for terms in step.branches):
+        return step
+
+    def term(name: str, matrix: Matrix) -> tuple[str, Matrix]:
+        if name != signal:
+            return name, matrix
+        return by, Scheduled(matrix.by, matrix.values @ factor) if isinstance(matrix, Scheduled) else matrix @ factor
+
+    return replace(step, branches=tuple(dict(term(*one) for one in terms.items()) for terms in step.branches))
