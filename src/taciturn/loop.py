@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
+from taciturn._assumptions import check_plants, list_violations
 from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, FUNCTION, JUMPS, LIMIT, ROUNDING, SIMULATED, uncovered
-from taciturn.model.information import check_network, unheard_acknowledgements
+from taciturn.model.coverage import SIMULATED, uncovered
+from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ENDS, Assign, Policy
@@ -342,60 +342,13 @@ def close(
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
     SIMULATED.check(network, policy.parts, policy.designed_for)
     check_network(policy, network)
-    _check_plants(problem, policy)
+    check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
         raise ProblemError(
             f"cost.horizon is {cost.horizon}, but the reference has {policy.cost.horizon} steps; expected equal lengths"
         )
     missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
-    return Loop(problem, policy, network, _violated_assumptions(problem, policy, network, missing))
-
-
-def _check_plants(problem: Discrete, policy: Policy) -> None:
-    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant.
-
-    Raises:
-        ProblemError: such a property is an input limit, a function, or the initial covariance for an average cost.
-    """
-    plant, model = problem.plant, policy.model
-    begun = policy.cost is not None and policy.cost.mission
-    ignored = {
-        "input_limit": model.input_limit is not None and not plant.agrees("input_limit", model),
-        "function": model.function is not None and plant.function is None,
-        "initial.covariance": model.covariance.any() and not begun and not plant.agrees("covariance", model),
-    }
-    for name in (name for name, unused in ignored.items() if unused):
-        raise ProblemError(
-            f"plant.{name} is given, but the simulated plant, plant.actual, has a different {name} or none; expected "
-            f"plant.actual.{name} with the same value, or no plant.{name}, which the design does not use"
-        )
-
-
-def _violated_assumptions(
-    problem: Discrete, policy: Policy, network: Network, missing: Sequence[str]
-) -> tuple[str, ...]:
-    """Return the properties ``missing`` in the theory's coverage, and the differences from the design, as text."""
-    plant, model, cost = problem.plant, policy.model, problem.cost
-    started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
-    exact, designed = network.without_rounding(), policy.network.without_rounding()
-
-    def lacks(names: frozenset[str]) -> bool:
-        return not names.isdisjoint(missing)
-
-    found = {
-        "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
-        "the plant is not the one of the design": not plant.same_as(model),
-        "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
-        "inputs are clipped (input_limit)": lacks(LIMIT),
-        "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
-        "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
-        "the network is not the one of the design": not lacks(BURSTS) and exact != designed.without_bursts(),
-        "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
-        f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
-        "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
-    }
-    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING]
-    return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
+    return Loop(problem, policy, network, list_violations(problem, policy, network, missing))
 
 
 def _normals(tick: TimeStep, number: int, first: int) -> list[int]:

@@ -19,7 +19,7 @@ from taciturn.model.theory import Reset
 if TYPE_CHECKING:
     from taciturn.renewal.optimal import Optimum
 
-BOUNDED = Coverage(LINEAR_LOOP | STEPS, "lower bounds and optimal schedules do not support", "a loop without it")
+BOUNDED = Coverage(LINEAR_LOOP | STEPS, "lower bounds and optimal schedules do not support")
 LEVEL = 0.999  # default confidence level of a bound
 CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any, cast
 
 import numpy as np
 
@@ -102,4 +103,4 @@ class Cost(Displayed):
     def same_as(self, other: Cost) -> bool:
         """Return whether the other cost has the same weights, horizon and discount."""
         names = {one.name for one in (*fields(self), *fields(other))}
-        return all(np.array_equal(getattr(self, name, None), getattr(other, name, None)) for name in names)
+        return all(np.array_equal(*(cast("Any", getattr(one, name, None)) for one in (self, other))) for name in names)

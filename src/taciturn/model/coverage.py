@@ -3,27 +3,30 @@
 The properties are the fields of the classes in ``taciturn.model``, such as ``plant.function`` or ``Assign.on``. A
 property is given if it differs from its neutral value. A ``Coverage`` lists the names of properties that an interpreter
 carries out; any other property that is given is reported. Names are listed one by one and are never derived from the
-classes, so that a new field or a new class of policy steps is not covered until somebody adds its name.
+classes, so that a new field or a new class of policy steps is not covered until somebody adds its name. A new property
+gets a group of names of its own, which each theory and each interpreter adds to its coverage when it has learnt it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn.errors import ProblemError
+from taciturn.model.network import Network
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
 _PREFIXES |= {name: name.lower() for name in ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking")}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
-_OPAQUE = {"plant.function", "Apply.function"}  # callables
-_PLAIN = (str, bytes, int, float, np.ndarray, np.generic, type(None))
+_OPAQUE = ("plant.function", "Apply.function")  # callables
+_PLAIN = (str, int, float, np.ndarray, type(None))
 
 
 def names(owner: str, properties: str) -> frozenset[str]:
@@ -61,6 +64,7 @@ LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FUNCTIONS
 PLANTS = LINEAR_PLANT | FUNCTION | LIMIT | JUMPS
 NETWORKS = LINKS | LOSSES | BURSTS | ROUNDING
+LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | STEPS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself
 GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS
 THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise
@@ -78,7 +82,7 @@ class Coverage:
 
     names: AbstractSet[str]
     refusal: str
-    remedy: str
+    remedy: str = "a loop without this property"
 
     def check(self, *things: object) -> None:
         """Raise an error if a property is given that the interpreter does not carry out.
@@ -94,11 +98,7 @@ class Coverage:
         return f"{name} is given, which {self.refusal}; expected {self.remedy}"
 
 
-SIMULATED = Coverage(
-    PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | STEPS,
-    "designs and simulations do not model",
-    "only properties that taciturn.model.coverage.SIMULATED lists",
-)
+SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
 
 
 def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
@@ -117,45 +117,42 @@ def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
 
 
 def _uncovered(covered: AbstractSet[str], thing: object) -> Iterator[str]:
-    if isinstance(thing, _PLAIN):
-        return
     if isinstance(thing, Mapping | tuple | list):
-        held = cast("Mapping[Any, object] | Iterable[object]", thing)
+        held = cast("Mapping[Any, object] | Sequence[object]", thing)
         for one in held.values() if isinstance(held, Mapping) else held:
             yield from _uncovered(covered, one)
-        return
-    owner, listed, more = _described(type(thing))
-    if owner not in covered:
-        yield owner
-        return
-    yield from more
-    held = {field.name for _, field in listed}
-    yield from (f"{owner}.{name}" for name in vars(thing) if name not in held and not hasattr(type(thing), name))
-    simple = thing.without_constant_bursts() if hasattr(thing, "without_constant_bursts") else thing
-    for name, field in listed:
-        value = getattr(simple, field.name)
-        if name not in covered and not _is_neutral(name, field, value):
-            yield name
-        elif name in covered and name not in _OPAQUE and (is_dataclass(value) or isinstance(value, Mapping | tuple)):
-            yield from _uncovered(covered, value)
+    elif not isinstance(thing, _PLAIN):
+        owner, listed, more = _described(type(thing))
+        if owner not in covered:
+            yield owner
+            return
+        here = thing.without_constant_bursts() if isinstance(thing, Network) else thing
+        own = (f"{owner}.{name}" for name in vars(here) if not hasattr(type(here), name))
+        yield from (name for name in (*more, *own) if name not in covered and name not in listed)
+        for name, field in listed.items():
+            value: object = getattr(here, field.name)
+            if name in covered:
+                yield from () if name in _OPAQUE else _uncovered(covered, value)
+            elif not _is_neutral(name, field, value):
+                yield name
 
 
 @lru_cache(maxsize=256)
-def _described(kind: type) -> tuple[str, tuple[tuple[str, Field[Any]], ...], tuple[str, ...]]:
+def _described(kind: type[object]) -> tuple[str, Mapping[str, Field[Any]], tuple[str, ...]]:
     """Return the name of a class in coverages, its fields by name, and what a class derived from it overrides."""
     base = next((one for one in kind.__mro__ if one.__module__.startswith(MODEL)), None)
     if base is None or not is_dataclass(kind):
-        return kind.__name__, (), ()
+        return kind.__name__, {}, ()
     owner = _PREFIXES.get(base.__name__, base.__name__)
-    listed = fields(kind)
-    own = {name for one in kind.__mro__[: kind.__mro__.index(base)] for name in vars(one) if name[:2] != "__"}
-    changed = sorted(own - {field.name for field in listed} - {"_abc_impl"})
-    return owner, tuple((f"{owner}.{one.name}", one) for one in listed), tuple(f"{owner}.{name}" for name in changed)
+    derived = kind.__mro__[: kind.__mro__.index(base)]
+    more = dict.fromkeys(f"{owner}.{name}" for one in derived for name in vars(one) if not name.startswith("__"))
+    return owner, {f"{owner}.{one.name}": one for one in fields(kind)}, tuple(more)
 
 
 def _is_neutral(name: str, field: Field[Any], value: object) -> bool:
     default = field.default_factory() if field.default_factory is not MISSING else field.default
-    neutral = _NEUTRAL.get(name, None if default is MISSING else default)
+    neutral: object = _NEUTRAL.get(name, None if default is MISSING else default)
     if isinstance(value, np.ndarray):
-        return not value.any() if neutral is None else np.array_equal(value, cast("Any", neutral))
+        array = cast("npt.NDArray[Any]", value)
+        return not array.any() if neutral is None else np.array_equal(array, cast("Any", neutral))
     return bool(value == neutral or (neutral is None and not value))

@@ -11,7 +11,7 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn._figure import Arrow, Size, draw_lanes
-from taciturn.model.coverage import ENDING, NETWORKS, PLANTS, STEPS, TRACKING, WEIGHTS, Coverage
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.location import Location
 from taciturn.model.plant import Prediction
 from taciturn.model.steps import (
@@ -32,9 +32,7 @@ from taciturn.model.trigger import Form, Scheduled, Trigger
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DRAWN = Coverage(
-    PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | STEPS, "diagrams do not show", "a policy without this property"
-)
+DRAWN = Coverage(LOOPS, "diagrams do not show")
 When = Literal["always", "decision", "schedule"]
 PLAIN = str.maketrans("┌┐└┘├┤┼┬│─▶◀┄≠", "+++++++++-><.#")
 PLAIN |= {ord("│"): "|", ord("≠"): "!="}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import ClassVar, Literal, Protocol, cast, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -97,7 +97,7 @@ class Plant(DisplayedPlant):
 
     def agrees(self, key: str, other: Plant) -> bool:
         """Return whether both plants have equal arrays of this name, or neither plant has such an array."""
-        return np.array_equal(getattr(self, key, None), getattr(other, key, None))
+        return np.array_equal(*(cast("Any", getattr(one, key, None)) for one in (self, other)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

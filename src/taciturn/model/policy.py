@@ -16,6 +16,7 @@ from taciturn._display import Displayed
 from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import uncovered
 from taciturn.model.diagram import DRAWN, Diagram, draw_diagram
 from taciturn.model.location import Location as Location
 from taciturn.model.location import joint_cycle
@@ -188,8 +189,8 @@ class Policy(Displayed):
 
     @property
     def guarantee(self) -> Guarantee | None:
-        """The proven upper bound on the cost, or None."""
-        return self.theory.guarantee
+        """The proven upper bound on the cost, or None if it is unknown or if the theory does not cover the steps."""
+        return None if uncovered(self.theory.covers, self.parts) else self.theory.guarantee
 
     @property
     def scheduled(self) -> tuple[LinkName, ...]:

@@ -13,6 +13,7 @@ from taciturn.model.policy import ENDS, Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep, encode_payloads, is_bad
+from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
 
 Begin: TypeAlias = Callable[..., TimeStep]
@@ -28,6 +29,7 @@ def lower_policy(policy: Policy, network: Network) -> Program:
         policy: the policy.
         network: the links between its nodes.
     """
+    NODES.check(policy.parts, policy.designed_for, network)
     tick = begin_time_step(policy, network, {}, {})
     tick.draw_losses(policy, network)
     tick.signals["y"] = [tick.builder.input(f"y {i}") for i in range(policy.model.outputs)]

@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.coverage import NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.policy import (
     ENDS,
@@ -42,6 +43,8 @@ from taciturn.program.trace import trace
 
 Operands = list[int]
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
+
+LOWERED = Coverage(STEPS | TRACKING | NETWORKS, "programs do not carry out")
 
 
 class TimeStep:
@@ -335,6 +338,7 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
     Raises:
         ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.
     """
+    LOWERED.check(policy.parts, network)
     payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:
         if isinstance(step, Send):

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from taciturn.errors import ProblemError
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import (
@@ -31,6 +32,8 @@ from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
 from taciturn.program.lower import Operands, Payloads, TimeStep, encode_payloads
 from taciturn.program.ops import Precision, State
+
+NODES = Coverage(LOOPS, "nodes do not carry out")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,7 @@ def lower_node(
             of its packet and its use, both ends of a link are at one site, a packet is read both before and after it is
             sent, or a node needs an acknowledgement before its last output.
     """
+    NODES.check(policy.parts, policy.designed_for, network)
     check_separable(policy)
     return _Lowering(policy, site, network, precision).result()
 
