@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-import taciturn
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, ProblemError, Reference, close, design
 from taciturn.analyse.limits import resets
 from taciturn.analyse.renewal import NoQuadratureError, chain_of
@@ -33,13 +32,14 @@ from taciturn.program.node import lower_node
 from taciturn.runtime.control import to_control
 from taciturn.runtime.nodes import Nodes
 from taciturn.runtime.plant import SimulatedPlant
+from taciturn.simulation.average import average
 from taciturn.study.channel.loop_classes import CHANNELS
 from taciturn.study.testbed.network import losses
 from taciturn.study.testbed.world import World
 
 LEARNT = (SIMULATED, LOWERED, INFORMED)
 ONE = [[1.0]]
-PLANT, COST = Plant([[1.1]], ONE, ONE), Cost(ONE, ONE)
+IDEAL, PLANT, COST = Network(), Plant([[1.1]], ONE, ONE), Cost(ONE, ONE)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Case:
     name: str
     plant: Plant | ContinuousPlant = PLANT
     cost: Cost = COST
-    network: Network = Network()
+    network: Network = IDEAL
     change: Callable[[Any], Any] = lambda step: step
     more: tuple[Any, ...] = ()
     around: str = ""  # a known property that contains the unknown one, and whose refusal suffices
@@ -99,15 +99,12 @@ def with_form(step: Decide) -> Decide:
 
 
 CONTINUOUS = ContinuousPlant([[0.1]], ONE, ONE)
+JUMPS = grown(Jumps(1.0, np.eye(1)), "skewness")
 BURST = grown(Burst(0.1, 0.5, 0.0, 0.5), "memory", init=True)
 CASES = (
     Case("plant.dead_zone", plant=grown(PLANT, "dead_zone")),
     Case("plant.dead_zone", plant=grown(CONTINUOUS, "dead_zone")),
-    Case(
-        "jumps.skewness",
-        plant=ContinuousPlant([[0.1]], ONE, jumps=grown(Jumps(1.0, np.eye(1)), "skewness")),
-        around="jumps",
-    ),
+    Case("jumps.skewness", plant=ContinuousPlant([[0.1]], ONE, jumps=JUMPS), around="jumps"),
     Case("cost.risk_aversion", cost=grown(COST, "risk_aversion")),
     Case("network.random_delay", network=grown(Network(), "random_delay", init=True)),
     Case("burst.memory", network=Network("udp", actuator_burst=BURST), around="burst|drops packets"),
@@ -120,9 +117,9 @@ CASES = (
 PREVIEW = grown(Reference([[0.0]] * 4, [[0.0]] * 3), "preview")
 DESIGNS: Mapping[str, Callable[[], object]] = {  # designs from parts that no policy contains
     "reference.preview": lambda: design.lossy_lqg(PLANT, Cost(ONE, ONE, horizon=3), price=1.0, reference=PREVIEW),
-    "network.random_delay": lambda: design.lossy_lqg(PLANT, COST, CASES[4].network, price=1.0),
-    "plant.dead_zone": lambda: design.integral(grown(CONTINUOUS, "dead_zone"), COST, c=1.0),
-    "cost.risk_aversion": lambda: design.consistent(CONTINUOUS, grown(COST, "risk_aversion"), 0.1, theta=0.1),
+    "network.random_delay": lambda: design.lossy_lqg(PLANT, COST, network=CASES[4].network, price=1.0),
+    "plant.dead_zone": lambda: design.integral(grown(CONTINUOUS, "dead_zone"), COST, slope=1.0),
+    "cost.risk_aversion": lambda: design.consistent(CONTINUOUS, grown(COST, "risk_aversion"), period=0.1),
 }
 
 
@@ -140,7 +137,7 @@ def policy_of(case: Case) -> Policy:
 UNKNOWN: Mapping[str, Callable[[Case], object]] = {
     "design": lambda case: policy_of(case).diagram(),
     "close": lambda case: case.loop(),
-    "simulate": lambda case: taciturn.average(case.loop(), ticks=100, paths=2),
+    "simulate": lambda case: average(case.loop(), steps=2000),
 }
 OTHERS: Mapping[str, Callable[[Case], object]] = {
     "claims": lambda case: quiet(case.loop()),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from covered import CASES, DESIGNS, IRRELEVANT, OTHERS, UNKNOWN, Case, answer, grown, learnt
 
-import taciturn
 from taciturn import Burst, Cost, Network, Plant, ProblemError
 from taciturn.model.coverage import ENDING, NETWORKS, PLANTS, WEIGHTS, uncovered
+from taciturn.simulation.average import average
 
 NAMES = [f"{case.name} of {type(case.plant).__name__}" for case in CASES]
 
@@ -43,7 +43,7 @@ def test_a_loop_with_a_property_beyond_the_theory_is_simulated_plainly_with_a_no
         assert not loop.nominal
         assert not loop.reducible
         assert loop.identity is None
-        assert taciturn.average(loop, ticks=200, paths=4).cost.value > 0
+        assert average(loop, steps=2000).cost.value > 0
     steps = next(case for case in CASES if case.name == "Assign.saturation").policy()
     assert steps.theory.guarantee is not None
     assert steps.guarantee is None

@@ -127,7 +127,7 @@ def _uncovered(covered: AbstractSet[str], thing: object) -> Iterator[str]:
             yield owner
             return
         here = thing.without_constant_bursts() if isinstance(thing, Network) else thing
-        own = (f"{owner}.{name}" for name in vars(here) if not hasattr(type(here), name))
+        own = (f"{owner}.{name}" for name in vars(thing) if not hasattr(type(thing), name))
         yield from (name for name in (*more, *own) if name not in covered and name not in listed)
         for name, field in listed.items():
             value: object = getattr(here, field.name)
