@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn import Cost, Plant, Policy, Trigger
+from taciturn import Cost, Plant, Policy, Theory, Trigger
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.policy import ONE, Assign, Decide, Form, Received, Send
@@ -41,10 +41,9 @@ def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Pol
         kind="decaying",
         steps=steps,
         model=plant,
-        cost_all_time=float(np.trace(found.K @ plant.W)),
+        theory=Theory(cost, cost_all_time=float(np.trace(found.K @ plant.W))),
         sites=(frozenset({"sensor", "controller"}),),
         initial={"level": [delta]},
-        cost=cost,
     )
 
 

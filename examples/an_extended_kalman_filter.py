@@ -9,7 +9,6 @@ import numpy as np
 
 import taciturn
 from taciturn.model.policy import Apply, Policy, Step
-from taciturn.model.theory import Theory
 
 DT, KEPT = 0.1, 1 - 0.1 * 0.2  # seconds per step; factor of the speed after damping
 C, V, W = np.array([[1.0, 0.0]]), np.array([[0.5]]), np.diag([1e-5, 0.1])
@@ -50,7 +49,7 @@ new: dict[str, Step] = {
     "prior": Apply("controller", {"prior": 2, "spread": 4}, predict, ("estimate", "covariance", "held")),
 }
 steps = tuple(new.get(getattr(step, "signal", ""), step) for step in fixed.steps)
-extended = Policy("extended", steps, plant, Theory(cost, settling=fixed.theory.settling), fixed.sites,
+extended = Policy("extended", steps, plant, taciturn.Theory(cost, settling=fixed.theory.settling), fixed.sites,
                   initial={"spread": W.ravel()}, tick=DT)  # fmt: skip
 before, after = (taciturn.close(plant, policy) for policy in (fixed, extended))
 saved = taciturn.difference(before, after, steps=1_000_000)  # with the same noise

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 import taciturn
 from taciturn.lqg.discrete import discretise
 from taciturn.model.policy import Acknowledged, Assign, Decide, Location, Policy, Received, Send
-from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 TAU, H, KP, KD = 0.1, 0.7, 0.2, 0.7  # engine's time constant (s), time gap (s), radar gains: ploeg2011, ploeg2014
@@ -36,8 +35,8 @@ def follow(limits: list[float], loss: float, replies: bool) -> tuple[float, floa
     ages = np.arange(len(limits))  # steps since the last message that counts
     age = Location("age", np.column_stack([np.minimum(ages + 1, ages[-1]), 0 * ages]), "sensor", counts)
     car = frozenset({"controller", "actuator"})
-    policy = Policy("follow", steps, discretise(pair, gap, PERIOD).plant, Theory(settling=100), (car,), (age,), {},
-                    PERIOD, taciturn.Network("tcp" if replies else "udp", sensor_loss=loss))  # fmt: skip
+    policy = Policy("follow", steps, discretise(pair, gap, PERIOD).plant, taciturn.Theory(settling=100), (car,), (age,),
+                    {}, PERIOD, taciturn.Network("tcp" if replies else "udp", sensor_loss=loss))  # fmt: skip
     found = taciturn.average(taciturn.close(pair, policy, cost=gap), steps=1_000_000)
     rate, off = found.rates["sensor"].value * (2 - loss if replies else 1), 100 * np.sqrt(found.cost.value)
     return rate, off, 100**2 * found.cost.standard_error / (2 * off)

@@ -38,9 +38,8 @@ def years(rate: float) -> float:
 
 
 base, every = room.design().cost_all_time, np.arange(1, 7)
-periodic = [
-    taciturn.design.periodic(model.plant, comfort, every=k, actuation="model").theory.closed_form.cost for k in every
-]
+clocks = [taciturn.design.periodic(model.plant, comfort, every=k, actuation="model") for k in every]
+periodic = [policy.theory.closed_form.cost for policy in clocks]
 found = taciturn.tune(room, cost=periodic[1], standard_error=1e-4 * base)  # the comfort of sends every ten minutes
 rate = found.evaluation.rates["actuator"]
 path = taciturn.simulate(taciturn.close(model.plant, found.problem.design(), room.network, comfort), ticks=200_000)
@@ -50,8 +49,7 @@ error = now - years(rate.value + marks + rate.standard_error)
 answer = f"Two AA cells last {now:.1f} years instead of {before:.1f}, at the same comfort"
 print(f"{answer}: {rate.scaled(CHECKS)} messages and {CHECKS * marks:.0e} marks of a silent sensor per hour")
 events = [taciturn.evaluate(room.changed({"delta": d}), steps=500_000) for d in (1e-5, 5e-5, 2e-4, 5e-4, 1e-3)]
-figure = Figure(figsize=(7, 4.2), layout="constrained")
-axes = figure.subplots()
+axes = (figure := Figure(figsize=(7, 4.2), layout="constrained")).subplots()
 axes.plot([years(1 / k) for k in every], np.array(periodic) / base, "o-", label="periodic, every 5, 10, … 30 minutes")
 lives = [years(each.rates["actuator"].value) for each in events]
 axes.plot(lives, [each.cost.value / base for each in events], "o-", label="event-triggered")

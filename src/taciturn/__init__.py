@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from taciturn.model.policy import Policy as Policy
     from taciturn.model.reference import Reference as Reference
     from taciturn.model.theory import Guarantee as Guarantee
+    from taciturn.model.theory import Theory as Theory
     from taciturn.model.trigger import Trigger as Trigger
     from taciturn.problem import Problem as Problem
     from taciturn.problem import load as load
@@ -64,6 +65,7 @@ _HOME = {
     "ProblemError": "errors",
     "Reference": "model.reference",
     "TaciturnError": "errors",
+    "Theory": "model.theory",
     "Trigger": "model.trigger",
     "UnstableError": "errors",
     "average": "simulation.average",

@@ -27,8 +27,8 @@ Time is virtual by default: a step ends when its packets have arrived, so a seed
 real time, the world does not wait, and a late packet has a late effect.
 
 **Results.** Each process logs its steps and reports its counters. `outcome` combines them into a `Trial` and accounts
-for every datagram. `run.run_twin` adds the same trial with the policy that sends every sample. `report`, `record` and
-`figures` write the results, and `reproduction` arranges them as in the thesis.
+for every datagram. `run.run_twin` adds the same trial with the policy that sends every sample. `report`, `dataset`,
+`record` and `figures` write the results, and `reproduction` arranges them as in the thesis.
 
 **Live page.** `live.watch_twin` runs one round after another. `steps` combines the logs of a running trial into one row
 per step. `baseline` runs the loop that sends every sample synchronously, with the same seed, disturbances, faults,

@@ -83,7 +83,6 @@ def twin(
     from taciturn_twins.catalogue import find_robot
     from taciturn_twins.faults import parse_fault
     from taciturn_twins.record import check_record, check_video, write_record, write_video
-    from taciturn_twins.report import lines_of
     from taciturn_twins.run import run_twin
     from taciturn_twins.trial import Setup
 
@@ -121,7 +120,7 @@ def twin(
     if as_json:
         print_json(done.document(), done.origin())
     else:
-        typer.echo(pairs_text(lines_of(done)))
+        typer.echo(pairs_text(done.lines()))
     if not live:
         keep(done)
 

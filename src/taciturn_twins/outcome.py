@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.extend import Array, Displayed
+from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import KernelLoss, predict_drops
@@ -217,3 +218,9 @@ def _notes(told: Told) -> tuple[str, ...]:
         for name, report in told.reports.items()
         for reason, count in report.get("degraded", {}).items()
     )
+
+
+def mean(values: Array) -> Estimate:
+    """Return the mean of independent runs, with its standard error if there are two or more."""
+    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")

@@ -3,74 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from taciturn.extend import Array, percent
+from taciturn.extend import Array
 from taciturn.model.estimate import Estimate
 from taciturn.study.testbed.ticks import measured
 from taciturn_twins.identification import Identification
-from taciturn_twins.mission import THESIS
-from taciturn_twins.outcome import Trial
+from taciturn_twins.outcome import Trial, mean
 from taciturn_twins.robot import Robot
-from taciturn_twins.run import TwinRun, mean
-
-
-def document_of(run: TwinRun) -> dict[str, Any]:
-    """Return the JSON document of ``taciturn twin --json``."""
-    trial, robot = run.trial, run.prepared.robot
-    return {
-        "robot": robot.name,
-        "policy": run.policy.kind,
-        "runs": len(trial.totals),
-        "rates": {link: measured(rate) for link, rate in run.rates.items()},
-        "cost": measured(run.cost),
-        "cost_all_time": None if run.always is None else float(run.always.totals.mean()),
-        "cost_all_time_model": run.policy.cost_all_time,
-        "cost_bound": run.cost_bound,
-        "all_time": None if run.always is None else _summary(run.always),
-        "vision": vision(trial.vision, robot),
-        "datagrams": dict(trial.datagrams),
-        "seed": run.setup.seed,
-        "seed_of_preparation": run.prepared.seed,
-        "seconds": round(run.seconds, 3),
-        "ticks": trial.costs.shape[1],
-        "calibration": run.prepared.calibration.document(),
-        "model": run.prepared.model.document(),
-        "faults": [str(fault) for fault in run.setup.faults],
-        "processes": {name: dict(report) for name, report in trial.reports.items()},
-        "notes": list(trial.notes),
-        **run.origin(),
-    }
-
-
-def lines_of(found: TwinRun) -> list[tuple[str, str]]:
-    """Return the printed lines of a run as pairs of name and value."""
-    robot, trial, model = found.prepared.robot, found.trial, found.prepared.model
-    runs, ticks = trial.costs.shape
-    lines = [
-        ("robot", f"{robot.name}, {runs} x {ticks} steps of {robot.tick:g} s in {found.seconds:.1f} s"),
-        ("camera", f"{found.prepared.calibration.error:.2f} pixels reprojection error of the landmarks"),
-    ]
-    lines += [*model_lines(model, robot), ("policy", found.policy.kind), ("cost", f"{found.cost} per mission")]
-    if found.always is not None:
-        always = float(found.always.totals.mean())
-        above = percent(found.cost.value / always - 1, 1, signed=True)
-        lines.append(("every-sample cost", f"{always:.6g}   (this policy: {above})"))
-    if found.cost_bound is not None:
-        lines.append(("guaranteed", f"at most {found.cost_bound:.6g}, for the identified model"))
-    lines += [(f"rate, {link}", f"{rate} per step") for link, rate in found.rates.items()]
-    for link, counted in trial.datagrams.items():
-        if isinstance(counted, Mapping):
-            lines.append((f"link, {link}", _listed(cast("Mapping[str, Any]", counted))))
-        else:
-            lines.append((link.replace("_", " "), str(counted)))
-    for state, off in vision(trial.vision, robot).items():
-        text = _listed(cast("Mapping[str, Any]", off)) if isinstance(off, Mapping) else str(off)
-        lines.append((f"camera, {state}", text))
-    lines += [("thesis", text) for text in THESIS[robot.name]]
-    return [*lines, *(("note", note) for note in trial.notes)]
 
 
 def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:
@@ -85,7 +27,8 @@ def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:
     return lines
 
 
-def _listed(counted: Mapping[str, Any]) -> str:
+def listed(counted: Mapping[str, Any]) -> str:
+    """Return numbers with their names as text."""
     shown = (f"{value:.2f}" if isinstance(value, float) else str(value) for value in counted.values())
     return ", ".join(f"{text} {name.replace('_', ' ')}" for text, name in zip(shown, counted, strict=True))
 
@@ -107,7 +50,8 @@ def vision(off: Array, robot: Robot) -> dict[str, Any]:
     }
 
 
-def _summary(trial: Trial) -> dict[str, Any]:
+def summary_of(trial: Trial) -> dict[str, Any]:
+    """Return the cost, the rates and the packets of a trial."""
     return {
         "cost": measured(mean(trial.totals)),
         "rates": {link: measured(mean(sent.mean(axis=1))) for link, sent in trial.sent.items()},

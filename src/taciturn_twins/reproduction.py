@@ -11,8 +11,9 @@ from taciturn.model.estimate import Estimate
 from taciturn_thesis.chapter7 import TRACKING_PRICES
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 from taciturn_twins.figures import inputs, path, positions, running_costs, sends
+from taciturn_twins.outcome import mean
 from taciturn_twins.prepared import prepare
-from taciturn_twins.run import TwinRun, mean, run_twin, scaled
+from taciturn_twins.run import TwinRun, run_twin, scaled
 from taciturn_twins.trial import Setup
 
 if TYPE_CHECKING:

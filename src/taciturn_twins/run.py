@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, cast
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Displayed, Progress, Size
+from taciturn.extend import Displayed, Progress, Size, percent
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.problem import load, parse
 from taciturn.study.record import origin
+from taciturn.study.testbed.ticks import measured
 from taciturn_twins.catalogue import find_robot
+from taciturn_twins.dataset import to_dataset
 from taciturn_twins.figures import figure_of
-from taciturn_twins.mission import MISSIONS, all_time, check_mission, check_parameters
-from taciturn_twins.outcome import Trial
+from taciturn_twins.mission import MISSIONS, THESIS, all_time, check_mission, check_parameters
+from taciturn_twins.outcome import Trial, mean
 from taciturn_twins.prepared import Prepared, prepare
+from taciturn_twins.report import listed, model_lines, summary_of, vision
 from taciturn_twins.robot import Robot
 from taciturn_twins.trial import Setup, run_trial
 
@@ -70,10 +72,11 @@ class TwinRun(Displayed):
         return figure_of(self.prepared.robot, trials, ax=ax, figsize=figsize)
 
     def to_dataset(self) -> xarray.Dataset:
-        """Return all results as a labelled data set; see ``taciturn_twins.record.to_dataset``."""
-        from taciturn_twins.record import to_dataset
-
-        return to_dataset(self)
+        """Return all results as a labelled data set (``taciturn_twins.dataset``), with the JSON document."""
+        robot = self.prepared.robot
+        trials = {"event-triggered": self.trial} | ({} if self.always is None else {"all-time": self.always})
+        attributes = {"title": f"twin of the {robot.name}", "document": json.dumps(self.document())}
+        return to_dataset(robot, trials, {**attributes, **self.origin()})
 
     def origin(self) -> dict[str, Any]:
         """Return the data needed to reproduce the results: version, seed, method, and the digest of the problem."""
@@ -94,9 +97,57 @@ class TwinRun(Displayed):
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn twin --json``."""
-        from taciturn_twins.report import document_of
+        trial, robot = self.trial, self.prepared.robot
+        return {
+            "robot": robot.name,
+            "policy": self.policy.kind,
+            "runs": len(trial.totals),
+            "rates": {link: measured(rate) for link, rate in self.rates.items()},
+            "cost": measured(self.cost),
+            "cost_all_time": None if self.always is None else float(self.always.totals.mean()),
+            "cost_all_time_model": self.policy.cost_all_time,
+            "cost_bound": self.cost_bound,
+            "all_time": None if self.always is None else summary_of(self.always),
+            "vision": vision(trial.vision, robot),
+            "datagrams": dict(trial.datagrams),
+            "seed": self.setup.seed,
+            "seed_of_preparation": self.prepared.seed,
+            "seconds": round(self.seconds, 3),
+            "ticks": trial.costs.shape[1],
+            "calibration": self.prepared.calibration.document(),
+            "model": self.prepared.model.document(),
+            "faults": [str(fault) for fault in self.setup.faults],
+            "processes": {name: dict(report) for name, report in trial.reports.items()},
+            "notes": list(trial.notes),
+            **self.origin(),
+        }
 
-        return document_of(self)
+    def lines(self) -> list[tuple[str, str]]:
+        """Return the printed lines of a run as pairs of name and value."""
+        robot, trial, model = self.prepared.robot, self.trial, self.prepared.model
+        runs, ticks = trial.costs.shape
+        lines = [
+            ("robot", f"{robot.name}, {runs} x {ticks} steps of {robot.tick:g} s in {self.seconds:.1f} s"),
+            ("camera", f"{self.prepared.calibration.error:.2f} pixels reprojection error of the landmarks"),
+        ]
+        lines += [*model_lines(model, robot), ("policy", self.policy.kind), ("cost", f"{self.cost} per mission")]
+        if self.always is not None:
+            always = float(self.always.totals.mean())
+            above = percent(self.cost.value / always - 1, 1, signed=True)
+            lines.append(("every-sample cost", f"{always:.6g}   (this policy: {above})"))
+        if self.cost_bound is not None:
+            lines.append(("guaranteed", f"at most {self.cost_bound:.6g}, for the identified model"))
+        lines += [(f"rate, {link}", f"{rate} per step") for link, rate in self.rates.items()]
+        for link, counted in trial.datagrams.items():
+            if isinstance(counted, Mapping):
+                lines.append((f"link, {link}", listed(cast("Mapping[str, Any]", counted))))
+            else:
+                lines.append((link.replace("_", " "), str(counted)))
+        for state, off in vision(trial.vision, robot).items():
+            text = listed(cast("Mapping[str, Any]", off)) if isinstance(off, Mapping) else str(off)
+            lines.append((f"camera, {state}", text))
+        lines += [("thesis", text) for text in THESIS[robot.name]]
+        return [*lines, *(("note", note) for note in trial.notes)]
 
 
 def run_twin(
@@ -162,12 +213,6 @@ def check_run(robot: Robot, setup: Setup, parameters: Mapping[str, float], ticks
     """
     check_parameters(robot, parameters)
     setup.check(robot, ticks or MISSIONS[robot.name].ticks)
-
-
-def mean(values: Array) -> Estimate:
-    """Return the mean of independent runs, with its standard error if there are two or more."""
-    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
-    return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")
 
 
 def scaled(progress: Progress | None, low: float, high: float) -> Progress | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from taciturn.study.testbed.network import NetworkRun, losses, run_network
 
 Report = Mapping[str, Any]
 TICKS = 300
+CHANGED = ("theta=1.0",)
 
 
 def refused(report: Report) -> int:
@@ -95,6 +96,16 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
         document
     )
     assert document["rates"]["actuator"]["value"] == pytest.approx(quiet.sends["actuator"][22:].mean(), abs=0.05)
+
+
+@pytest.mark.parametrize("case", few([(True, ()), (False, ()), (False, CHANGED)], 1))
+def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file(case: tuple[bool, Sequence[str]]) -> None:
+    """With the same bits; the changes of a problem in memory reach the processes, too."""
+    (designed, settings), problem = case, taciturn.load("two-mass-lqg")
+    expected = run_network("two-mass-lqg", settings=settings, ticks=30, seed=2)
+    found = run_network(problem.design() if designed else problem, settings=settings, ticks=30, seed=2)
+    assert found.costs.tobytes() == expected.costs.tobytes()
+    assert found.arrived == expected.arrived
 
 
 def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:

@@ -13,9 +13,10 @@ from twin.crews import crew
 
 from taciturn_twins.faults import parse_fault
 from taciturn_twins.live import watch_twin
+from taciturn_twins.outcome import mean
 from taciturn_twins.page import Page
 from taciturn_twins.report import vision
-from taciturn_twins.run import TwinRun, mean, run_twin
+from taciturn_twins.run import TwinRun, run_twin
 from taciturn_twins.trial import Setup
 
 pytestmark = pytest.mark.evidence

@@ -16,7 +16,7 @@ from taciturn.runtime.namespaces import predict_drops
 from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn_twins.faults import parse_fault
 from taciturn_twins.outcome import Trial
-from taciturn_twins.record import to_dataset, write_record
+from taciturn_twins.record import write_record
 from taciturn_twins.run import TwinRun, run_twin
 from taciturn_twins.trial import Setup
 
@@ -80,7 +80,7 @@ def _written(run: Any, folder: Path) -> None:
 
     write_record(run, folder / "run.nc")
     with xarray.open_dataset(folder / "run.nc", engine="h5netcdf") as kept:
-        xarray.testing.assert_identical(kept.drop_attrs(), to_dataset(run).drop_attrs())
+        xarray.testing.assert_identical(kept.drop_attrs(), run.to_dataset().drop_attrs())
         document = json.loads(kept.attrs["document"])
     assert document == json.loads(json.dumps(run.document(), allow_nan=False))
     expected = {"rates", "cost", "cost_all_time", "cost_bound", "vision", "datagrams", "seconds"}

@@ -292,8 +292,9 @@ def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> P
     """Load a problem and change the keys that --set names."""
     from taciturn import load
     from taciturn._grid import parse_settings
+    from taciturn.problem.passed import passed_problem
 
-    problem, changes = load(file, functions=not no_functions), parse_settings(settings or [])
+    problem, changes = passed_problem(file) or load(file, functions=not no_functions), parse_settings(settings or [])
     return problem.changed(changes) if changes else problem
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, get_args, get_type_hints
 
 from taciturn._arrays import quoted
+from taciturn._display import Displayed
 from taciturn._pydantic import ValidationError
 
 Rows = list[list[float]]
@@ -17,16 +18,16 @@ IDEAL_LINKS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class InitialTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class InitialTable(Displayed):
     """The keys of the table ``[plant.initial]``."""
 
     mean: list[float] | None = None
     covariance: Rows | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class JumpsTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class JumpsTable(Displayed):
     """The keys of the table ``[plant.jumps]``."""
 
     rate: float
@@ -34,8 +35,8 @@ class JumpsTable:
     distribution: str = "normal"
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlantTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PlantTable(Displayed):
     """The keys of the table ``[plant.actual]``, all of which ``[plant]`` also has."""
 
     A: Rows
@@ -50,15 +51,15 @@ class PlantTable:
     jumps: JumpsTable | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class NominalPlantTable(PlantTable):
     """The keys of the table ``[plant]``."""
 
     actual: PlantTable | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class CostTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CostTable(Displayed):
     """The keys of the table ``[cost]``."""
 
     Q: Rows
@@ -69,8 +70,8 @@ class CostTable:
     discount: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class BurstTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class BurstTable(Displayed):
     """The keys of the tables ``[network.actuator_burst]`` and ``[network.sensor_burst]``."""
 
     to_bad: float
@@ -79,8 +80,8 @@ class BurstTable:
     loss_bad: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class NetworkTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class NetworkTable(Displayed):
     """The keys of the table ``[network]``."""
 
     protocol: str = "ideal"
@@ -94,16 +95,16 @@ class NetworkTable:
     sensor_range: float | list[float] | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReferenceTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ReferenceTable(Displayed):
     """The keys of the table ``[reference]``."""
 
     states: Rows
     inputs: Rows
 
 
-@dataclass(frozen=True, kw_only=True)
-class File:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class File(Displayed):
     """The tables of a complete problem file."""
 
     plant: NominalPlantTable

@@ -93,8 +93,8 @@ def bound_rare_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> f
 
     Example:
         >>> unit = np.eye(1)
-        >>> bound_rate(0.2 * unit, unit, unit, 100.0) < 1e-9, bound_rate(unit, unit, unit, 100.0)
-        (True, 1.0)
+        >>> [bound_rare_rate(F * unit, unit, unit, 100.0) < 1e-9 for F in (0.2, 1.0)]
+        [True, False]
     """
     covariance = decayed(F, noise)
     if covariance is None:

@@ -36,6 +36,7 @@ class Process:
         name: name of the process in messages.
         key: key that authenticates the packets; default: no key.
         before: prefix of the command, such as ``ip netns exec NAME``.
+        environment: further environment variables.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class Process:
         name: str = "a process",
         key: bytes | Keys | None = None,
         before: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         """Start the process."""
         command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
@@ -58,7 +60,7 @@ class Process:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             encoding="utf-8",
-            env=known | {"PYTHONIOENCODING": "utf-8"} | _ends_with_parent() | secret,
+            env=known | {"PYTHONIOENCODING": "utf-8"} | _ends_with_parent() | dict(environment or {}) | secret,
             process_group=0,  # Ctrl-C must reach only the parent process, which ends the others (POSIX)
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same for Windows
         )
@@ -169,6 +171,7 @@ class Processes:
         key: key that authenticates the packets; default: no key.
         namespaces: network namespaces of the nodes, without relays; default: the loopback.
         through: name of a further process, by role, that the node sends to first; the caller adds its command.
+        environment: further environment variables of the processes.
     """
 
     def __init__(
@@ -184,11 +187,12 @@ class Processes:
         key: bytes | Keys | None = None,
         namespaces: Namespaces | None = None,
         through: Mapping[NodeName, str] | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         """Choose all addresses, and form the commands of nodes and relays."""
         self.file, self.policy, self.folder = file, policy, folder or Path()
         through = through or {}
-        self._key, self._namespaces = key, namespaces
+        self._key, self._namespaces, self._environment = key, namespaces, environment
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
         relayed = self.links if namespaces is None else []
@@ -233,7 +237,7 @@ class Processes:
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)
-            self.running[name] = Process(self.commands[name], f"the {name}", self._key, before)
+            self.running[name] = Process(self.commands[name], f"the {name}", self._key, before, self._environment)
         for name in chosen:
             self.running[name].expect()
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, Generic, TypeVar, cast
 
+from taciturn import _version
 from taciturn._display import Displayed
-from taciturn._version import __version__
 from taciturn.errors import ProblemError
 
 Answer = TypeVar("Answer")
@@ -63,7 +63,7 @@ def code_of(folder: Path, version: str) -> Code:
 @cache
 def own_code() -> Code:
     """Return version and digest of the code of this process, which is read once."""
-    return code_of(Path(__file__).parents[1], __version__)
+    return code_of(Path(_version.__file__).parent, _version.__version__)
 
 
 def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:

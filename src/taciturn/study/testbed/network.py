@@ -24,7 +24,9 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Policy, Send
 from taciturn.model.table import Column, Columns, Tabular
-from taciturn.problem import load
+from taciturn.problem import Problem, load
+from taciturn.problem.bare import as_problem
+from taciturn.problem.passed import PASSED, pass_problem
 from taciturn.runtime.keys import Keys, read_keys
 from taciturn.runtime.namespaces import Counted, KernelLoss, Namespaces, predict_drops
 from taciturn.runtime.packet import Wire
@@ -146,7 +148,7 @@ class NetworkRun(Tabular):
 
 
 def run_network(
-    file: str | Path,
+    file: str | Path | Problem | Policy,
     *,
     settings: Sequence[str] = (),
     ticks: int | None = None,
@@ -165,7 +167,7 @@ def run_network(
     packets.
 
     Args:
-        file: problem file, or the name of a built-in problem.
+        file: problem file, the name of a built-in problem, a problem, or a policy.
         settings: changes of the keys, each of the form NAME=VALUE as in ``--set``.
         ticks: number of steps; default: the horizon of a finite-horizon run, or 5000.
         tick: real seconds per step; default: virtual time, in which no packet is late and a run is reproducible for a
@@ -183,8 +185,9 @@ def run_network(
         ProblemError: the data are inconsistent, the nodes cannot be separated, or a process has ended; with namespaces,
             also if fates are given, losses are in bursts or not in permille, or rights or programs are missing.
     """
-    instance("file, which the processes read,", file, str, Path)
-    problem, changes = load(file, functions=functions), parse_settings(list(settings))
+    read = isinstance(file, str | Path)  # whether the processes read the file, or the problem is passed to them
+    problem = load(file, functions=functions) if read else as_problem("file", file)
+    changes = parse_settings(list(settings))
     problem = problem.changed(changes) if changes else problem
     policy = problem.design()
     loop = problem.close(policy)
@@ -206,12 +209,14 @@ def run_network(
         temporary_folder() as folder,
         Namespaces(policy, drops) if namespaces else nullcontext() as spaces,
     ):
-        changed = [part for text in settings for part in ("--set", text)]
+        changed = [part for text in settings for part in ("--set", text)] if read else []
         changed += [] if functions else ["--no-functions"]
+        passed = {} if read else pass_problem(problem, folder)
+        given = str(file) if read else passed[PASSED]
         processes = Processes(
-            str(file), policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder,
+            given, policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder,
             keeps=meanwhile is not None, options=["--seed", str(seed), "--log-part", str(PART), *changed],
-            key=key, namespaces=spaces,
+            key=key, namespaces=spaces, environment=passed,
         )  # fmt: skip
         logs = Logs(processes)
         with nullcontext() if spaces is None else spaces.visit("plant"):
