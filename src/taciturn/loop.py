@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
+from taciturn._assumptions import check_plants, list_violations
 from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
-from taciturn.model.information import check_network, unheard_acknowledgements
+from taciturn.model.coverage import SIMULATED, uncovered
+from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Policy, Step
+from taciturn.model.policy import ENDS, Assign, Policy
 from taciturn.model.steps import assigned
 from taciturn.model.theory import Identity
-from taciturn.model.trigger import Form, Matrix, Scheduled
-from taciturn.program.controller import begin_time_step, draw_losses, is_bad
+from taciturn.model.trigger import Form
+from taciturn.program.controller import Begin, begin_time_step, replaced
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import TimeStep
+from taciturn.program.lower import TimeStep, is_bad
 from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
 
@@ -92,6 +93,12 @@ class Loop(Displayed):
         return self.violated_assumptions
 
     @property
+    def parts(self) -> tuple[object, ...]:
+        """The parts that every interpreter of the loop must cover."""
+        problem = self.problem
+        return problem.source, problem.plant, problem.cost, self.network, self.policy.parts
+
+    @property
     def identity(self) -> Identity | None:
         """Identity for the cost by the policy's theory, or None if it does not apply."""
         return self.policy.theory.identity if self.nominal else None
@@ -116,15 +123,15 @@ class Loop(Displayed):
         Sums: ``cost`` (stage cost), ``excess`` (completed square, if an identity applies), ``sent LINK`` (packets) and
         ``control …`` (control variates). Outputs: the signals that ``taciturn.simulation`` records.
         """
-        return with_draws(with_controls(self._whole()))
+        return with_draws(with_controls(self.whole_program()))
 
     def open_program(self) -> Program:
         """Return the program of one step of the loop with noise as an input.
 
         Inputs: process noise ``w i``, measurement noise ``v i``, and ``uniform i``. Outputs: those of ``program``. The
-        states ``x`` come first.
+        states ``x`` come first. Outputs ``drawn i`` are the uniform numbers that the policy draws.
         """
-        whole = self._whole(supplied=True)
+        whole = self.whole_program(supplied=True)
         return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
@@ -136,7 +143,7 @@ class Loop(Displayed):
         tick = self._tick({"x": plant.states})
         followed = () if tracking is None else (tracking.state, tracking.input)
         for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(followed)):
-            tick.take(step, {})
+            tick.take(step)
         tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         outputs = {COST: tick.form(self._stage(*self._deviate(tick)))}
@@ -154,21 +161,29 @@ class Loop(Displayed):
 
         Source: khashooei2017
         """
+        return with_draws(with_controls(self.innovations_program()))
+
+    def innovations_program(self, begin: Begin = TimeStep) -> Program:
+        """Return the program of one step of the loop in innovations form, with random numbers as an input.
+
+        ``begin`` is the class that translates the steps.
+        """
         innovations = self.policy.theory.innovations
         if not self.reducible or innovations is None:
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
         spread = factor(innovations.covariance)
-        tick = self._tick({INNOVATION_DRAWS: spread.shape[1]})
+        tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
         tick.signals[INNOVATION_DRAWS] = _normals(tick, spread.shape[1], 0)
+        tick.draw_losses(self.policy, self.network)
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
                 tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
             else:
-                tick.take(_driven(step, innovations.signal, spread), draw_losses(tick, self.policy, self.network))
+                tick.take(replaced(step, innovations.signal, INNOVATION_DRAWS, spread))
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
-        return with_draws(with_controls(tick.finish(self._sums(tick, stage), self._outputs(tick, ()))))
+        return tick.finish(self._sums(tick, stage), self._outputs(tick, ()))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
         """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths)."""
@@ -209,22 +224,27 @@ class Loop(Displayed):
             raise ProblemError(f"ticks is {wanted}, but the horizon is {horizon}; expected at most {horizon}")
         return wanted
 
-    def _tick(self, extra: Mapping[str, int]) -> TimeStep:
+    def _tick(self, extra: Mapping[str, int], begin: Begin = TimeStep) -> TimeStep:
         sizes = {**extra, "applied": self.problem.plant.inputs, WEIGHT: 1}
-        return begin_time_step(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision)
+        return begin_time_step(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision, begin)
 
-    def _whole(self, supplied: bool = False) -> Program:
-        """Return the program of one step of the loop with random noise, or with noise as an input."""
-        tick = self._tick({"x": self.problem.plant.states})
+    def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
+        """Return the program of one step of the loop with random numbers as an input.
+
+        The inputs are ``normal i``, or with ``supplied`` the noise ``w i`` and ``v i``; ``begin`` is the class that
+        translates the steps.
+        """
+        tick = self._tick({"x": self.problem.plant.states}, begin)
         if supplied:
             tick.recall("x")  # so that x is the first state
-        losses = draw_losses(tick, self.policy, self.network)
+        tick.draw_losses(self.policy, self.network)
         tick.signals["y"] = self._measured(tick, supplied)
         for step in self.policy.steps:
-            tick.take(step, losses)
+            tick.take(step)
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
+        outputs |= {f"drawn {i}": value for i, value in enumerate(tick.thresholds if supplied else ())}
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 
@@ -320,69 +340,15 @@ def close(
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
+    SIMULATED.check(network, policy.parts, policy.designed_for)
     check_network(policy, network)
-    _check_plants(problem, policy)
+    check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
         raise ProblemError(
             f"cost.horizon is {cost.horizon}, but the reference has {policy.cost.horizon} steps; expected equal lengths"
         )
-    return Loop(problem, policy, network, _violated_assumptions(problem, policy, network))
-
-
-def _check_plants(problem: Discrete, policy: Policy) -> None:
-    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant.
-
-    Raises:
-        ProblemError: such a property is an input limit, a function, or the initial covariance for an average cost.
-    """
-    plant, model = problem.plant, policy.model
-    begun = policy.cost is not None and policy.cost.mission
-    ignored = {
-        "input_limit": model.input_limit is not None and not plant.agrees("input_limit", model),
-        "function": model.function is not None and plant.function is None,
-        "initial.covariance": model.covariance.any() and not begun and not plant.agrees("covariance", model),
-    }
-    for name in (name for name, unused in ignored.items() if unused):
-        raise ProblemError(
-            f"plant.{name} is given, but the simulated plant, plant.actual, has a different {name} or none; expected "
-            f"plant.actual.{name} with the same value, or no plant.{name}, which the design does not use"
-        )
-
-
-def _violated_assumptions(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
-    plant, model, cost = problem.plant, policy.model, problem.cost
-    started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
-    filtered = not plant.full_state and policy.theory.closed_form is None
-    bursts = any(network.burst(link) is not None for link in ENDS)
-    exact, designed = network.without_rounding(), policy.network.without_rounding()
-    found = {
-        "the plant is not linear (A and B are its linearisation)": plant.function is not None,
-        "the plant is not the one of the design": not plant.same_as(model),
-        "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
-        "inputs are clipped (input_limit)": plant.input_limit is not None,
-        "the noise has jumps, but the filter's theory assumes Gaussian noise": filtered and problem.jumps is not None,
-        "losses come in bursts, but the design uses only their mean": bursts,
-        "the network is not the one of the design": not bursts and exact != designed.without_bursts(),
-        "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
-        f"packets contain rounded numbers ({network.payload})": network.payload != "float64",
-        "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
-    }
-    return tuple(text for text, departs in found.items() if departs)
-
-
-def _driven(step: Step, innovation: str, spread: Array) -> Step:
-    """Return the step with the innovation replaced by its factor times normal draws."""
-    if not isinstance(step, Assign) or not any(innovation in terms for terms in step.branches):
-        return step
-
-    def driven(name: str, matrix: Matrix) -> tuple[str, Matrix]:
-        return (INNOVATION_DRAWS, _times(matrix, spread)) if name == innovation else (name, matrix)
-
-    return replace(step, branches=tuple(dict(driven(*term) for term in terms.items()) for terms in step.branches))
-
-
-def _times(matrix: Matrix, other: Array) -> Matrix:
-    return Scheduled(matrix.by, matrix.values @ other) if isinstance(matrix, Scheduled) else matrix @ other
+    missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
+    return Loop(problem, policy, network, list_violations(problem, policy, network, missing))
 
 
 def _normals(tick: TimeStep, number: int, first: int) -> list[int]:

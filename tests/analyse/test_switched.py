@@ -11,7 +11,7 @@ from counts import few
 from systems import make_system
 
 import taciturn
-from taciturn import Cost, Loop, Plant, ProblemError, close, design
+from taciturn import Cost, Loop, Network, Plant, ProblemError, close, design
 from taciturn._modes import factor
 from taciturn.analyse.reduction import invariant
 from taciturn.analyse.switched import Switched, switched, switched_innovations
@@ -109,6 +109,14 @@ def test_the_map_does_what_the_program_does(name: str) -> None:
 def test_the_map_does_what_the_program_does_over_five_systems(name: str, full_state: bool) -> None:
     """Random systems, the state measured in full or in part."""
     same_map_of(name, full_state, 5)
+
+
+def test_packets_with_rounded_numbers_are_refused() -> None:
+    """Rounding is not linear."""
+    system = make_system(1, 2, 1, 2, True)
+    loop = close(system.plant, POLICIES["lqg separate hold"](system), Network(payload="float32"))
+    with pytest.raises(ProblemError, match=r"^packets contain rounded numbers \(float32\), which certificates do not"):
+        switched(loop)
 
 
 @pytest.mark.parametrize("name", few([name for name in SERVED if name != "send-on-delta"], quick=3, start=1))

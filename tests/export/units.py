@@ -94,7 +94,7 @@ def make_unit(loop: Loop, folder: Path, version: Version = "3.0", seed: int = SE
 def record(loop: Loop, ticks: int, seed: int = SEED) -> RecordedRun:
     """Run a loop whose policy draws what its nodes draw of themselves."""
     ticks = min(ticks, loop.horizon or ticks)
-    own = drawn_by_the_policy(loop)
+    own = drawn_by_the_policy(loop.open_program())
     if not own:
         return record_loop(loop, ticks, seed)
     drawing = draw_uniforms(len(own), loop.precision)

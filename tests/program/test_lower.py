@@ -159,7 +159,7 @@ def test_the_first_of_the_cheapest_labels_is_picked(seed: int, labels: int) -> N
     for i in range(labels):
         tick.signals[f"v {i}"] = [b.input(f"in {i}")]
     trigger = Trigger({f"label {i}": Form(plus={f"v {i}": 1.0}) for i in range(labels)})
-    tick.take(Decide("controller", "choice", trigger), {})
+    tick.take(Decide("controller", "choice", trigger))
     program = tick.finish({}, {"picked": tick.pick("choice", [b.constant(float(i)) for i in range(labels)])})
     picked = run(program, np.zeros((0, 1)), 20, values[:, :, None]).outputs["picked"][:, 0]
     assert list(picked) == list(values.argmin(axis=1))
@@ -169,7 +169,7 @@ def test_a_signal_read_before_it_is_assigned_is_that_of_the_tick_before() -> Non
     """A delay is an order of events; so is the arrival of a packet."""
     b = Builder()
     tick = TimeStep(b, {"old": 1, "new": 1}, {"new": np.array([7.0])}, ())
-    tick.take(Assign("controller", "old", {"new": [[1.0]]}), {})
+    tick.take(Assign("controller", "old", {"new": [[1.0]]}))
     tick.signals["new"] = [b.input("in 0")]
     program = tick.finish({}, {"old": tick.signals["old"][0]})
     supplied = np.arange(4.0).reshape(4, 1, 1)
@@ -183,8 +183,9 @@ def test_what_arrived_is_remembered_until_the_next_packet() -> None:
     tick = TimeStep(b, {}, {}, ())
     before = tick.as_number(tick._not(tick.happened(Received("actuator"))[0]))
     tick.signals["v"] = [b.input("in 0")]
-    tick.take(Decide("controller", "send", Trigger({"silent": Form(plus={"v": 1.0}), "send": Form()})), {})
-    tick.take(Send("controller", "actuator", ("v",), "send"), {"actuator": 0.0})
+    tick.take(Decide("controller", "send", Trigger({"silent": Form(plus={"v": 1.0}), "send": Form()})))
+    tick.losses = {"actuator": 0.0}
+    tick.take(Send("controller", "actuator", ("v",), "send"))
     program = tick.finish({}, {"before": before})
     supplied = np.array([1.0, -1, 1, 1, -1]).reshape(5, 1, 1)
     start = np.array([[state.start] for state in program.states])

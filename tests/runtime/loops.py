@@ -39,8 +39,8 @@ def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True)
     inputs = np.where(np.array(normal, dtype=bool)[:, None], draws.standard_normal(shape), draws.random(shape))
     run = Kernel(program, "parity").run if fast else lambda *rest: interpreter.run(*rest)
     outputs = run(program, loop.start(program, paths, seed), ticks, inputs).outputs
-    names = [f"uniform {i}" for i in drawn_by_the_policy(loop)]
-    return outputs, inputs[:, [program.inputs.index(name) for name in names], :]
+    own = [program.inputs.index(name) for name in drawn_by_the_policy(loop.open_program())]
+    return outputs, inputs[:, own, :]
 
 
 def column(records: Records, name: str, path: int = 0) -> np.ndarray:

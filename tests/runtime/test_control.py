@@ -67,7 +67,8 @@ def nodes_apart(loop: Loop, y: np.ndarray, seed: int) -> np.ndarray:
     """Return what nodes that exchange packets apply and send, (steps, outputs), on the draws of a seed."""
     policy = loop.policy
     apart = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
-    together, own = Nodes(policy, loop.network, seed), drawn_by_the_policy(loop)
+    together = Nodes(policy, loop.network, seed)
+    own = [int(name.split()[1]) for name in drawn_by_the_policy(loop.open_program())]
     boxes: dict[str, list[Packet]] = {role: [] for role in apart}
     rows = []
     for tick, measured in enumerate(y):

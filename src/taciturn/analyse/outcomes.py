@@ -12,7 +12,7 @@ For the fourth moment F_o acts on all four indices.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import product
 
@@ -21,11 +21,12 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import factor, radius
-from taciturn.analyse.reduction import Coordinates, relevant
-from taciturn.analyse.switched import NOISE_SIGNAL, STATE, Reading, refuse_loops
+from taciturn._modes import radius
+from taciturn.analyse.reduction import relevant
+from taciturn.analyse.switched import decisions_of, read_steps, refuse_loops
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.coverage import BURSTS, LOSSES, ROUNDING
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Send
 
@@ -89,39 +90,25 @@ def outcomes(loop: Loop) -> Outcomes | None:
     if not links:
         return None
     try:
-        refuse_loops(loop, dropping=True)
+        refuse_loops(loop, LOSSES | BURSTS | ROUNDING)
         return _read(loop, links)
     except ProblemError:
         return None
 
 
 def _read(loop: Loop, links: Sequence[LinkName]) -> Outcomes | None:
-    problem, plant = loop.problem, loop.problem.plant
-    spread = factor(plant.V) if plant.V.any() else np.zeros((plant.outputs, 0))
-    reading = Reading(loop, {STATE: plant.states}, spread.shape[1])
-    reading.given["y"] = plant.C @ reading.memory(STATE) + spread @ reading.noise
-    always = reading.sends()
+    exact = replace(loop, network=loop.network.without_rounding())  # rounding does not change the growth
+    decisions = decisions_of(loop)
+    always = read_steps(exact, decisions)[0].sends
     if always is None:
         return None
     cases = list(product((False, True), repeat=len(links)))
-    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
-    maps, paid = list[Array](), list[Array]()
-    for dropped in cases:
-        lost: set[LinkName] = {link for link, gone in zip(links, dropped, strict=True) if gone}
-        signals = reading.walk(always, lost)
-        after = plant.A @ reading.memory(STATE) + plant.B @ signals["input"]
-        both = np.vstack([reading.memory(STATE), signals["input"]])
-        maps.append(reading.following({**signals, STATE: after}))
-        paid.append(both.T @ stage @ both)
-    disturbance = factor(plant.W) if plant.W.any() else np.zeros((plant.states, 0))
-    G = np.zeros((reading.size, disturbance.shape[1] + spread.shape[1]))
-    G[reading.rows(STATE), : disturbance.shape[1]] = disturbance
-    G[reading.rows(NOISE_SIGNAL), disturbance.shape[1] :] = np.eye(spread.shape[1])
-    nothing = tuple(np.zeros((reading.size, reading.size)) for _ in cases)
-    none = np.zeros((reading.size, 0))
-    found = relevant(Coordinates(tuple(maps), G, tuple(paid), nothing, none.T, none))
+    lost = [[link for link, gone in zip(links, dropped, strict=True) if gone] for dropped in cases]
+    raw, starts = read_steps(exact, [decisions[always]._replace(lost=links) for links in lost])
+    nothing = tuple(np.zeros_like(F) for F in raw.F)
+    found = relevant(replace(raw, Psi=nothing, X=raw.X[:0]), starts[:, :0])
     turns, odds = _chance(loop.network, links, cases)
-    return Outcomes(np.stack(found.F), turns, odds, len(reading.labels) > 1)
+    return Outcomes(np.stack(found.F), turns, odds, len(decisions) > 1)
 
 
 def _chance(network: Network, links: Sequence[LinkName], cases: list[tuple[bool, ...]]) -> tuple[Array, Array]:
@@ -129,14 +116,9 @@ def _chance(network: Network, links: Sequence[LinkName], cases: list[tuple[bool,
     turns: Array = np.ones((1, 1))
     losses: list[tuple[float, ...]] = [()]
     for link in links:
-        burst = network.burst(link)
-        if burst is None:
-            own, drops = np.ones((1, 1)), [network.loss(link)]
-        else:
-            own = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
-            drops = [burst.loss_good, burst.loss_bad]
+        own, drops = network.chain(link)
         turns = np.asarray(np.kron(turns, own), dtype=np.float64)
-        losses = [(*before, drop) for before in losses for drop in drops]
+        losses = [(*before, drop) for before in losses for drop in drops.tolist()]
     odds = [
         [float(np.prod([p if gone else 1 - p for p, gone in zip(state, case, strict=True)])) for case in cases]
         for state in losses

@@ -10,6 +10,7 @@ from taciturn._arrays import Array, count, instance
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.coverage import JUMPS, LINEAR_LOOP, Coverage, uncovered
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from taciturn.renewal.paths import PathAnswer
     from taciturn.renewal.rates import WindowBound
 
+RENEWED = Coverage(LINEAR_LOOP | JUMPS, "renewal equations do not support", "method 'auto' or 'simulation'")
 LONGEST_WINDOW = 100_000  # steps; computing the bound takes seconds
 ROUGH = 1e-2  # relative standard error of the pilot run
 ACCURACY_OF_JUMPS = 1e-5  # default relative accuracy for jumps
@@ -256,6 +258,8 @@ def chain_of(loop: Loop) -> Chain:
     Psi, delta, Gamma = weights
     if delta <= 0:
         raise NoQuadratureError(f"the threshold is {delta:g}; expected a threshold above 0, or method 'simulation'")
+    for name in uncovered(RENEWED.names, loop.parts):
+        raise NoQuadratureError(RENEWED.sentence(name))
     assert policy.theory.reset is not None
     noise = policy.theory.reset.covariance if problem.jumps is None else problem.jumps
     return Chain(problem.plant.A, noise, Psi, delta, Gamma)

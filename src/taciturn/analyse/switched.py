@@ -2,96 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from taciturn._arrays import Array, instance
-from taciturn._display import Displayed
+from taciturn._arrays import Array, instance, symmetrised
 from taciturn._modes import factor
-from taciturn.analyse.reduction import Coordinates, reduce
+from taciturn.analyse.reduction import Switched, reduce
 from taciturn.errors import ProblemError
-from taciturn.loop import Loop
-from taciturn.model.policy import (
-    ENDS,
-    ONE,
-    Apply,
-    Assign,
-    Condition,
-    Decide,
-    Draw,
-    Evaluate,
-    LinkName,
-    Send,
-    Step,
-    Terms,
+from taciturn.loop import COST, SENT, Loop
+from taciturn.model.coverage import (
+    BELLS,
+    BURSTS,
+    DRAWS,
+    ENDING,
+    FUNCTION,
+    FUNCTIONS,
+    JUMPS,
+    LIMIT,
+    LINEAR_LOOP,
+    LOSSES,
+    MEMORIES,
+    ROUNDING,
+    TRACKING,
+    uncovered,
 )
+from taciturn.model.network import Network
+from taciturn.model.policy import ENDS, ONE, Apply, Condition, Draw, Evaluate, LinkName, Policy, Step
 from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.program.draws import NORMAL
+from taciturn.program.ir import Builder, Coefficient, Program
+from taciturn.program.lower import TimeStep, Truth
+from taciturn.program.quadratic import as_form, read_polynomials
 
-NOISE_SIGNAL = "noise"  # measurement noise, scaled to unit variance
-STATE = "x"
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
+# the properties of a loop that its step represents, or refuses where it meets them (_FixedStep)
+CERTIFIED = LINEAR_LOOP | JUMPS | MEMORIES | BELLS | DRAWS
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Switched(Displayed):
-    """Switched linear map of a closed loop with its cost and trigger, in coordinates z of about unit size.
 
-    Args:
-        labels: names of the actions.
-        F: dynamics matrix of each action, (r, r).
-        G: input matrix of the noise w of a step, (r, q): plant noise, then the next measurement's, unit covariance.
-        M: cost matrix of each action, (r, r): the stage cost of a step is z'M_i z + ``constant``.
-        Psi: trigger matrix of each action, (r, r).
-        c: trigger constant of each action.
-        X: matrix (n, r) such that X z is the plant's state; in the innovations form, X z is the estimate.
-        constant: cost of every step in addition to z'M_i z.
-        hidden: mean square of the part of the plant's state that X z excludes.
-        sends: the action under which every link that the policy decides on sends, or None.
-    """
+class Case(NamedTuple):
+    """A decision and losses: the label and the number of the action, and the links that drop their packets."""
 
-    labels: tuple[str, ...]
-    F: tuple[Array, ...]
-    G: Array
-    M: tuple[Array, ...]
-    Psi: tuple[Array, ...]
-    c: tuple[float, ...]
-    X: Array
-    constant: float
-    hidden: float
-    sends: int | None
-
-    @property
-    def homogeneous(self) -> bool:
-        """Whether the send decision depends only on the direction of the state z, so that z can converge to zero."""
-        return len(set(self.c)) == 1
-
-    @property
-    def states(self) -> int:
-        """Number of entries of z."""
-        return len(self.G)
-
-    def margins(self, action: int) -> list[tuple[Array, float]]:
-        """Return the conditions z'Dz + d ≥ 0 under which an action is taken: (D, d) for every other action."""
-        own, others = action, [j for j in range(len(self.labels)) if j != action]
-        return [(self.Psi[j] - self.Psi[own], self.c[j] - self.c[own]) for j in others]
-
-    def under(self, action: int) -> Switched:
-        """Return the map of the loop that takes the given action at every step."""
-        return Switched(
-            (self.labels[action],),
-            (self.F[action],),
-            self.G,
-            (self.M[action],),
-            (np.zeros_like(self.Psi[action]),),
-            (0.0,),
-            self.X,
-            self.constant,
-            self.hidden,
-            0,
-        )
+    label: str
+    action: int
+    lost: Collection[LinkName] = ()
 
 
 def switched(loop: Loop) -> Switched:
@@ -121,27 +79,7 @@ def switched(loop: Loop) -> Switched:
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
-    problem, plant = loop.problem, loop.problem.plant
-    spread = factor(plant.V) if plant.V.any() else np.zeros((plant.outputs, 0))
-    reading = Reading(loop, {STATE: plant.states}, spread.shape[1])
-    reading.given["y"] = plant.C @ reading.memory(STATE) + spread @ reading.noise
-    taken = reading.actions()
-    moved = [plant.A @ reading.memory(STATE) + plant.B @ signals["input"] for signals in taken]
-    disturbance = factor(plant.W) if plant.W.any() else np.zeros((plant.states, 0))
-    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
-    paid = [np.vstack([reading.memory(STATE), signals["input"]]) for signals in taken]
-    G = np.zeros((reading.size, disturbance.shape[1] + spread.shape[1]))
-    G[reading.rows(STATE), : disturbance.shape[1]] = disturbance
-    G[reading.rows(NOISE_SIGNAL), disturbance.shape[1] :] = np.eye(spread.shape[1])
-    raw = Coordinates(
-        F=tuple(reading.following({**signals, STATE: after}) for signals, after in zip(taken, moved, strict=True)),
-        G=G,
-        M=tuple(both.T @ stage @ both for both in paid),
-        Psi=reading.Psi,
-        X=reading.memory(STATE)[problem.moving],
-        starts=np.column_stack([reading.memory(STATE).T, reading.start()]),
-    )
-    return _finished(reading, reduce(raw, reading.c), 0.0, 0.0)
+    return reduce(*read_steps(loop, decisions_of(loop)))
 
 
 def switched_innovations(loop: Loop) -> Switched:
@@ -160,174 +98,145 @@ def switched_innovations(loop: Loop) -> Switched:
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
-    innovations, problem = loop.policy.theory.innovations, loop.problem
+    innovations = loop.policy.theory.innovations
     if not loop.reducible or innovations is None:
         raise ProblemError(
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
             "expected those of the design; for any other loop, use switched()"
         )
-    spread = factor(innovations.covariance)
-    reading = Reading(loop, {}, spread.shape[1])
-    reading.given[innovations.signal] = spread @ reading.noise
-    taken = reading.actions()
-    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
-    estimate = innovations.estimate
-    paid = [np.vstack([signals[estimate], signals["input"]]) for signals in taken]
-    raw = Coordinates(
-        F=tuple(reading.following(signals) for signals in taken),
-        G=np.eye(reading.size)[:, reading.rows(NOISE_SIGNAL)],
-        M=tuple(both.T @ stage @ both for both in paid),
-        Psi=reading.Psi,
-        X=taken[0][estimate][problem.moving],
-        starts=reading.start()[:, None],
-    )
-    Sigma = innovations.error_covariance
-    constant = float(np.trace(problem.Q @ Sigma))
-    return _finished(reading, reduce(raw, reading.c), constant, float(np.diag(Sigma)[problem.moving].sum()))
+    return reduce(*read_steps(loop, decisions_of(loop), whole=False))
 
 
-def _finished(reading: Reading, found: Coordinates, constant: float, hidden: float) -> Switched:
-    return Switched(
-        labels=reading.labels,
-        F=found.F,
-        G=found.G,
-        M=found.M,
-        Psi=found.Psi,
-        c=reading.c,
-        X=found.X,
-        constant=constant,
-        hidden=hidden,
-        sends=reading.sends(),
-    )
+def decisions_of(loop: Loop) -> list[Case]:
+    """Return the decisions of a step by label, without losses.
 
-
-class Reading:
-    """Signals of a policy in one step as linear maps of the loop's memories and the measurement noise.
-
-    Args:
-        loop: the closed loop.
-        more: memories of the loop in addition to the policy's, with their sizes.
-        noise: number of directions of the measurement noise.
+    Raises:
+        ProblemError: the policy makes several decisions.
     """
+    decisions = list(loop.policy.decisions.values())
+    if len(decisions) > 1:
+        raise ProblemError(f"{loop.policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
+    labels = decisions[0].labels if decisions else ("always",)
+    return [Case(label, action) for action, label in enumerate(labels)]
 
-    def __init__(self, loop: Loop, more: Mapping[str, int], noise: int) -> None:
-        """Find the memories and their sizes."""
-        policy = loop.policy
-        self.policy = policy
-        innovation = policy.theory.innovations.signal if policy.theory.innovations is not None and not more else None
-        self.steps = [s for s in policy.steps if not (isinstance(s, Assign) and s.signal == innovation)]
-        assigned = {"y", *more, *(() if innovation is None else (innovation,))}
-        sizes = dict(more)
-        for step in self.steps:
-            for name in _read(step):
-                if name not in assigned:
-                    sizes.setdefault(name, policy.sizes[name])
-            if isinstance(step, Assign):
-                assigned.add(step.signal)
-        self.sizes = {**sizes, NOISE_SIGNAL: noise}
-        self.size = sum(self.sizes.values())
-        self.given: dict[str, Array] = {}
-        self.noise = self.memory(NOISE_SIGNAL)
-        decisions = list(policy.decisions.items())
-        if len(decisions) > 1:
-            raise ProblemError(f"{policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
-        self.labels = decisions[0][1].labels if decisions else ("always",)
-        self.Psi: tuple[Array, ...] = (np.zeros((self.size, self.size)),)
-        self.c: tuple[float, ...] = (0.0,)
 
-    def rows(self, name: str) -> slice:
-        """Return the positions of a memory's entries in the vector z."""
-        names = list(self.sizes)
-        first = sum(self.sizes[other] for other in names[: names.index(name)])
-        return slice(first, first + self.sizes[name])
+def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[Switched, Array]:
+    """Return the step of a loop in each case, as maps of z = (states, noise that the step reads), and the initial z.
 
-    def memory(self, name: str) -> Array:
-        """Return the matrix that maps the vector z to one memory (stored signal) of the policy."""
-        return np.eye(self.size)[self.rows(name)]
+    The initial values are a column for each state of the plant, and one with those of all memories. Without ``whole``,
+    the loop is in innovations form.
 
-    def start(self) -> Array:
-        """Return the vector z with the initial values of the policy's memories."""
-        value = np.zeros(self.size)
-        for name in self.sizes:
-            if name in self.policy.initial and name != STATE:
-                value[self.rows(name)] = self.policy.initial[name]
-        return value
+    Raises:
+        ProblemError: the step is not linear.
+    """
+    plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
+    begins = [partial(_FixedStep, loop.policy.kind, case) for case in cases]
+    if whole or innovations is None:
+        programs = [loop.whole_program(supplied=True, begin=begin) for begin in begins]
+        name, read, moves, observed, hidden = "v", _factor(plant.V), _factor(plant.W), "x", 0.0
+    else:
+        programs = [loop.innovations_program(begin) for begin in begins]
+        name, read, moves = NORMAL, np.eye(_factor(innovations.covariance).shape[1]), np.zeros((0, 0))
+        observed, hidden = innovations.estimate, float(np.diag(innovations.error_covariance)[problem.moving].sum())
+    states = len(programs[0].states)
+    size, total = states + read.shape[1], states + read.shape[1] + moves.shape[1]
+    unit = np.eye(total + 1)
+    inputs = {f"{name} {i}": row @ unit[states:size] for i, row in enumerate(read)}
+    inputs |= {f"w {i}": row @ unit[size:total] for i, row in enumerate(moves)}
 
-    def following(self, signals: Mapping[str, Array]) -> Array:
-        """Return the matrix that maps z to the memories of the next step, with zero rows for new measurement noise."""
-        rows = [signals[name] for name in self.sizes if name != NOISE_SIGNAL]
-        return np.vstack([*rows, np.zeros((self.sizes[NOISE_SIGNAL], self.size))])
+    def square(value: Array) -> tuple[Array, float]:
+        form = as_form(value)
+        return symmetrised(form[:size, :size]), float(form[-1, -1])
 
-    def sends(self) -> int | None:
-        """Return the action with a send on every link that has a send decision, or None if there is no such action."""
-        for action in range(len(self.labels)):
-            sent = {s.link for s in self.steps if isinstance(s, Send) and self._is_sent(s, action)}
-            if sent.issuperset(self.policy.scheduled):
-                return action
-        return None
+    F, M, sending = list[Array](), list[tuple[Array, float]](), list[bool]()
+    shown: dict[str, Array] = {}
+    for program in programs:
+        values = read_polynomials(program, total, inputs)
+        shown = {output: values[op] for output, op in program.outputs.items()}
+        F.append(np.array([values[op] for op in program.following]))
+        M.append(square(values[program.sums[COST]]))
+        sending.append(all(shown[f"{SENT} {link}"][-1] > 0 for link in loop.policy.scheduled))
+    options = [square(value) for output, value in shown.items() if output.startswith("option ")]
+    X = np.array([row[:size] for output, row in shown.items() if output.split()[0] == observed])
+    G = np.eye(size, total - states, total - size - states)  # the noise of the plant, then that of the next measurement
+    G[:states, : total - size] = F[0][:, size:total]
+    memories = [0.0 if isinstance(state.start, tuple) else state.start for state in programs[0].states]
+    start = np.array([*memories, *[0.0] * (size - states)])[:, None]
+    found = Switched(
+        labels=tuple(case.label for case in cases),
+        F=tuple(np.vstack([one[:, :size], np.zeros((size - states, size))]) for one in F),
+        G=G,
+        M=tuple(form for form, _ in M),
+        Psi=tuple(form for form, _ in options) or (np.zeros((size, size)),),
+        c=tuple(constant for _, constant in options) or (0.0,),
+        X=X[problem.moving],
+        constant=M[0][1],
+        hidden=hidden,
+        sends=sending.index(True) if any(sending) else None,
+    )
+    return found, np.hstack([X.T, start]) if whole else start
 
-    def actions(self) -> list[dict[str, Array]]:
-        """Return the signals of the policy at the end of a step, for each action."""
-        return [self.walk(action) for action in range(len(self.labels))]
 
-    def walk(self, action: int, lost: Collection[LinkName] = ()) -> dict[str, Array]:
-        """Return the policy's signals at the end of a step for an action, if the links ``lost`` drop their packets."""
-        signals = {name: self.memory(name) for name in self.sizes} | self.given
-        arrived: dict[str, int] = {}
-        for step in self.steps:
-            if isinstance(step, Assign):
-                outcome = self._outcome(step.on, action, arrived)
-                signals[step.signal] = self._combined(step.branches[outcome], signals)
-            elif isinstance(step, Decide):
-                forms = [self._form(form, signals) for form in step.trigger.options.values()]
-                self.Psi, self.c = tuple(Psi for Psi, _ in forms), tuple(c for _, c in forms)
-            elif isinstance(step, Send):
-                arrived[step.link] = int(self._is_sent(step, action) and step.link not in lost)
-            else:
-                raise ProblemError(f"{self.policy.kind} {_beyond(step)}, {_unserved()}")
-        return signals
+def _factor(covariance: Array) -> Array:
+    return factor(covariance) if covariance.any() else np.zeros((len(covariance), 0))
 
-    def _outcome(self, on: Condition | None, action: int, arrived: Mapping[str, int]) -> int:
-        if on is None:
-            return 0
-        if isinstance(on, str):
-            return action
-        if on.link not in arrived:
-            raise ProblemError(f"{self.policy.kind} uses a packet of the previous step, {_unserved()}")
-        return arrived[on.link]
 
-    def _is_sent(self, step: Send, action: int) -> bool:
-        return step.on is None or self.labels[action] in (step.labels or self.labels[1:])
+class _Collected(Builder):
+    """A builder whose program keeps all states, so that the programs of all actions have the same."""
 
-    def _combined(self, terms: Terms, signals: Mapping[str, Array]) -> Array:
-        parts = [self._constant(weight) @ signals[name] for name, weight in terms.items()]
-        return np.sum(parts, axis=0)
+    def finish(
+        self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
+    ) -> Program:
+        return self.collect(following, sums, outputs or {})
 
-    def _form(self, form: Form, signals: Mapping[str, Array]) -> tuple[Array, float]:
+
+class _FixedStep(TimeStep):
+    """The time step of a loop for a fixed decision and fixed arrivals; refuses what is not linear."""
+
+    def __init__(self, kind: str, case: Case, builder: Builder, *rest: Any) -> None:
+        super().__init__(_Collected(builder.precision), *rest)
+        self._kind, self._case = kind, case
+
+    def draw_losses(self, policy: Policy, network: Network) -> None:
+        pass
+
+    def take(self, step: Step) -> None:
+        if isinstance(step, Evaluate | Apply | Draw):
+            self._refuse(_beyond(step))
+        super().take(step)
+
+    def least(self, values: Sequence[int]) -> list[Truth]:
+        return [i == self._case.action for i in range(len(values) - 1)]
+
+    def arrives(self, link: str, sent: Truth) -> Truth:
+        return sent and link not in self._case.lost
+
+    def form(self, form: Form) -> int:
         if form.bell is not None:
-            raise ProblemError(f"{self.policy.kind} triggers on the exponential of a quadratic form, {_unserved()}")
+            self._refuse("triggers on the exponential of a quadratic form")
         if form.plus:
-            raise ProblemError(f"{self.policy.kind} triggers on {next(iter(form.plus))}, {_unserved()}")
-        if isinstance(form.constant, Scheduled):
-            raise ProblemError(f"{self.policy.kind} decides by the {form.constant.by}, {_unserved()}")
-        if form.Psi is None:
-            return np.zeros((self.size, self.size)), form.constant
-        stacked = np.vstack([signals[name] for name in form.signals])
-        return stacked.T @ self._constant(form.Psi) @ stacked, form.constant
+            self._refuse(f"triggers on {next(iter(form.plus))}")
+        return super().form(form)
 
-    def _constant(self, weight: Matrix) -> Array:
-        """Return a matrix; a schedule of equal matrices becomes one matrix."""
-        if not isinstance(weight, Scheduled):
-            return weight
-        if (weight.values != weight.values[0]).any():
-            raise ProblemError(f"{self.policy.kind} has matrices that vary with the {weight.by}, {_unserved()}")
-        return weight.values[0]
+    def number(self, value: float | Scheduled) -> Coefficient:
+        if isinstance(value, Scheduled):
+            self._refuse(f"decides by the {value.by}")
+        return super().number(value)
 
+    def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
+        if isinstance(matrix, Scheduled):
+            if (matrix.values != matrix.values[0]).any():
+                self._refuse(f"has matrices that vary with the {matrix.by}")
+            matrix = matrix.values[0]
+        return super().coefficients(matrix)
 
-def _read(step: Step) -> Iterator[str]:
-    """Yield the signals that the result of a step depends on, in order."""
-    if not isinstance(step, Send):
-        yield from read(step)
+    def happened(self, condition: Condition) -> list[Truth]:
+        if not isinstance(condition, str) and condition.link not in self.arrived:
+            self._refuse("uses a packet of the previous step")
+        return super().happened(condition)
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise ProblemError(f"{self._kind} {what}, {_unserved()}")
 
 
 def _beyond(step: Evaluate | Apply | Draw) -> str:
@@ -339,27 +248,29 @@ def _beyond(step: Evaluate | Apply | Draw) -> str:
     return f"stores {step.signal}, a quadratic form"
 
 
-def refuse_loops(loop: Loop, dropping: bool = False) -> None:
+def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     """Raise an error if a loop is not a switched linear map over an infinite horizon.
 
-    ``dropping`` allows links that drop packets.
+    ``more`` are further properties that the caller supports.
     """
-    policy, network = loop.policy, loop.network
-    sent = {step.link for step in policy.steps if isinstance(step, Send)}
-    lost = [link for link in ENDS if link in sent and network.loss(link) > 0]
+    policy = loop.policy
+    missing = [name for name in uncovered(CERTIFIED, loop.parts) if name not in more]
     functions = [step for step in policy.steps if isinstance(step, Apply)]
-    found = {
-        "the plant is not linear": loop.problem.plant.function is not None,
-        f"{policy.kind} {_beyond(functions[0]) if functions else ''}": bool(functions),
-        f"{policy.kind} follows a reference": policy.tracking is not None,
-        f"{policy.kind} adds constants": any(ONE in _read(step) for step in policy.steps),
-        "the loop is a finite-horizon run, with a horizon or a discount": loop.horizon is not None,
-        "inputs are clipped (input_limit)": loop.problem.plant.input_limit is not None,
-        f"the {lost[0] if lost else ''} link drops packets": bool(lost) and not dropping,
+    constants = any(ONE in read(step) for step in policy.steps)
+    links = [link for link in ENDS if loop.network.loss(link) > 0]
+    known = {
+        "the plant is not linear": FUNCTION,
+        f"{policy.kind} {_beyond(functions[0]) if functions else ''}": FUNCTIONS,
+        f"{policy.kind} follows a reference": TRACKING,
+        f"{policy.kind} adds constants": frozenset({ONE} if constants else ()),
+        "the loop is a finite-horizon run, with a horizon or a discount": ENDING,
+        "inputs are clipped (input_limit)": LIMIT,
+        f"the {links[0] if links else ''} link drops packets": LOSSES | BURSTS,
+        f"packets contain rounded numbers ({loop.network.payload})": ROUNDING,
     }
-    for text, given in found.items():
-        if given:
-            raise ProblemError(f"{text}, {_unserved()}")
+    found = [text for text, names in known.items() if ONE in names or not names.isdisjoint(missing)]
+    for text in (*found, *(f"{name} is given" for name in missing)):
+        raise ProblemError(f"{text}, {_unserved()}")
 
 
 def _unserved() -> str:

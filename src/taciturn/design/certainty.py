@@ -24,6 +24,7 @@ from taciturn.lqg.kalman import Filter, expect_known_start, filter_checked
 from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Decide, LinkName, Location, NodeName, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
@@ -219,6 +220,7 @@ def certainty_policy(
             closed_form=closed_form,
             reset=reset,
             fixed_rates=fixed_rates or {},
+            covers=THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY,
         ),
         sites=COLLOCATED,
         locations=locations,
@@ -261,6 +263,7 @@ def sensor_policy(
             settling=settling,
             closed_form=closed_form,
             fixed_rates={} if schedule is None else {"sensor": schedule.rate},
+            covers=THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY,
         ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=locations,

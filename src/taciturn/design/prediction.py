@@ -13,6 +13,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED, THEORY
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.theory import Guarantee, Identity, Reset, Theory
@@ -87,6 +88,7 @@ def predicted_policy(
             guarantee=guarantee,
             identity=Identity(base, (Form((ERROR,), predicted.Gamma / problem.tick), Form()), SEND),
             reset=predicted.reset,
+            covers=THEORY,
         ),
         sites=(frozenset({"controller", "actuator"}),),
         initial={"prediction": problem.plant.mean, "forecast": problem.plant.mean},
@@ -104,6 +106,7 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
     """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
+    SIMULATED.check(plant, cost)
     if isinstance(plant, Plant):
         raise ProblemError(
             f"the plant is discrete in time, but {kind} predicts in continuous time; "

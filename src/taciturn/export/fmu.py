@@ -32,10 +32,12 @@ from taciturn.export.description import (
 from taciturn.export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, print_folder
 from taciturn.export.node import CNode
 from taciturn.loop import Loop
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.packets import fingerprint
 from taciturn.model.wire import LINKS
 from taciturn.program.c import c_literal
 
+UNIT_COVERAGE = Coverage(LOOPS, "a functional mock-up unit does not carry out")
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
     "3.0": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),
@@ -168,6 +170,7 @@ def print_fmu(
         raise ProblemError(f"the version of FMI is {version!r}; expected '3.0' or '2.0'")
     if not (name.isidentifier() and name.isascii()):
         raise ProblemError(f"the name of the FMU is {name!r}; expected a C identifier such as two_mass")
+    UNIT_COVERAGE.check(loop.parts, loop.policy.designed_for)
     folder = print_folder(loop, name, seed=seed)
     own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
     texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}

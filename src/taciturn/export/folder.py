@@ -15,7 +15,7 @@ from taciturn._files import write_whole
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.library import print_library
-from taciturn.export.node import CNode, print_node, table
+from taciturn.export.node import EXPORTED, CNode, print_node, table
 from taciturn.export.vector import RecordedRun, record_loop
 from taciturn.loop import Loop
 from taciturn.model.packets import packet_shapes
@@ -153,6 +153,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
         ProblemError: the nodes cannot be separated, the policy has no such node, or it is too large for a device.
     """
     policy, network, precision = loop.policy, loop.network, loop.precision
+    EXPORTED.check(loop.parts)
     known = roles(policy)
     for node in nodes:
         place_of(policy, node)

@@ -10,6 +10,7 @@ from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.data import NodeData
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import place_of
@@ -20,6 +21,7 @@ from taciturn.program.layout import Layout, lay_out
 from taciturn.program.node import NodeProgram, lower_node
 from taciturn.program.ops import Precision
 
+EXPORTED = Coverage(LOOPS, "exported C code does not carry out")
 MOST = {
     "inputs": 0xFFFF,
     "memory": 0xFFFF,
@@ -83,6 +85,7 @@ def print_node(
     Raises:
         ProblemError: the nodes cannot be separated, or a node exceeds a size limit of the core.
     """
+    EXPORTED.check(policy.parts, policy.designed_for, network)
     program = lower_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
     _check_size(policy, network, program, layout)

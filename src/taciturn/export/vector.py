@@ -11,10 +11,10 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.policy import ENDS, Draw, LinkName, Send
+from taciturn.model.policy import LinkName, Send
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
-from taciturn.program.draws import UNIFORM
+from taciturn.program.ir import Program
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,7 +63,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
         values = generator.standard_normal((ticks, spread.shape[1])) @ spread.T
         supplied |= {f"{name} {i}": column for i, column in enumerate(values.T)}
     inputs = np.array([supplied[name] if name in supplied else generator.random(ticks) for name in program.inputs])
-    own = [program.inputs.index(f"{UNIFORM} {i}") for i in drawn_by_the_policy(loop)]
+    own = [program.inputs.index(name) for name in drawn_by_the_policy(program)]
     if drawn is not None:
         inputs[own] = drawn.T
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
@@ -87,16 +87,10 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     return vector
 
 
-def drawn_by_the_policy(loop: Loop) -> list[int]:
-    """Return the indices of the uniform numbers of a step that the policy draws; the others determine losses."""
-    count, own = sum(loop.network.burst(link) is not None for link in ENDS), list[int]()
-    for step in loop.policy.steps:
-        if isinstance(step, Draw):
-            own.append(count)
-            count += 1
-        elif isinstance(step, Send) and (loop.network.loss(step.link) > 0 or loop.network.burst(step.link)):
-            count += 1
-    return own
+def drawn_by_the_policy(program: Program) -> list[str]:
+    """Return the inputs of ``Loop.open_program`` with the uniform numbers that the policy draws."""
+    drawn = [op for name, op in program.outputs.items() if name.startswith("drawn ")]
+    return [program.inputs[program.ops[op].arguments[0]] for op in drawn]
 
 
 def _columns(columns: list[Array], ticks: int) -> Array:

@@ -16,6 +16,7 @@ from taciturn.lqg import _dare
 from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
@@ -34,6 +35,7 @@ class Discrete(Displayed):
         jumps: Poisson jumps as the noise of a step, or None; plant.W is the covariance of the noise in both cases.
         sampled: whether the plant is continuous in time, so that rates are per second.
         prediction: the model of an actuator that predicts, or None; the input of ``plant`` is the state of this model.
+        source: the plant before it was sampled.
     """
 
     plant: Plant
@@ -46,10 +48,12 @@ class Discrete(Displayed):
     jumps: JumpNoise | None = None
     sampled: bool = False
     prediction: Prediction | None = None
+    source: Plant | ContinuousPlant | None = None
 
     def summary(self) -> Mapping[str, object]:
         """Return the fields by name, with the number of inputs of the plant before it was sampled."""
-        return {**super().summary(), "plant": self.short()}
+        shown = {**super().summary(), "plant": self.short()}
+        return {name: value for name, value in shown.items() if name != "source"}
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
@@ -97,6 +101,7 @@ def discretise(
     """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
+    SIMULATED.check(plant, cost)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected "
@@ -108,7 +113,7 @@ def discretise(
                 f"period is {period:g}, and the plant is discrete in time; expected no period, as the steps are the "
                 "sampling instants (define a continuous plant without dt, which is plant.dt in a file)"
             )
-        return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0)
+        return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0, source=plant)
     if period is None:
         raise ProblemError(
             "period is missing; expected the sampling period in seconds, as the plant is continuous in time "
@@ -137,5 +142,5 @@ def discretise(
     discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return Discrete(
-        discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction
+        discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction, plant
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, cast
 
 import numpy as np
 
@@ -101,6 +102,5 @@ class Cost(Displayed):
 
     def same_as(self, other: Cost) -> bool:
         """Return whether the other cost has the same weights, horizon and discount."""
-        same_time = (self.horizon, self.discount) == (other.horizon, other.discount)
-        weights = ("Q", "R", "N", "terminal")
-        return same_time and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in weights)
+        names = {one.name for one in (*fields(self), *fields(other))}
+        return all(np.array_equal(*(cast("Any", getattr(one, name, None)) for one in (self, other))) for name in names)

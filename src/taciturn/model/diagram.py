@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn._figure import Arrow, Size, draw_lanes
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.location import Location
 from taciturn.model.plant import Prediction
 from taciturn.model.steps import (
@@ -31,6 +32,7 @@ from taciturn.model.trigger import Form, Scheduled, Trigger
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+DRAWN = Coverage(LOOPS, "diagrams do not show")
 When = Literal["always", "decision", "schedule"]
 PLAIN = str.maketrans("┌┐└┘├┤┼┬│─▶◀┄≠", "+++++++++-><.#")
 PLAIN |= {ord("│"): "|", ord("≠"): "!="}

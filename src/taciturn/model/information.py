@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
+from taciturn.model.coverage import STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import (
@@ -29,6 +30,7 @@ from taciturn.model.policy import (
 from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
 
+INFORMED = Coverage(STEPS | TRACKING, "the check of the information pattern does not know")
 Site: TypeAlias = frozenset[NodeName]
 
 
@@ -94,6 +96,7 @@ def check_information(policy: Policy, network: Network) -> None:
     Raises:
         InformationError: if a signal is not available; the message names the node and the signal.
     """
+    INFORMED.check(policy.parts)
     knowledge = _Knowledge(policy, network)
     for step in policy.steps:
         knowledge.check(step)

@@ -8,7 +8,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from taciturn._arrays import choice, count, instance, number
+from taciturn._arrays import Array, choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
@@ -175,12 +175,19 @@ class Network(Displayed):
 
     def outage(self, link: str) -> float:
         """Return the long-run probability that a link drops a packet, given that it has dropped all packets before."""
+        turns, losses = self.chain(link)
+        return float(np.abs(np.linalg.eigvals(turns * losses)).max())
+
+    def chain(self, link: str) -> tuple[Array, Array]:
+        """Return the transition probabilities between the states of a link, (s, s), and the loss in each state, (s,).
+
+        A link with a constant loss probability has one state; otherwise the states are good and bad.
+        """
         burst = self.burst(link)
         if burst is None:
-            return self.loss(link)
+            return np.ones((1, 1)), np.array([self.loss(link)])
         turns = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
-        lost = turns * [burst.loss_good, burst.loss_bad]
-        return float(np.abs(np.linalg.eigvals(lost)).max())
+        return turns, np.array([burst.loss_good, burst.loss_bad])
 
     def without_bursts(self) -> Network:
         """Return the network with independent losses of the same mean probability on each link."""
@@ -191,6 +198,12 @@ class Network(Displayed):
             actuator_burst=None,
             sensor_burst=None,
         )
+
+    def without_constant_bursts(self) -> Network:
+        """Return the network in which a burst model that never changes its state is a loss probability."""
+        constant = [f"{link}_" for link in ("actuator", "sensor") if self._given_burst(link) and not self.burst(link)]
+        changes = {f"{link}loss": self.loss(link[:-1]) for link in constant}
+        return replace(self, **{**dict.fromkeys(f"{link}burst" for link in constant), **changes}) if constant else self
 
     def without_rounding(self) -> Network:
         """Return the network whose packets transmit numbers without rounding."""

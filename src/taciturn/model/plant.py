@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol, cast, runtime_checkable
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -92,12 +92,12 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        keys = ("A", "B", "C", "W", "V", "input_limit")
-        return all(self.agrees(key, other) for key in keys)
+        apart = {"mean", "covariance", "dt", "function", "full_state"}
+        return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
         """Return whether both plants have equal arrays of this name, or neither plant has such an array."""
-        return np.array_equal(getattr(self, key), getattr(other, key))
+        return np.array_equal(*(cast("Any", getattr(one, key, None)) for one in (self, other)))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

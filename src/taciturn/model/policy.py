@@ -16,7 +16,8 @@ from taciturn._display import Displayed
 from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
-from taciturn.model.diagram import Diagram, draw_diagram
+from taciturn.model.coverage import uncovered
+from taciturn.model.diagram import DRAWN, Diagram, draw_diagram
 from taciturn.model.location import Location as Location
 from taciturn.model.location import joint_cycle
 from taciturn.model.network import Network
@@ -177,9 +178,19 @@ class Policy(Displayed):
         return self.theory.cost_all_time
 
     @property
+    def parts(self) -> tuple[object, ...]:
+        """The parts that every interpreter of the policy must cover: steps, locations and reference signals."""
+        return self.steps, self.locations, self.tracking
+
+    @property
+    def designed_for(self) -> tuple[object, ...]:
+        """Plant, network and cost of the design."""
+        return self.model, self.network, self.theory.cost
+
+    @property
     def guarantee(self) -> Guarantee | None:
-        """The proven upper bound on the cost, or None."""
-        return self.theory.guarantee
+        """The proven upper bound on the cost, or None if it is unknown or if the theory does not cover the steps."""
+        return None if uncovered(self.theory.covers, self.parts) else self.theory.guarantee
 
     @property
     def scheduled(self) -> tuple[LinkName, ...]:
@@ -217,6 +228,7 @@ class Policy(Displayed):
             >>> [link.packet for link in load("rover").design().diagram().links]
             ['command (1)', 'y (1)']
         """
+        DRAWN.check(self.parts, self.designed_for)
         return draw_diagram(self.steps, self.sites, self.locations, self.sizes, self.prediction)
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:

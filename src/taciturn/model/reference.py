@@ -9,6 +9,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.plant import Plant
 
 FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
@@ -41,6 +42,7 @@ class Reference(Displayed):
         Raises:
             ProblemError: if a size or the length differs, or a state does not follow from the step before.
         """
+        SIMULATED.check(self)
         for name, found, wanted in (
             ("inputs", self.inputs.shape, (horizon, plant.inputs)),
             ("states", self.states.shape, (horizon + 1, plant.states)),

@@ -11,6 +11,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import GAUSSIAN_THEORY
 from taciturn.model.steps import LinkName
 from taciturn.model.trigger import Form
 
@@ -136,6 +137,8 @@ class Theory(Displayed):
         closed_form: exact cost and rates, or None.
         reset: the error that every send sets to zero, or None.
         fixed_rates: rates by link that the design fixes, in sends per step.
+        covers: names of the properties that the theory takes into account (``taciturn.model.coverage``); any other
+            property that is given makes the theory inapplicable; default: a linear loop with Gaussian noise.
     """
 
     cost: Cost | None = None
@@ -148,6 +151,7 @@ class Theory(Displayed):
     closed_form: ClosedForm | None = None
     reset: Reset | None = None
     fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
+    covers: frozenset[str] = GAUSSIAN_THEORY
 
     def check(self, kind: str, nonlinear: str | None) -> None:
         """Check this theory for a policy of a given kind.

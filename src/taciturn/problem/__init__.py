@@ -32,6 +32,7 @@ from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.network import Burst, Network
@@ -150,6 +151,7 @@ class Problem(Displayed):
             raise type(error)(f"{self.name}: {key}{error}" if self.name else str(error)) from None
 
     def _designed(self) -> AnyPolicy:
+        SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
         used = _used(kind, self.network, self.reference)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TypeAlias
 
 from taciturn._arrays import Array
 from taciturn.model.network import Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import ENDS, Policy, Send
-from taciturn.program.ir import Builder, Coefficient, Program
-from taciturn.program.lower import TimeStep, encode_payloads
+from taciturn.model.policy import ENDS, Assign, Policy, Step
+from taciturn.model.trigger import Matrix, Scheduled
+from taciturn.program.ir import Builder, Program
+from taciturn.program.lower import TimeStep, encode_payloads, is_bad
+from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
+
+Begin: TypeAlias = Callable[..., TimeStep]
 
 
 def lower_policy(policy: Policy, network: Network) -> Program:
@@ -23,11 +29,12 @@ def lower_policy(policy: Policy, network: Network) -> Program:
         policy: the policy.
         network: the links between its nodes.
     """
+    NODES.check(policy.parts, policy.designed_for, network)
     tick = begin_time_step(policy, network, {}, {})
-    losses = draw_losses(tick, policy, network)
+    tick.draw_losses(policy, network)
     tick.signals["y"] = [tick.builder.input(f"y {i}") for i in range(policy.model.outputs)]
     for step in policy.steps:
-        tick.take(step, losses)
+        tick.take(step)
     applied = tick.clipped(tick.signals["input"], policy.model.input_limit)
     outputs = {f"applied {i}": value for i, value in enumerate(applied)}
     outputs |= {f"sent {link}": tick.as_number(truth) for link, truth in tick.sent.items()}
@@ -41,35 +48,28 @@ def begin_time_step(
     sizes: Mapping[str, int],
     initial: Mapping[str, Array | str],
     precision: Precision = "float64",
+    begin: Begin = TimeStep,
 ) -> TimeStep:
     """Return a new time step of all nodes of a policy, before its first policy step is translated.
 
-    ``sizes`` and ``initial`` add further signals.
+    ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
     """
     bad = [is_bad(link) for link in ENDS]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
     sizes = {**policy.sizes, **sizes, **dict.fromkeys(bad, 1)}
     initial = {**policy.initial, **initial, **{name: name for name in bad}}
-    return TimeStep(Builder(precision), sizes, initial, policy.locations, told)
+    return begin(Builder(precision), sizes, initial, policy.locations, told)
 
 
-def draw_losses(tick: TimeStep, policy: Policy, network: Network) -> dict[str, Coefficient]:
-    """Return the loss probability of each link: a constant, or a value that depends on the state of a bursty link."""
-    losses: dict[str, Coefficient] = {}
-    for link in ENDS:
-        burst, b = network.burst(link), tick.builder
-        losses[link] = network.loss(link)
-        if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
-            # Gilbert–Elliott model: a memory in {0, 1} selects the loss, and changes with probability to_bad or to_good
-            (bad,) = tick.read(is_bad(link))
-            losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
-            turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
-            turned = b.emit("sub", b.constant(1.0), bad)
-            tick.signals[is_bad(link)] = [tick.choose(b.emit("greater", turn, tick.uniform()), turned, bad)]
-    return losses
+def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
+    """Return a policy step with a signal replaced by the product of a matrix and another signal."""
+    if not isinstance(step, Assign) or not any(signal in terms for terms in step.branches):
+        return step
 
+    def term(name: str, matrix: Matrix) -> tuple[str, Matrix]:
+        if name != signal:
+            return name, matrix
+        return by, Scheduled(matrix.by, matrix.values @ factor) if isinstance(matrix, Scheduled) else matrix @ factor
 
-def is_bad(link: str) -> str:
-    """Return the name of the memory that is 1 while a link with burst losses is in its bad state, and 0 otherwise."""
-    return f"{link} link is bad"
+    return replace(step, branches=tuple(dict(term(*one) for one in terms.items()) for terms in step.branches))

@@ -15,8 +15,10 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.coverage import NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.policy import (
+    ENDS,
     ONE,
     Apply,
     Assign,
@@ -41,6 +43,8 @@ from taciturn.program.trace import trace
 
 Operands = list[int]
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
+
+LOWERED = Coverage(STEPS | TRACKING | NETWORKS, "programs do not carry out")
 
 
 class TimeStep:
@@ -74,6 +78,8 @@ class TimeStep:
         self.arrived: dict[str, Truth] = {}
         self.sent: dict[str, Truth] = {}
         self.options: dict[str, dict[str, int]] = {}  # value of each option of each trigger
+        self.losses: dict[str, Coefficient] = {}  # loss probability of each link
+        self.thresholds: list[int] = []  # uniform numbers that the policy draws; all others determine losses and noise
         self.locations = {location.name: location for location in locations}
         self.drawn = 0  # number of uniform numbers drawn so far
 
@@ -119,8 +125,21 @@ class TimeStep:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
         return self.signals[name]
 
-    def take(self, step: Step, losses: Mapping[str, Coefficient]) -> None:
-        """Translate one policy step to operations; ``losses`` contains the loss probability of each link."""
+    def draw_losses(self, policy: Policy, network: Network) -> None:
+        """Set the loss probability of each link: a constant, or a value that depends on the state of a bursty link."""
+        for link in ENDS:
+            burst, b = network.burst(link), self.builder
+            self.losses[link] = network.loss(link)
+            if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
+                # Gilbert–Elliott: a memory in {0, 1} selects the loss, and changes with probability to_bad or to_good
+                (bad,) = self.read(is_bad(link))
+                self.losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
+                turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
+                turned = b.emit("sub", b.constant(1.0), bad)
+                self.signals[is_bad(link)] = [self.choose(b.emit("greater", turn, self.uniform()), turned, bad)]
+
+    def take(self, step: Step) -> None:
+        """Translate one policy step to operations."""
         on = step.on if isinstance(step, Assign | Evaluate) else None
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign):
@@ -133,11 +152,12 @@ class TimeStep:
             self.signals |= trace(self.builder, step.function, arguments, step.signals)
         elif isinstance(step, Draw):
             # −log u of a uniform u has the exponential distribution of mean 1
-            self.signals[step.signal] = [self.builder.scale(0.5, minus_two_log(self.builder, self.uniform()))]
+            self.thresholds.append(self.uniform())
+            self.signals[step.signal] = [self.builder.scale(0.5, minus_two_log(self.builder, self.thresholds[-1]))]
         elif isinstance(step, Decide):
             self._decide(step)
         else:
-            self._send(step, losses[step.link])
+            self._send(step)
         self.listening = {}
 
     def combine(self, terms: Terms, rows: int) -> Operands:
@@ -246,10 +266,14 @@ class TimeStep:
 
     def _decide(self, step: Decide) -> None:
         """Translate a decision for the label of the least form, or the first of several equal forms."""
-        # label i is chosen if V_i ≤ V_j for every later j, and no earlier label is chosen. For an earlier label that is
-        # not chosen there is a later one with a smaller value, so by induction the chosen value is the minimum.
         values = [self.form(form) for form in step.trigger.options.values()]
         self.options[step.decision] = dict(zip(step.trigger.labels, values, strict=True))
+        self.outcomes[step.decision] = self.least(values)
+
+    def least(self, values: Sequence[int]) -> list[Truth]:
+        """Return for each value but the last whether it is the first of the least values."""
+        # label i is chosen if V_i ≤ V_j for every later j, and no earlier label is chosen. For an earlier label that is
+        # not chosen there is a later one with a smaller value, so by induction the chosen value is the minimum.
         truths: list[Truth] = []
         for i, value in enumerate(values[:-1]):
             truth: Truth = True
@@ -258,9 +282,9 @@ class TimeStep:
             for earlier in truths:
                 truth = self._and(truth, self._not(earlier))
             truths.append(truth)
-        self.outcomes[step.decision] = truths
+        return truths
 
-    def _send(self, step: Send, loss: Coefficient) -> None:
+    def _send(self, step: Send) -> None:
         sent: Truth = True
         if step.on is not None:
             labels = list(self.options[step.on])
@@ -277,11 +301,14 @@ class TimeStep:
             else:
                 for truth in (truth for truth, quiet in flags if quiet):
                     sent = self._and(sent, self._not(truth))
-        # a packet arrives if a uniform random number is above the loss probability
-        self.sent[step.link] = arrives = sent
-        if not (isinstance(loss, float) and loss == 0.0):
-            arrives = self._and(arrives, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
-        self.arrived[step.link] = arrives
+        self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
+
+    def arrives(self, link: str, sent: Truth) -> Truth:
+        """Return whether a packet arrives: it is sent, and a uniform random number is above the loss probability."""
+        loss = self.losses[link]
+        if isinstance(loss, float) and loss == 0.0:
+            return sent
+        return self._and(sent, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
 
     def _arrived(self, link: str) -> Truth:
         """Return whether the packet of this step has arrived, or before its Send, the packet of the previous step."""
@@ -311,6 +338,7 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
     Raises:
         ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.
     """
+    LOWERED.check(policy.parts, network)
     payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:
         if isinstance(step, Send):
@@ -318,6 +346,11 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
             parts = network.encoding(step.link).parts(sizes)
             payloads[step.link] = dict(zip(step.payload, parts, strict=True))
     return payloads
+
+
+def is_bad(link: str) -> str:
+    """Return the name of the memory that is 1 while a link with burst losses is in its bad state, and 0 otherwise."""
+    return f"{link} link is bad"
 
 
 def _arrival(link: str) -> str:

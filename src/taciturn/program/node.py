@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from taciturn.errors import ProblemError
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import (
@@ -31,6 +32,8 @@ from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
 from taciturn.program.lower import Operands, Payloads, TimeStep, encode_payloads
 from taciturn.program.ops import Precision, State
+
+NODES = Coverage(LOOPS, "nodes do not carry out")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,7 @@ def lower_node(
             of its packet and its use, both ends of a link are at one site, a packet is read both before and after it is
             sent, or a node needs an acknowledgement before its last output.
     """
+    NODES.check(policy.parts, policy.designed_for, network)
     check_separable(policy)
     return _Lowering(policy, site, network, precision).result()
 
@@ -125,13 +129,14 @@ class _Part(TimeStep):
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
         super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
         self.drawn = drawn
+        self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
         self.packets: dict[str, Operands] = {}  # payload of each packet, rounded by its encoding
         self._link = ""
 
-    def take(self, step: Step, losses: Mapping[str, float]) -> None:
+    def take(self, step: Step) -> None:
         on = _condition(step)
         self._link = on.link if isinstance(on, Received) else ""
-        super().take(step, losses)
+        super().take(step)
         if isinstance(step, Send):
             parts = [self.rounded(self.recall(name), how) for name, how in self.payloads[step.link].items()]
             self.packets[step.link] = [value for part in parts for value in part]
@@ -234,7 +239,7 @@ class _Lowering:
     def _walk(self, steps: Sequence[Step], drawn: int) -> _Part:
         tick = _Part(self.policy, self.payloads, drawn, self.precision)
         for step in steps:
-            tick.take(step, dict.fromkeys(self.payloads, 0.0))
+            tick.take(step)
         return tick
 
     def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:

@@ -8,10 +8,17 @@ from dataclasses import dataclass
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import ENDING, JUMPS, LIMIT, LINEAR_PLANT, WEIGHTS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
+
+EVENTS = Coverage(
+    LINEAR_PLANT | JUMPS | LIMIT | WEIGHTS | ENDING,
+    "policies in continuous time do not model",
+    "a linear plant, or a policy with a period",
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,6 +57,7 @@ class EventPolicy(Displayed):
 
     def __post_init__(self) -> None:
         """Check the plant."""
+        EVENTS.check(self.plant, self.cost)
         self.refuse(_only_simulated(self.plant))
 
     def summary(self) -> Mapping[str, object]:

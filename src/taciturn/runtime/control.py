@@ -12,11 +12,14 @@ from taciturn._arrays import Array, ArrayLike, instance
 from taciturn._control import is_linear, nonlinear_system, state_space
 from taciturn.errors import ProblemError
 from taciturn.loop import SENT, Loop
+from taciturn.model.coverage import PLANTS, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, plant_from
 from taciturn.model.policy import Policy
 from taciturn.runtime.nodes import Nodes, StepFunction, Values
+
+CONVERTED = Coverage(PLANTS, "systems of python-control do not model")
 
 
 def to_control(
@@ -69,6 +72,8 @@ def to_control(
             f"network is given for a {type(thing).__name__}; expected network for a Policy only: "
             "pass the network of a loop to `close`"
         )
+    if isinstance(thing, Plant | ContinuousPlant):
+        CONVERTED.check(thing)
     if isinstance(thing, ContinuousPlant):
         return state_space(thing.A, thing.B, thing.C, 0, "plant")
     if isinstance(thing, Plant) and thing.function is not None:

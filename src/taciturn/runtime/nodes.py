@@ -15,9 +15,10 @@ from taciturn._arrays import Array, ArrayLike, array, count, instance
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.policy import ENDS, Policy
-from taciturn.program.controller import is_bad, lower_policy
+from taciturn.program.controller import lower_policy
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
+from taciturn.program.lower import is_bad
 from taciturn.program.python import compile_python
 from taciturn.runtime.node import Values
 

@@ -13,8 +13,11 @@ from taciturn._arrays import Array, count, instance
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.program.ir import Program
 from taciturn.program.python import CompiledStep, compile_python
+
+PLANT_SERVER = Coverage(LOOPS, "the simulated plant of a running loop does not model")
 
 
 class SimulatedPlant:
@@ -36,6 +39,7 @@ class SimulatedPlant:
     def __init__(self, loop: Loop, seed: int = 0) -> None:
         """Draw the initial state from its distribution."""
         instance("loop", loop, Loop)
+        PLANT_SERVER.check(loop.parts)
         self.loop, self.tick = loop, 0
         count("seed", seed, 0)
         program, self._turn = _compile(loop)

@@ -16,6 +16,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import THEORY
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 from taciturn.model.policy import Evaluate, Location, Policy
@@ -232,6 +233,7 @@ def _looking(
             settling=1 / (1 - problem.slowest(closed)),
             guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
             identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
+            covers=THEORY,
         ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=(location,),

@@ -23,6 +23,7 @@ from taciturn.lqg.lossy import (
 )
 from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Policy, Received, Send, Step
@@ -85,6 +86,7 @@ def lossy_lqg(
     instance("plant", plant, Plant, ContinuousPlant)
     given = Network() if network is None else network
     instance("network", given, Network)
+    SIMULATED.check(given)
     if reference is not None:
         instance("reference", reference, Reference)
     plant = refuse_what_is_not_covered(plant, cost)

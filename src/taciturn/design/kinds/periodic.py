@@ -19,6 +19,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import THEORY
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
 from taciturn.model.policy import Assign, Policy, Received, Send
 from taciturn.model.theory import ClosedForm, Theory
@@ -132,6 +133,7 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
             noise_cost=problem.noise_cost,
             settling=1 / (1 - problem.slowest(closed)),
             closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
+            covers=THEORY,
         ),
         sites=(frozenset({"controller", "actuator"}),),
         tick=problem.tick,

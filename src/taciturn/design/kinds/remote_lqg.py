@@ -28,6 +28,7 @@ from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import expect_known_start, forgetting, steady_filter
 from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedule_queries
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, NodeName, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
@@ -124,6 +125,7 @@ def remote_lqg(
             innovations=estimation.innovations,
             closed_form=closed_form,
             fixed_rates={} if watch.schedule is None else {"sensor": watch.schedule.rate},
+            covers=THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY,
         ),
         sites=SITES[controller],
         locations=(count_ticks(len(watch.covariance), watch.start),),

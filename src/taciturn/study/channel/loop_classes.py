@@ -13,6 +13,7 @@ from taciturn.analyse.limits import resets
 from taciturn.design.modelled import modelled
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import close
+from taciturn.model.coverage import LINEAR_LOOP, Coverage
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.trigger import Form
@@ -21,6 +22,7 @@ from taciturn.problem.bare import as_problem
 from taciturn.renewal.allocation import Clocked
 from taciturn.study.units import time_unit
 
+CHANNELS = Coverage(LINEAR_LOOP, "loops that share a channel do not support")
 FINEST = 1_000_000  # periods are approximated by fractions of a second with at most this denominator
 EQUAL = 1e-9  # largest relative error of this approximation
 LONGEST = 10_000  # largest number of steps after which the checks of all loops repeat
@@ -113,6 +115,7 @@ def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
             )
         if loop.problem.jumps is not None:
             raise ProblemError("plant.jumps is given; expected Gaussian noise (plant.W) in loops that share a channel")
+        CHANNELS.check(loop.parts)
         reset = resets(loop)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None

@@ -19,6 +19,7 @@ from taciturn._grid import parse_settings
 from taciturn._progress import Progress, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.coverage import NETWORKS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Policy, Send
@@ -45,6 +46,7 @@ from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+EMULATED = Coverage(NETWORKS, "running links do not emulate")
 USUAL = 5000  # default number of steps
 
 
@@ -274,6 +276,7 @@ def losses(
     network: Network, seed: int, outages: Mapping[LinkName, tuple[int, int] | None] | None = None
 ) -> dict[LinkName, Fate]:
     """Return the impairments of the packets on each link of a network; during an outage, a link drops every packet."""
+    EMULATED.check(network)
     links: tuple[LinkName, ...] = ("actuator", "sensor")
     return {
         link: Fate(

@@ -7,6 +7,7 @@ from typing import TypeAlias, cast
 
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
 from taciturn.model.policy import LinkName, NodeName, Policy, Send
@@ -26,6 +27,7 @@ from taciturn.study.testbed.devices import DeviceNode, DeviceServer
 from taciturn.study.testbed.invariants import BrokenError, Copy, Life, Monitor, differing
 from taciturn.study.testbed.keyring import KeyRing
 
+WORLDS = Coverage(LOOPS, "worlds of faults do not carry out")
 TICK = 0.1  # seconds per step
 LATENCY = 0.02  # steps that a datagram takes
 WATCHDOG, HEARTBEAT = 12, 4  # steps of the watchdog and between marks
@@ -101,6 +103,7 @@ class World:
         self, loop: Loop, seed: int, faults: Sequence[Fault] | None, devices: Mapping[str, MakeNode], keyed: bool
     ) -> None:
         """Start all processes, and enter the faults into the queue of events."""
+        WORLDS.check(loop.parts, loop.policy.designed_for)
         self.loop, self.seed, self.made = loop, seed, devices
         policy = self.policy = loop.policy
         self.time = VirtualTime()

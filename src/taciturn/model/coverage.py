@@ -1,0 +1,158 @@
+"""What a theory or an interpreter takes into account: names of properties of plants, costs, networks and policy steps.
+
+The properties are the fields of the classes in ``taciturn.model``, such as ``plant.function`` or ``Assign.on``. A
+property is given if it differs from its neutral value. A ``Coverage`` lists the names of properties that an interpreter
+carries out; any other property that is given is reported. Names are listed one by one and are never derived from the
+classes, so that a new field or a new class of policy steps is not covered until somebody adds its name. A new property
+gets a group of names of its own, which each theory and each interpreter adds to its coverage when it has learnt it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn.errors import ProblemError
+from taciturn.model.network import Network
+
+MODEL = "taciturn.model."
+_PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
+_PREFIXES |= {name: name.lower() for name in ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking")}
+_NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
+_OPAQUE = ("plant.function", "Apply.function")  # callables
+_PLAIN = (str, int, float, np.ndarray, type(None))
+
+
+def names(owner: str, properties: str) -> frozenset[str]:
+    """Return the names of a class and of its properties, such as ``cost`` and ``cost.Q``."""
+    return frozenset({owner, *(f"{owner}.{name}" for name in properties.split())})
+
+
+LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state")
+FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit"})
+JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
+WEIGHTS = names("cost", "Q R N")
+ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
+LINKS = names("network", "protocol delay actuator_range sensor_range")  # a range has an effect only with a payload
+LOSSES = frozenset({"network.actuator_loss", "network.sensor_loss"})
+BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"network.actuator_burst", "network.sensor_burst"}
+ROUNDING = frozenset({"network.payload"})
+TRACKING = names("tracking", "state input final") | names("reference", "states inputs")
+LINEAR_STEPS = (
+    names("Assign", "at signal branches on")
+    | names("Decide", "at decision trigger")
+    | names("Send", "at link payload on labels")
+    | names("Received", "link")
+    | names("Acknowledged", "link")
+    | names("Trigger", "options")
+    | names("Form", "signals Psi constant")
+    | names("Scheduled", "by values")
+    | names("Location", "name table at on initial")
+)
+MEMORIES = names("Evaluate", "at signal forms on") | {"Form.plus"}
+BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
+DRAWS = names("Draw", "at signal")
+FUNCTIONS = names("Apply", "at signals function reads")
+
+LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | LINEAR_STEPS
+STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FUNCTIONS
+PLANTS = LINEAR_PLANT | FUNCTION | LIMIT | JUMPS
+NETWORKS = LINKS | LOSSES | BURSTS | ROUNDING
+LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | STEPS
+# a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself
+GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS
+THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """The properties that an interpreter carries out.
+
+    Args:
+        names: the names of these properties.
+        refusal: what the interpreter is and does not do, for messages: "certificates do not support".
+        remedy: what the message expects.
+    """
+
+    names: AbstractSet[str]
+    refusal: str
+    remedy: str = "a loop without this property"
+
+    def check(self, *things: object) -> None:
+        """Raise an error if a property is given that the interpreter does not carry out.
+
+        Raises:
+            ProblemError: there is such a property; the message names it.
+        """
+        for name in uncovered(self.names, *things):
+            raise ProblemError(self.sentence(name))
+
+    def sentence(self, name: str) -> str:
+        """Return the message about a property."""
+        return f"{name} is given, which {self.refusal}; expected {self.remedy}"
+
+
+SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
+
+
+def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
+    """Return the names of the properties that are given but not covered, in the order in which they are found.
+
+    Args:
+        covered: names of the covered properties.
+        things: plants, costs, networks, references, policy steps, and collections of these.
+
+    Example:
+        >>> from taciturn import Cost
+        >>> uncovered(WEIGHTS, Cost([[1.0]], [[1.0]], discount=0.9))
+        ['cost.discount']
+    """
+    return list(dict.fromkeys(name for thing in things for name in _uncovered(covered, thing)))
+
+
+def _uncovered(covered: AbstractSet[str], thing: object) -> Iterator[str]:
+    if isinstance(thing, Mapping | tuple | list):
+        held = cast("Mapping[Any, object] | Sequence[object]", thing)
+        for one in held.values() if isinstance(held, Mapping) else held:
+            yield from _uncovered(covered, one)
+    elif not isinstance(thing, _PLAIN):
+        owner, listed, more = _described(type(thing))
+        if owner not in covered:
+            yield owner
+            return
+        here = thing.without_constant_bursts() if isinstance(thing, Network) else thing
+        own = (f"{owner}.{name}" for name in vars(thing) if not hasattr(type(thing), name))
+        yield from (name for name in (*more, *own) if name not in covered and name not in listed)
+        for name, field in listed.items():
+            value: object = getattr(here, field.name)
+            if name in covered:
+                yield from () if name in _OPAQUE else _uncovered(covered, value)
+            elif not _is_neutral(name, field, value):
+                yield name
+
+
+@lru_cache(maxsize=256)
+def _described(kind: type[object]) -> tuple[str, Mapping[str, Field[Any]], tuple[str, ...]]:
+    """Return the name of a class in coverages, its fields by name, and what a class derived from it overrides."""
+    base = next((one for one in kind.__mro__ if one.__module__.startswith(MODEL)), None)
+    if base is None or not is_dataclass(kind):
+        return kind.__name__, {}, ()
+    owner = _PREFIXES.get(base.__name__, base.__name__)
+    derived = kind.__mro__[: kind.__mro__.index(base)]
+    more = dict.fromkeys(f"{owner}.{name}" for one in derived for name in vars(one) if not name.startswith("__"))
+    return owner, {f"{owner}.{one.name}": one for one in fields(kind)}, tuple(more)
+
+
+def _is_neutral(name: str, field: Field[Any], value: object) -> bool:
+    default = field.default_factory() if field.default_factory is not MISSING else field.default
+    neutral: object = _NEUTRAL.get(name, None if default is MISSING else default)
+    if isinstance(value, np.ndarray):
+        array = cast("npt.NDArray[Any]", value)
+        return not array.any() if neutral is None else np.array_equal(array, cast("Any", neutral))
+    return bool(value == neutral or (neutral is None and not value))

@@ -1,0 +1,69 @@
+"""Programs as linear maps and quadratic forms: an interpreter whose values are polynomials of degree at most two.
+
+A linear value ℓ'q is stored as the row ℓ, and a quadratic form q'Hq as the symmetric matrix H, for a vector q of
+coordinates that ends with the number 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.errors import ProblemError
+from taciturn.program.ir import Program, needed
+
+
+def read_polynomials(program: Program, coordinates: int, inputs: Mapping[str, Array]) -> dict[int, Array]:
+    """Return the values of all states, sums and outputs of a program, by operation.
+
+    Args:
+        program: program of one step; its states are the first coordinates.
+        coordinates: number of coordinates without the last one, the number 1.
+        inputs: row of each input by name, (coordinates + 1,).
+
+    Raises:
+        ProblemError: an operation is not a sum, a product of two linear values, or a multiple of a value.
+    """
+    unit, values = np.eye(coordinates + 1), dict[int, Array]()
+    for index in sorted(needed(program, [*program.following, *program.sums.values(), *program.outputs.values()])):
+        name, (first, *rest) = program.ops[index]
+        if name == "const":
+            values[index] = program.constants[first] * unit[-1]
+        elif name == "state":
+            values[index] = unit[first]
+        elif name == "input":
+            values[index] = inputs[program.inputs[first]]
+        elif name == "product":
+            values[index] = np.array(program.matrices[first]) @ np.array([values[i] for i in rest])
+        elif name == "entry":
+            values[index] = values[first][rest[0]]
+        elif name == "mul":
+            values[index] = _product(values[first], values[rest[0]])
+        elif name in ("add", "sub"):
+            left, right = values[first], values[rest[0]]
+            if left.ndim != right.ndim:
+                left, right = as_form(left), as_form(right)
+            values[index] = left + right if name == "add" else left - right
+        else:
+            raise ProblemError(f"a step contains the operation {name!r}; expected only sums and products")
+    return values
+
+
+def as_form(value: Array) -> Array:
+    """Return the matrix of a value as a quadratic form."""
+    return value if value.ndim == 2 else _symmetric(value, np.eye(len(value))[-1])
+
+
+def _product(left: Array, right: Array) -> Array:
+    for known, other in ((left, right), (right, left)):
+        if known.ndim == 1 and not known[:-1].any():
+            return known[-1] * other
+    if left.ndim + right.ndim > 2:
+        raise ProblemError("a step contains a polynomial of degree above two; expected quadratic forms")
+    return _symmetric(left, right)
+
+
+def _symmetric(left: Array, right: Array) -> Array:
+    return (np.outer(left, right) + np.outer(right, left)) / 2
