@@ -21,7 +21,7 @@ FLOORS = {
     "_version": 0, "_progress": 0, "_blas": 0, "_ending": 0, "_text": 0, "_display": 0,
     "model": 1,
     "lqg": 2, "problems": 2,
-    "program": 3, "renewal": 3,
+    "program": 3, "renewal": 3, "_assumptions": 3,
     "loop": 4,
     "design": 5,
     "simulation": 6, "analyse": 6, "export": 6, "runtime": 6,

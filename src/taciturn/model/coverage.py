@@ -1,4 +1,4 @@
-"""What a theory or an interpreter takes into account: names of properties of plants, costs, networks and policy steps.
+"""The properties of plants, costs, networks and policy steps that a theory or an interpreter takes into account.
 
 The properties are the fields of the classes in ``taciturn.model``, such as ``plant.function`` or ``Assign.on``. A
 property is given if it differs from its neutral value. A ``Coverage`` lists the names of properties that an interpreter
@@ -18,6 +18,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 
@@ -70,8 +71,8 @@ GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS
 THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise
 
 
-@dataclass(frozen=True)
-class Coverage:
+@dataclass(frozen=True, repr=False)
+class Coverage(Displayed):
     """The properties that an interpreter carries out.
 
     Args:
