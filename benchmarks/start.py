@@ -1,6 +1,7 @@
 """How long a command takes from its start, next to the import of NumPy and SciPy's linear algebra.
 
-Processes take turns; byte code and compiled programs are there, as in daily use. Processor and wall time, medians.
+Processes take turns; byte code and compiled programs are there, as in daily use. Processor and wall time, medians. The
+linear algebra of NumPy has one thread, since the processor time of its idle threads would count.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from pathlib import Path
 from taciturn.study.bench import describe_machine
 
 IMPORT = "python -c 'import numpy, scipy.linalg'"
+ANSWER = "import taciturn; taciturn.evaluate(taciturn.load('two-mass-lqg'), standard_error=1e-4)"
 COMMANDS = {
     IMPORT: ["-c", "import numpy, scipy.linalg"],
+    "python: taciturn.evaluate, standard error 1e-4": ["-c", ANSWER],
     "taciturn --help": ["-m", "taciturn.cli", "--help"],
     "taciturn evaluate two-mass --standard-error 1e-4": [
         *("-m", "taciturn.cli", "evaluate", "two-mass-lqg", "--standard-error", "1e-4")
@@ -30,6 +33,7 @@ COMMANDS = {
 def seconds(arguments: list[str]) -> tuple[float, float]:
     """Return the processor and wall time of a new Python."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    environment |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run([sys.executable, *arguments], env=environment, stdout=subprocess.DEVNULL, check=True)
     wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)

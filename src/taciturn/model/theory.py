@@ -124,7 +124,8 @@ class Linearisation(Displayed):
 class Theory(Displayed):
     """The known properties of a policy in a loop with the plant, network and cost of its design.
 
-    Every argument may be omitted. A policy without theory is simulated, run and exported like any other.
+    Every argument may be omitted. A policy without theory is simulated, run and exported like any other; a study needs
+    at least its cost.
 
     Args:
         cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
