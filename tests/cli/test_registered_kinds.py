@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -42,12 +43,14 @@ R = [[0.1]]
 """
 
 
-def installed(folder: Path, entries: dict[str, str], package: str = "decaying") -> dict[str, str]:
+def installed(
+    folder: Path, entries: dict[str, str], package: str = "decaying", group: str = "taciturn.kinds"
+) -> dict[str, str]:
     """Install a package with these entry points in a folder, and return the environment that sees it."""
     about = folder / f"{package}-1.0.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
-    lines = ["[taciturn.kinds]", *(f"{name} = {place}" for name, place in entries.items())]
+    lines = [f"[{group}]", *(f"{name} = {place}" for name, place in entries.items())]
     (about / "entry_points.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     shutil.copy(RULE, folder)
     return {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
@@ -154,3 +157,66 @@ def test_two_packages_with_a_kind_of_the_same_name_are_named(tmp_path: Path) -> 
     code = "from taciturn.design.catalogue import CATALOGUE\nCATALOGUE['decaying']"
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     assert "the policy kind decaying is registered by the package" in done.stderr.splitlines()[-1]
+
+
+BROKEN = """
+from dataclasses import replace
+
+from decaying import KIND, decaying
+
+
+def fails(plant, cost, *, delta: float):
+    raise ValueError("not today")
+
+
+def nothing(plant, cost, *, delta: float):
+    return None
+
+
+def of_another_name(plant, cost, *, delta: float):
+    return decaying(plant, cost, delta=delta)
+
+
+FAILS, NOTHING = replace(KIND, name="fails", design=fails), replace(KIND, name="nothing", design=nothing)
+OTHER = replace(KIND, name="other", design=of_another_name)
+"""
+
+
+def test_what_a_registered_design_makes_of_a_problem_is_checked(tmp_path: Path) -> None:
+    """An error, another value, a policy of another kind, and plants and costs that the record does not list."""
+    env = problems(tmp_path)
+    (tmp_path / "site" / "broken.py").write_text(BROKEN, encoding="utf-8")
+    places = {"fails": "broken:FAILS", "nothing": "broken:NOTHING", "other": "broken:OTHER"}
+    env = installed(tmp_path / "site", places, "broken") | {"PYTHONPATH": env["PYTHONPATH"]}
+    found = told(
+        env,
+        tmp_path,
+        *(f"show mine.toml --set kind={kind}" for kind in places),
+        "show mine.toml --set cost.horizon=20",
+        "show two-mass-continuous --set kind=decaying --set theta=none --set period=none --set delta=0.1",
+    )
+    expected = (
+        r"broken:fails of the policy kind fails fails \(ValueError: not today\); expected a policy of this kind",
+        r"broken:nothing of the policy kind nothing returns None; expected a policy of this kind",
+        r"broken:of_another_name of the policy kind other returns Policy\(.*; expected a policy of this kind",
+        r"the cost has a horizon \(cost.horizon\), which decaying does not support; expected another problem",
+        r"the plant is in continuous time, which decaying does not support; expected another problem",
+    )
+    for (code, _, message), sentence in zip(found, expected, strict=True):
+        assert code == 2, message
+        assert re.search(sentence, message), message
+
+
+def test_commands_of_a_package_are_added_unless_their_name_is_taken(tmp_path: Path) -> None:
+    """One that is new runs; one of a known name, and one that cannot be imported, leave the others as they are."""
+    body = "from taciturn.cli.frame import app\n\n\n@app.command()\ndef {name}() -> None:\n    print('hello')\n"
+    site = tmp_path / "site"
+    env = installed(site, {"one": "first_commands", "two": "second_commands", "three": "missing_commands"},
+                    "more", "taciturn.commands")  # fmt: skip
+    (site / "first_commands.py").write_text(body.format(name="greet"), encoding="utf-8")
+    (site / "second_commands.py").write_text(body.format(name="show"), encoding="utf-8")
+    run = [sys.executable, "-m", "taciturn", "greet"]
+    done = subprocess.run(run, env=env, capture_output=True, text=True, check=True)
+    assert done.stdout == "hello\n"
+    assert "the commands of the package more are not used, since the command show exists already" in done.stderr
+    assert "the command line needs missing_commands, which cannot be imported" in done.stderr

@@ -148,15 +148,27 @@ def _root(
 
 
 def add_commands() -> None:
-    """Import the modules with the commands of other packages; print a message about one that fails."""
-    from taciturn._plugins import find_plugins, load_plugin
+    """Import the modules with the commands of other packages; print a message about one that fails or is not new."""
+    from taciturn._plugins import find_plugins, load_plugin, package_of
     from taciturn.errors import ProblemError
 
-    for name in find_plugins("taciturn.commands"):
+    def names() -> list[str | None]:
+        return [one.name or getattr(one.callback, "__name__", None) for one in app.registered_commands]
+
+    for name, entries in find_plugins("taciturn.commands").items():
+        known = names()
         try:
             load_plugin("taciturn.commands", name, "the command line")
         except ProblemError as error:
             print(_message(str(error)), file=sys.stderr)
+        twice = [one for one in names()[len(known) :] if one in known]
+        if twice:
+            del app.registered_commands[len(known) :]
+            sentence = (
+                f"the commands of {package_of(entries[0])} are not used, since the command {twice[0]} exists already; "
+                "expected another name: rename the command, or remove the package"
+            )
+            print(_message(sentence), file=sys.stderr)
 
 
 def main() -> None:
