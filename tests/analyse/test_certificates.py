@@ -154,7 +154,7 @@ def small(theta: float) -> Switched:
 @pytest.mark.parametrize("loop_of", [small, pytest.param(two_masses, marks=pytest.mark.evidence)])
 def test_a_larger_theta_proves_less(loop_of: Callable[[float], Switched]) -> None:
     """Decay, gain and cost bound grow with θ, from those of sending every sample on."""
-    loops = [loop_of(theta) for theta in (1e-6, 0.1, 1.0)]
+    loops = [loop_of(theta) for theta in (1e-4, 0.1, 1.0)]  # below, rounding decides about the two masses' last states
     always = loops[0].under(1)
     rates, gains = [find_decay(loop).rate for loop in loops], [find_gain(loop).value for loop in loops]
     costs = [bound_cost(loop).value for loop in loops]
