@@ -96,7 +96,7 @@ def package_of(folder: Path, version: str, reports: bool = True) -> dict[str, st
     (folder / "taciturn" / "_version.py").write_text(f'__version__ = "{version}"\n')
     if not reports:  # as a version before there were reports
         for name in ("identity", "cells", "workers"):
-            (folder / "taciturn" / "study" / f"{name}.py").unlink()
+            (folder / "taciturn" / "study" / "sweeping" / f"{name}.py").unlink()
     return os.environ | {"PYTHONPATH": str(folder)}
 
 
