@@ -37,7 +37,7 @@ def load_plugin(group: str, name: str, purpose: str) -> Any:
     Args:
         group: group of the entry point.
         name: name of the entry point.
-        purpose: what needs it, for the message.
+        purpose: the option or function that the user asked for, with which the message begins.
 
     Raises:
         ProblemError: no installed package has the entry point, or several have it, or its import fails.

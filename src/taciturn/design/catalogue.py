@@ -80,7 +80,7 @@ def _loaded(entry: EntryPoint) -> Kind:
     """Return the record that an entry point names.
 
     Raises:
-        ProblemError: if the record cannot be imported, is no record, or has another name.
+        ProblemError: if the record cannot be imported, is not a ``Kind``, or has another name.
     """
     from taciturn.design.kind import Kind
 

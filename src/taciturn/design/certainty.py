@@ -220,7 +220,7 @@ def certainty_policy(
             closed_form=closed_form,
             reset=reset,
             fixed_rates=fixed_rates or {},
-            covers=THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY,
+            covers=_covered(problem, closed_form),
         ),
         sites=COLLOCATED,
         locations=locations,
@@ -263,7 +263,7 @@ def sensor_policy(
             settling=settling,
             closed_form=closed_form,
             fixed_rates={} if schedule is None else {"sensor": schedule.rate},
-            covers=THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY,
+            covers=_covered(problem, closed_form),
         ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=locations,
@@ -390,3 +390,8 @@ def _off(plant: Plant, signal: str) -> Step:
 
 
 _ACTUATIONS: dict[Actuation, Callable[[Plant, Matrix, str | None], _Actuation]] = {"hold": _hold, "model": _model}
+
+
+def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str]:
+    """Return the properties that the theory covers: jumps, if the state is measured or the cost is in closed form."""
+    return THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY

@@ -62,7 +62,7 @@ class Kind(Displayed):
     Args:
         name: name of the kind in problem files: small letters, digits and hyphens.
         design: function of a plant, a cost and the parameters that returns the policy.
-        goal: what the kind is for, in one phrase.
+        goal: purpose of the kind, in one phrase.
         tuning: the parameters that trade cost for rate.
         example: values of the parameters for the example of the kind.
         built_in: built-in problem of the example.
@@ -71,7 +71,7 @@ class Kind(Displayed):
             instead of a measured state, and ``"jumps"``.
         costs: the costs that the design supports: an ``"average"``, a finite ``"horizon"``, a ``"discount"``.
         proved: the proved result, in Markdown.
-        refused: what the design refuses beyond this, in Markdown.
+        refused: further conditions under which the design refuses a problem, in Markdown.
         data: data of the policy beyond the matrices, in Markdown.
         order: order of the operations within a step, in Markdown.
         usual: suggested values by parameter. ``taciturn new`` suggests them for the parameters that it asks for, and
@@ -136,8 +136,7 @@ class Kind(Displayed):
     @property
     def identity(self) -> str:
         """The place of the design function, and outside of this package a digest of its code, for stored results."""
-        place = f"{self.design.__module__}:{self.design.__qualname__}"
-        return place if self.in_house else f"{place} {code_digest(self.design.__module__)}"
+        return self._place if self.in_house else f"{self._place} {code_digest(self.design.__module__)}"
 
     @property
     def remedy(self) -> str:
@@ -156,6 +155,7 @@ class Kind(Displayed):
             ProblemError: the record does not list the class of the plant or of the cost, or the design function of
                 another package fails or returns no policy of this kind.
         """
+        design = f"the design function {self._place} of the policy kind {self.name}"
         unlisted = None if self.in_house else self._unlisted(plant, cost)  # the designs of this package check
         try:
             policy = self.design(plant, cost, **given)
@@ -164,11 +164,11 @@ class Kind(Displayed):
         except Exception as error:
             if unlisted is None and self.in_house:
                 raise
-            raise ProblemError(unlisted or f"{self._place} fails ({type(error).__name__}: {error})" + REPAIR) from error
+            raise ProblemError(unlisted or f"{design} fails ({type(error).__name__}: {error})" + REPAIR) from error
         if unlisted is not None:
             raise ProblemError(unlisted)
         if getattr(policy, "kind", None) != self.name:
-            raise ProblemError(f"{self._place} returns {quoted(policy)}" + REPAIR)
+            raise ProblemError(f"{design} returns {quoted(policy)}" + REPAIR)
         return policy
 
     @property
@@ -178,7 +178,7 @@ class Kind(Displayed):
 
     @property
     def _place(self) -> str:
-        return f"the design function {self.identity.partition(' ')[0]} of the policy kind {self.name}"
+        return f"{self.design.__module__}:{self.design.__qualname__}"
 
     def _unlisted(self, plant: Plant | ContinuousPlant, cost: Cost) -> str | None:
         """Return a sentence if the record does not list a class of the plant or of the cost, else None."""

@@ -77,8 +77,8 @@ class Coverage(Displayed):
 
     Args:
         names: the names of these properties.
-        refusal: what the interpreter is and does not do, for messages: "certificates do not support".
-        remedy: what the message expects.
+        refusal: the interpreter and its limit, as the message states them: "certificates do not support".
+        remedy: the expected loop, as the message states it.
     """
 
     names: AbstractSet[str]
