@@ -14,11 +14,12 @@ import numpy as np
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, close, design
-from taciturn.loop import COST, SENT, Loop
+from taciturn.loop import COST, Loop
 from taciturn.model.policy import Policy
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Sent
 from taciturn.simulation.bank import Bank
 from taciturn.simulation.statistics import mean
 from taciturn.study.bench import PATHS, Contestant, race
@@ -37,7 +38,7 @@ def chapters(rounds: int) -> list[dict[str, Any]]:
         **{name: problem.close(problem.design()) for name, problem in known.items()},
         "integral trigger under jumps, looked at (chapter 4)": jumping,
     }.items():
-        program = loop.program().keep({COST, *(f"{SENT} {link}" for link in loop.policy.scheduled)})
+        program = loop.program().keep({COST, *(Sent(link) for link in loop.policy.scheduled)})
         found = race({"engine": _by_engine(loop, program), "NumPy": _by_numpy(loop, program)}, rounds)
         speeds = {key: statistics.median(values) for key, values in found.items()}
         rows.append({"loop": name, "operations": program.operations, **speeds})

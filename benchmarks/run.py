@@ -34,6 +34,7 @@ from taciturn.loop import Loop
 from taciturn.program.draws import seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Entry
 from taciturn.study import bench
 from taciturn.study.bench import PATHS, TICKS, Contestant, by_matrices, compiled, race
 
@@ -125,7 +126,7 @@ def normals(loop: Loop, rounds: int) -> dict[str, float]:
     found: dict[str, Contestant] = {}
     for name, precision in (("engine", "float64"), ("engine, float32", "float32")):
         b = Builder(precision)
-        pair = [b.input(f"normal {i}") for i in range(2)]
+        pair = [b.input(Entry("normal", i)) for i in range(2)]
         square = b.add(*(b.emit("mul", n, n) for n in pair))
         total = b.add(*pair)
         assert square is not None

@@ -28,10 +28,11 @@ from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draw
 from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import TimeStep, is_bad
+from taciturn.program.names import Name, Sent, named
 from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
 
-COST, EXCESS, SENT = "cost", "excess", "sent"
+COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
 LEAST = {"float32": 1e-30, "float64": 1e-120}  # least cost of a step, and inverse of the largest: no square overflows
@@ -120,16 +121,16 @@ class Loop(Displayed):
     def program(self) -> Program:
         """Return the program of one step of the loop, including the plant.
 
-        Sums: ``cost`` (stage cost), ``excess`` (completed square, if an identity applies), ``sent LINK`` (packets) and
-        ``control …`` (control variates). Outputs: the signals that ``taciturn.simulation`` records.
+        Sums: COST of the stage, EXCESS (completed square, if an identity applies), packets sent on each link, and
+        control variates. Outputs: the signals that ``taciturn.simulation`` records.
         """
         return with_draws(with_controls(self.whole_program()))
 
     def open_program(self) -> Program:
         """Return the program of one step of the loop with noise as an input.
 
-        Inputs: process noise ``w i``, measurement noise ``v i``, and ``uniform i``. Outputs: those of ``program``. The
-        states ``x`` come first. Outputs ``drawn i`` are the uniform numbers that the policy draws.
+        Inputs: process noise ``w``, measurement noise ``v``, and uniform numbers. Outputs: those of ``program``, and
+        ``drawn``, the uniform numbers that the policy draws. The states ``x`` come first.
         """
         whole = self.whole_program(supplied=True)
         return whole.keep(outputs=set(whole.outputs))
@@ -137,18 +138,18 @@ class Loop(Displayed):
     def plant_program(self) -> Program:
         """Return the program of one step of the plant alone.
 
-        Inputs: ``input i``. Outputs: ``cost`` of the step, and the measurement ``y i`` at the next step.
+        Inputs: ``input``. Outputs: COST of the step, and the measurement ``y`` at the next step.
         """
         plant, tracking = self.problem.plant, self.policy.tracking
         tick = self._tick({"x": plant.states})
         followed = () if tracking is None else (tracking.state, tracking.input)
         for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(followed)):
             tick.take(step)
-        tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
+        tick.signals["input"] = tick.supplied("input", plant.inputs)
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
-        outputs = {COST: tick.form(self._stage(*self._deviate(tick)))}
+        outputs: dict[Name, int] = {COST: tick.form(self._stage(*self._deviate(tick)))}
         tick.signals["x"] = self._moved(tick)
-        outputs |= {f"y {i}": value for i, value in enumerate(self._measured(tick))}
+        outputs |= named("y", self._measured(tick))
         return with_draws(tick.finish({}, outputs))
 
     def reduced_program(self) -> Program:
@@ -173,7 +174,7 @@ class Loop(Displayed):
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
         spread = factor(innovations.covariance)
         tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
-        tick.signals[INNOVATION_DRAWS] = _normals(tick, spread.shape[1], 0)
+        tick.signals[INNOVATION_DRAWS] = tick.supplied(NORMAL, spread.shape[1])
         tick.draw_losses(self.policy, self.network)
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
@@ -231,7 +232,7 @@ class Loop(Displayed):
     def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
         """Return the program of one step of the loop with random numbers as an input.
 
-        The inputs are ``normal i``, or with ``supplied`` the noise ``w i`` and ``v i``; ``begin`` is the class that
+        The inputs are normal numbers, or with ``supplied`` the noise ``w`` and ``v``; ``begin`` is the class that
         translates the steps.
         """
         tick = self._tick({"x": self.problem.plant.states}, begin)
@@ -244,7 +245,7 @@ class Loop(Displayed):
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
-        outputs |= {f"drawn {i}": value for i, value in enumerate(tick.thresholds if supplied else ())}
+        outputs |= named("drawn", tick.thresholds if supplied else ())
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 
@@ -252,7 +253,7 @@ class Loop(Displayed):
         plant = self.problem.plant
         y = tick.combine({"x": plant.C}, plant.outputs)
         if supplied:
-            return _add(tick, y, [tick.builder.input(f"v {i}") for i in range(plant.outputs)])
+            return _add(tick, y, tick.supplied("v", plant.outputs))
         return _add(tick, y, _noise(tick, factor(plant.V))) if plant.V.any() else y
 
     def _moved(self, tick: TimeStep, supplied: bool = False) -> list[int]:
@@ -269,7 +270,7 @@ class Loop(Displayed):
         """Return the process noise w, as an input or drawn; an empty list if it is 0."""
         plant, jumps = self.problem.plant, self.problem.jumps
         if supplied:
-            return [tick.builder.input(f"w {i}") for i in range(plant.states)]
+            return tick.supplied("w", plant.states)
         if not plant.W.any():
             return []
         return _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
@@ -288,11 +289,11 @@ class Loop(Displayed):
         p = self.problem
         return Form((state, applied), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
 
-    def _sums(self, tick: TimeStep, stage: int) -> dict[str, int]:
-        sums = {COST: stage}
+    def _sums(self, tick: TimeStep, stage: int) -> dict[Name, int]:
+        sums: dict[Name, int] = {COST: stage}
         if self.identity is not None:
             sums[EXCESS] = tick.pick(self.identity.on, [tick.form(form) for form in self.identity.forms])
-        sums |= {f"{SENT} {link}": tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
+        sums |= {Sent(link): tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
         discount = self.problem.cost.discount
         if discount < 1:
             (weight,) = tick.read(WEIGHT)
@@ -300,13 +301,12 @@ class Loop(Displayed):
             sums = {name: tick.builder.emit("mul", weight, value) for name, value in sums.items()}
         return sums
 
-    def _outputs(self, tick: TimeStep, more: tuple[str, ...]) -> dict[str, int]:
+    def _outputs(self, tick: TimeStep, more: tuple[str, ...]) -> dict[Name, int]:
         shown = [*more, *(name for name in ("y", "estimate", "applied") if name in tick.signals)]
-        outputs = {f"{name} {i}": value for name in shown for i, value in enumerate(tick.signals[name])}
-        for decision, options in tick.options.items():
-            outputs |= {f"option {decision} {label}": value for label, value in options.items()}
-        outputs |= {f"{SENT} {link}": tick.as_number(truth) for link, truth in tick.sent.items()}
-        return outputs | {f"arrived {link}": tick.as_number(truth) for link, truth in tick.arrived.items()}
+        outputs: dict[Name, int] = {}
+        for signal in shown:
+            outputs |= named(signal, tick.signals[signal])
+        return outputs | tick.option_values() | tick.packets()
 
 
 def close(
@@ -351,16 +351,11 @@ def close(
     return Loop(problem, policy, network, list_violations(problem, policy, network, missing))
 
 
-def _normals(tick: TimeStep, number: int, first: int) -> list[int]:
-    """Return normal draws with names numbered from ``first``."""
-    return [tick.builder.input(f"{NORMAL} {first + i}") for i in range(number)]
-
-
 def _add(tick: TimeStep, values: list[int], noise: list[int]) -> list[int]:
     return [tick.builder.emit("add", value, drawn) for value, drawn in zip(values, noise, strict=True)]
 
 
 def _noise(tick: TimeStep, spread: Array) -> list[int]:
     """Return the product of G and new normal draws."""
-    drawn = _normals(tick, spread.shape[1], len(tick.builder.inputs))
+    drawn = tick.supplied(NORMAL, spread.shape[1], len(tick.builder.inputs))
     return list(map(tick.value, tick.builder.transform(spread.tolist(), drawn)))

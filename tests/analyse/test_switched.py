@@ -16,6 +16,7 @@ from taciturn._modes import factor
 from taciturn.analyse.reduction import invariant
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.model.policy import Send
+from taciturn.program.names import Entry, Option, is_entry
 from taciturn.program.numpy import run
 
 TICKS, PATHS = 60, 4
@@ -41,13 +42,10 @@ def recorded(loop: Loop, seed: int) -> dict[str, np.ndarray]:
     """Return what the program of a loop shows, (steps, entries, paths) by signal."""
     program = loop.program()
     flat = run(program, loop.start(program, PATHS, seed), TICKS).outputs
-    signals = dict.fromkeys(name.rsplit(" ", 1)[0] for name in flat if not name.startswith("option"))
-    shown = {
-        name: np.stack([rows for key, rows in flat.items() if key.rsplit(" ", 1)[0] == name], axis=1)
-        for name in signals
-    }
+    signals = dict.fromkeys(name.signal for name in flat if isinstance(name, Entry))
+    shown = {name: np.stack([rows for key, rows in flat.items() if is_entry(key, name)], axis=1) for name in signals}
     if loop.policy.decisions:
-        shown["options"] = np.stack([rows for key, rows in flat.items() if key.startswith("option")], axis=1)
+        shown["options"] = np.stack([rows for key, rows in flat.items() if isinstance(key, Option)], axis=1)
     return shown
 
 

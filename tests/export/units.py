@@ -22,6 +22,7 @@ from taciturn.model.wire import LINKS
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Entry
 
 FMI = Path(taciturn.__file__).parent / "export" / "fmi"
 SEED = 3
@@ -100,7 +101,7 @@ def record(loop: Loop, ticks: int, seed: int = SEED) -> RecordedRun:
     drawing = draw_uniforms(len(own), loop.precision)
     run = Kernel(drawing, "parity").run if ticks > 1000 else interpreter.run
     drawn = run(drawing, seed_generators(SEED, 1), ticks).outputs
-    return record_loop(loop, ticks, seed, np.array([drawn[f"{UNIFORM} {i}"][:, 0] for i in range(len(own))]).T)
+    return record_loop(loop, ticks, seed, np.array([drawn[Entry(UNIFORM, i)][:, 0] for i in range(len(own))]).T)
 
 
 def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:

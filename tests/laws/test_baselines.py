@@ -15,6 +15,7 @@ from taciturn import Cost, Plant, ProblemError, UnstableError, average, close, d
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
+from taciturn.program.names import Entry, Option, Sent
 from taciturn.simulation.average import completed_squares, plain_average
 
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -25,11 +26,11 @@ def dynamic_sends_are_static_sends(system: System, rho: float, more: float, shar
     """Its credit is never negative, so that a send means |e|² > σ²|x̂|²."""
     policy = design.dynamic(system.plant, system.cost, sigma=share * steep(system), rho=rho, gain=more / rho)
     found = outputs(policy, system.seed, ticks=40)
-    static, credit = found["option send silent"], found["option send send"]
+    static, credit = found[Option("send", "silent")], found[Option("send", "send")]
     rounding = 1e-12 * np.abs(static).max()
     assert (credit >= -rounding).all()
-    assert (static[found["sent actuator"] > 0] >= -rounding).all()
-    sends.append(int(found["sent actuator"].sum()))
+    assert (static[found[Sent("actuator")] > 0] >= -rounding).all()
+    sends.append(int(found[Sent("actuator")].sum()))
 
 
 DYNAMIC = {
@@ -55,7 +56,7 @@ def test_the_first_send_of_the_dynamic_trigger_is_no_earlier(system: System, rho
     """From the same state on the same draws; with many sends to follow, it sends less often."""
     sigma = steep(system)
     shown = [
-        outputs(policy, system.seed, paths=16)["sent actuator"] > 0
+        outputs(policy, system.seed, paths=16)[Sent("actuator")] > 0
         for policy in (
             design.dynamic(system.plant, system.cost, sigma=sigma, rho=rho, gain=gain),
             design.relative(system.plant, system.cost, sigma=sigma),
@@ -109,9 +110,9 @@ def test_send_on_delta_sends_where_an_output_has_moved(system: System, share: fl
     """Recomputed from the measurements alone."""
     delta = share * size_of(system)
     found = outputs(design.send_on_delta(system.plant, system.cost, delta=delta), system.seed, paths=1, ticks=80)
-    y = np.array([found[f"y {i}"][:, 0] for i in range(system.plant.outputs)]).T
+    y = np.array([found[Entry("y", i)][:, 0] for i in range(system.plant.outputs)]).T
     last = np.zeros(system.plant.outputs)
-    for now, sent in zip(y, found["sent sensor"][:, 0], strict=True):
+    for now, sent in zip(y, found[Sent("sensor")][:, 0], strict=True):
         assert bool(sent) == bool((np.abs(now - last) > delta).any())
         last = now if sent else last
 
@@ -133,7 +134,7 @@ def test_downsampled_intervals_are_fast_and_slow_looks(system: System, fast: int
     """From a send to the next: fast + k·slow steps."""
     slow, threshold = fast + more, share * size_of(system)
     policy = design.downsampled(system.plant, system.cost, fast=fast, slow=slow, threshold=threshold)
-    sends = np.flatnonzero(outputs(policy, system.seed, paths=1, ticks=100)["sent actuator"][:, 0])
+    sends = np.flatnonzero(outputs(policy, system.seed, paths=1, ticks=100)[Sent("actuator")][:, 0])
     assert ((np.diff(sends) - fast) % slow == 0).all()
 
 
@@ -147,7 +148,7 @@ def test_rules_that_are_one_rule_send_at_the_same_ticks() -> None:
         (design.mixed(p, c, sigma=0.0, threshold=0.4), design.absolute(p, c, threshold=0.4, error="state")),
     ]
     for one, other in pairs:
-        sent = [outputs(policy, 4, ticks=100)["sent actuator"] for policy in (one, other)]
+        sent = [outputs(policy, 4, ticks=100)[Sent("actuator")] for policy in (one, other)]
         assert (sent[0] == sent[1]).all()
         assert 0 < sent[0].mean() < 1
 

@@ -15,6 +15,7 @@ from taciturn.loop import Loop
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.policy import Apply, Step
 from taciturn.model.theory import Theory
+from taciturn.program.names import is_entry
 from taciturn.program.numpy import run
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -72,7 +73,7 @@ def shown(loop: Loop, name: str, ticks: int, seed: int) -> np.ndarray:
     """Return a signal of one path, (steps, entries)."""
     program = loop.program()
     outputs = run(program, loop.start(program, 1, seed), ticks).outputs
-    return np.array([values[:, 0] for key, values in outputs.items() if key.rpartition(" ")[0] == name]).T
+    return np.array([values[:, 0] for key, values in outputs.items() if is_entry(key, name)]).T
 
 
 @pytest.mark.parametrize("examples", [4, pytest.param(25, marks=pytest.mark.evidence)])

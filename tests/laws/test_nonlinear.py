@@ -30,6 +30,7 @@ from taciturn import (
     load,
     simulate,
 )
+from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import run
 from taciturn.simulation.bank import Bank
 from taciturn.simulation.course import course
@@ -106,15 +107,17 @@ def told_by_hand(plant: Plant, ode: Ode, theta: float, w: np.ndarray, v: np.ndar
 def told_by_the_loop(loop: Loop, w: np.ndarray, v: np.ndarray) -> Told:
     """Return the path of a loop with the same noise."""
     program = loop.open_program()
-    noise = {f"w {i}": column for i, column in enumerate(w.T)} | {f"v {i}": column for i, column in enumerate(v.T)}
+    noise = {Entry("w", i): column for i, column in enumerate(w.T)} | {
+        Entry("v", i): column for i, column in enumerate(v.T)
+    }
     supplied = np.array([noise[name] for name in program.inputs]).T[:, :, None]
     found = run(program, loop.start(program, 1, 0), len(w), supplied).outputs
 
     def stacked(name: str, size: int) -> np.ndarray:
-        return np.array([found[f"{name} {i}"][:, 0] for i in range(size)]).T
+        return np.array([found[Entry(name, i)][:, 0] for i in range(size)]).T
 
     plant = loop.problem.plant
-    return Told(stacked("x", plant.states), stacked("applied", plant.inputs), found["sent actuator"][:, 0] > 0)
+    return Told(stacked("x", plant.states), stacked("applied", plant.inputs), found[Sent("actuator")][:, 0] > 0)
 
 
 def compared(name: str, ticks: int, theta: float, seed: int) -> tuple[Told, Told, float]:

@@ -15,6 +15,7 @@ from taciturn import Cost, Plant, UnstableError, average, close, design
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import necklaces
 from taciturn.lqg.riccati import regulate
+from taciturn.program.names import Option, Sent
 
 SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -49,7 +50,7 @@ def test_the_sends_of_rollout_are_as_many_in_every_window() -> None:
     """Windows of six steps hold three sends each."""
     system = make_system(3, 3, 1, 2, False)
     policy = design.rollout(system.plant, system.cost, horizon=6, every=2)
-    sent = outputs(policy, 1, ticks=120)["sent actuator"]
+    sent = outputs(policy, 1, ticks=120)[Sent("actuator")]
     assert (sent.reshape(20, 6, -1).sum(axis=1) == 3).all()
     assert len({tuple(window) for window in sent[:, 0].reshape(20, 6)}) > 3
 
@@ -92,8 +93,8 @@ def test_self_triggered_control_sleeps_as_long_as_it_said() -> None:
     system = make_system(13, 2, 1, 2, True)
     policy = design.self_triggered(system.plant, system.cost, beta=1.1, max_interval=5)
     found = outputs(policy, 2, paths=1, ticks=400)
-    sends = np.flatnonzero(found["sent actuator"][:, 0])
-    allowed = np.array([found[f"option sleep {m} allowed"][:, 0] < 0 for m in range(2, 6)])
+    sends = np.flatnonzero(found[Sent("actuator")][:, 0])
+    allowed = np.array([found[Option("sleep", f"{m} allowed")][:, 0] < 0 for m in range(2, 6)])
     said = np.array(
         [max([m for m, yes in zip(range(2, 6), allowed[:, k], strict=True) if yes], default=1) for k in sends]
     )

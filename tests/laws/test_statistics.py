@@ -14,8 +14,9 @@ from taciturn.analyse.renewal import solve_renewal
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.model.network import Burst
-from taciturn.program.controls import CONTROL, MOST
+from taciturn.program.controls import MOST
 from taciturn.program.engine import prepare
+from taciturn.program.names import Control, Sent
 from taciturn.simulation import sampling
 from taciturn.simulation.average import average, completed_squares, plain_average
 from taciturn.simulation.course import course
@@ -68,7 +69,7 @@ def records(loop: Loop, paths: int, ticks: int) -> tuple[np.ndarray, np.ndarray]
     squares = program.sums["excess"]
     record = type(program)(**{**vars(program), "sums": {}, "outputs": {**program.outputs, "square": squares}})
     outputs = prepare(record)(loop.start(record, paths, 5), ticks + 500, None).outputs
-    return outputs["square"][500:], outputs["sent sensor"][500:]
+    return outputs["square"][500:], outputs[Sent("sensor")][500:]
 
 
 @pytest.mark.parametrize("paths", [RECORDS, pytest.param(400, marks=pytest.mark.evidence)])
@@ -128,7 +129,7 @@ def test_control_variates_have_mean_zero_and_explain_most_of_the_variance() -> N
     """Each is within 4.5 standard errors of 0; on the two masses the variance of the cost falls four times."""
     for loop in (masses(), scalar(), close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)):
         program = loop.reduced_program() if loop.reducible else loop.program()
-        names = [name for name in program.sums if name.startswith(CONTROL)]
+        names = [name for name in program.sums if isinstance(name, Control)]
         assert 0 < len(names) <= MOST
         kept = program.keep({*names, "excess"})
         run = prepare(kept)

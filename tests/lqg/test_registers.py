@@ -17,6 +17,7 @@ from taciturn.analyse.switched import switched
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate, regulate_continuous
+from taciturn.program.names import Entry
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -276,7 +277,7 @@ def test_every_policy_leaves_alone_what_its_cost_does_not_see(kind, name):
     system = make_system(5, 3, 2, 3, True, 2) if kind == "walk" else make_system(7, 2, 1, 1, False, 2)
     policy, plain = build(more(system, kind)), build(system)
     shown = outputs(policy, 3)
-    assert np.isfinite(shown["applied 0"]).all()
+    assert np.isfinite(shown[Entry("applied", 0)]).all()
     if kind == "drift":
         assert policy.cost_all_time > plain.cost_all_time  # the drift of a sensor hides the plant from it
         return
@@ -346,8 +347,8 @@ def test_an_integrator_that_nothing_measures_or_disturbs_is_known_if_its_start_i
     plant, cost = Plant(A, B, np.diag([1.0, 0.0]), C, [[0.5]], mean=[0.0, 3.0]), Cost(np.eye(2), [[1.0]])
     policy = design.all_time(plant, cost)
     shown = outputs(policy, 1)
-    assert shown["estimate 1"] == pytest.approx(shown["x 1"], abs=1e-12)
-    assert np.abs(shown["x 1"][-1]).max() < 3  # the input brings it down
+    assert shown[Entry("estimate", 1)] == pytest.approx(shown[Entry("x", 1)], abs=1e-12)
+    assert np.abs(shown[Entry("x", 1)][-1]).max() < 3  # the input brings it down
     unknown = Plant(A, B, np.diag([1.0, 0.0]), C, [[0.5]], covariance=np.diag([0.0, 1.0]))
     with pytest.raises(UnstableError, match=r"initial.covariance is 1 in state 2.*its initial error remains"):
         design.all_time(unknown, cost)

@@ -20,6 +20,7 @@ from taciturn.model.places import roles
 from taciturn.model.steps import NODES, Send
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.problem.suggested import example_of
+from taciturn.program.names import Sent
 from taciturn.renewal.policy import OptimalPolicy
 from taciturn.runtime.node import Node
 
@@ -95,7 +96,7 @@ def test_a_schedule_shows_the_ticks_at_which_the_loop_sends(name: str) -> None:
     policy = made(name) if name != "variance" else design.variance(*walk, threshold=2.5)
     (link,) = [link for link in policy.diagram().links if link.when == "schedule"]
     ticks = 30 if policy.cost is not None and policy.cost.horizon else 60
-    sent = outputs(policy, 1, paths=2, ticks=ticks)[f"sent {link.name}"]
+    sent = outputs(policy, 1, paths=2, ticks=ticks)[Sent(link.name)]
     turn = len(link.pattern) - link.repeats_from
     walked = [
         link.pattern[k if k < link.repeats_from else link.repeats_from + (k - link.repeats_from) % turn]

@@ -14,8 +14,10 @@ from parity.loops import assert_parity, differences, same
 
 from taciturn import Burst, Cost, Network, Plant, ProblemError, Reference, close, design
 from taciturn.loop import Loop
+from taciturn.model.policy import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Sent
 
 SHARES = st.floats(0, 1)
 PLANT = Plant([[0.9]], [[1.0]], [[1.0]], mean=[1.0], covariance=[[1.0]])
@@ -121,7 +123,7 @@ def lost(loop: Loop, link: str, seed: int, paths: int = PATHS, ticks: int = TICK
     """Return what was sent and what of it was lost, (steps, paths)."""
     program = loop.program()
     outputs = Kernel(program).run(program, loop.start(program, paths, seed), ticks).outputs
-    sent, arrived = outputs[f"sent {link}"] > 0, outputs[f"arrived {link}"] > 0
+    sent, arrived = outputs[Sent(link)] > 0, outputs[Received(link)] > 0
     assert not (arrived & ~sent).any()
     return sent, sent & ~arrived
 
@@ -183,8 +185,8 @@ def test_the_bursts_of_two_links_are_independent() -> None:
     loop = bursty(actuator_burst=CHAINS[0], sensor_burst=CHAINS[1])
     program = loop.program()
     outputs = interpreter.run(program, loop.start(program, PATHS, 6), TICKS).outputs
-    assert outputs["sent actuator"].all()
-    both = (outputs["arrived actuator"] == 0) & (outputs["arrived sensor"] == 0)
+    assert outputs[Sent("actuator")].all()
+    both = (outputs[Received("actuator")] == 0) & (outputs[Received("sensor")] == 0)
     assert agrees(ratio(both.mean(axis=0), np.ones(PATHS)), CHAINS[0].loss * CHAINS[1].loss)
 
 
@@ -259,7 +261,7 @@ def test_the_builds_agree_bit_for_bit_on_bursts_and_a_reference(protocol: str, d
     first = loop.start(program, 16, 11)
     again = [Kernel(program, "parity").run(program, first, 40, threads=threads) for threads in (1, 2)]
     assert differences(*again) == []
-    assert 0.05 < again[0].outputs["sent actuator"].mean() < 0.95
+    assert 0.05 < again[0].outputs[Sent("actuator")].mean() < 0.95
 
 
 def test_a_design_for_bursts_is_closed_with_its_bursts() -> None:

@@ -16,6 +16,7 @@ from taciturn.loop import Loop
 from taciturn.model.policy import ONE, Assign, Draw, Evaluate, Received, Send
 from taciturn.model.trigger import Form
 from taciturn.program import numpy as interpreter
+from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import Run
 from taciturn.simulation.average import plain_average
 
@@ -163,7 +164,7 @@ def ran(loop: Loop, seed: int = 3, paths: int = 300) -> tuple[Run, np.ndarray]:
     program = loop.program()
     run = interpreter.run(program, loop.start(program, paths, seed), STEPS)
     last = [row for row, state in zip(run.states, program.states, strict=True) if state.name == "x"]
-    path = np.stack([run.outputs["x 0"], run.outputs["x 1"]], axis=1)
+    path = np.stack([run.outputs[Entry("x", 0)], run.outputs[Entry("x", 1)]], axis=1)
     return run, np.concatenate([path, np.array(last)[None]])
 
 
@@ -174,15 +175,15 @@ OFF = np.array([0.5, -0.3])
 def test_the_law_of_the_deviation_does_not_depend_on_the_reference(network: Network) -> None:
     """On the same draws the same packets are sent and lost, and the states differ by the reference."""
     zero, x = ran(tracked(None, network, OFF))
-    assert 0.1 < zero.outputs["sent actuator"].mean() < 0.95
+    assert 0.1 < zero.outputs[Sent("actuator")].mean() < 0.95
     for seed in (1, 2):
         reference = motion(seed)
         run, y = ran(tracked(reference, network, OFF))
-        for name in ("sent actuator", "arrived actuator", "arrived sensor"):
+        for name in (Sent("actuator"), Received("actuator"), Received("sensor")):
             assert np.array_equal(run.outputs[name], zero.outputs[name]), name
         assert y - reference.states[:, :, None] == pytest.approx(x, abs=1e-11)
-        pushed = run.outputs["applied 0"] - reference.inputs
-        assert pushed == pytest.approx(zero.outputs["applied 0"], abs=1e-10)
+        pushed = run.outputs[Entry("applied", 0)] - reference.inputs
+        assert pushed == pytest.approx(zero.outputs[Entry("applied", 0)], abs=1e-10)
         for name in ("cost", "excess"):
             assert run.sums[name] == pytest.approx(zero.sums[name], rel=1e-9, abs=1e-9)
 
@@ -207,7 +208,7 @@ def test_the_final_weight_counts_from_the_end_of_the_reference(network: Network)
     assert abs(plain.cost.value - exact.cost.value) <= 4 * spread
     run, x = ran(loop, seed=5, paths=4096)
     e = x - reference.states[:, :, None]
-    v = run.outputs["applied 0"] - reference.inputs
+    v = run.outputs[Entry("applied", 0)] - reference.inputs
     total = np.einsum("kip,ij,kjp->p", e[:-1], COST.Q, e[:-1]) + COST.R[0, 0] * (v * v).sum(axis=0)
     total += np.einsum("ip,ij,jp->p", e[-1], COST.terminal, e[-1])
     assert plain.cost.value == pytest.approx(total.mean(), rel=1e-9)
@@ -223,7 +224,7 @@ def test_another_plant_follows_the_reference_by_its_own_dynamics() -> None:
     assert not loop.nominal
     assert set(loop.violated_assumptions) >= {"the plant is not the one of the design"}
     run, x = ran(loop)
-    u = run.outputs["applied 0"][:, None]
+    u = run.outputs[Entry("applied", 0)][:, None]
     assert x[1:] == pytest.approx(np.einsum("ij,kjp->kip", actual.A, x[:-1]) + actual.B[None] * u, abs=1e-10)
     assert "excess" not in run.sums
     e = x[:-1] - reference.states[:-1, :, None]

@@ -17,6 +17,7 @@ from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel, host
+from taciturn.program.names import Entry, Option, Sent, is_entry
 from taciturn.program.ops import Precision
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -127,13 +128,13 @@ def assert_same_decisions(program: Program, loop: Loop, seed: int, ticks: int = 
     inputs = np.random.default_rng(seed).normal(size=(ticks, len(program.inputs), 8))
     states = loop.start(program, 8, seed)
     parity, fast = (Kernel(program, build).run(program, states, ticks, inputs).outputs for build in ("parity", "fast"))
-    sent = "sent actuator"
+    sent = Sent("actuator")
     differ = parity[sent] != fast[sent]
     for path in np.flatnonzero(differ.any(axis=0)):
         tick = int(np.argmax(differ[:, path]))
-        options = [outputs[tick, path] for name, outputs in parity.items() if name.startswith("option send")]
+        options = [outputs[tick, path] for name, outputs in parity.items() if isinstance(name, Option)]
         assert abs(options[0] - options[1]) < 1e-10 * max(map(abs, options))
-    assert same(parity["x 0"], fast["x 0"]) == ("+fma" not in host().features.split(","))
+    assert same(parity[Entry("x", 0)], fast[Entry("x", 0)]) == ("+fma" not in host().features.split(","))
     return float(parity[sent].mean())
 
 
@@ -151,13 +152,13 @@ def test_the_fast_build_decides_as_the_parity_build_with_every_feature(system: S
     with pytest.MonkeyPatch.context() as patch:
         program = undrawn(patch, loop)
     ticks, draws = 60, np.random.default_rng(seed)
-    uniform = np.array([name.startswith("uniform") for name in program.inputs])
+    uniform = np.array([is_entry(name, "uniform") for name in program.inputs])
     inputs = np.where(
         uniform[:, None], draws.random((ticks, len(uniform), 8)), draws.normal(size=(ticks, len(uniform), 8))
     )
     states = loop.start(program, 8, seed)
     parity, fast = (Kernel(program, build).run(program, states, ticks, inputs).outputs for build in ("parity", "fast"))
-    labels = [name for name in parity if name.startswith("option send")]
+    labels = [name for name in parity if isinstance(name, Option)]
     chosen = [np.argmin([outputs[name] for name in labels], axis=0) for outputs in (parity, fast)]
     for path in np.flatnonzero((chosen[0] != chosen[1]).any(axis=0)):
         tick = int(np.argmax(chosen[0][:, path] != chosen[1][:, path]))

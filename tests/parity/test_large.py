@@ -21,6 +21,7 @@ from taciturn.program import numpy as interpreter
 from taciturn.program._llvm_body import SMALL
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Entry, Sent
 from taciturn.program.ops import Precision, tiles
 from taciturn.simulation.bank import Bank
 
@@ -57,8 +58,8 @@ def test_products_are_what_single_coefficients_would_give(monkeypatch: pytest.Mo
     assert products(blocked) > 0 == products(single)
     assert blocked.operations < 1.3 * single.operations
     one, other = (interpreter.run(program, loop.start(program, 5, 3), 30) for program in (blocked, single))
-    size = np.abs(one.outputs["x 0"]).max()
-    assert np.abs(one.outputs["x 0"] - other.outputs["x 0"]).max() < 1e-9 * size
+    size = np.abs(one.outputs[Entry("x", 0)]).max()
+    assert np.abs(one.outputs[Entry("x", 0)] - other.outputs[Entry("x", 0)]).max() < 1e-9 * size
 
 
 @law(5, 60, seed=st.integers(0, 2**32 - 1), rows=st.integers(1, 40), columns=st.integers(1, 40), share=st.floats(0, 1))
@@ -69,12 +70,12 @@ def test_a_transform_is_the_matrix_times_the_numbers(seed: int, rows: int, colum
     matrix[draws.random(rows) < 0.2] = 0
     matrix[:, draws.random(columns) < 0.2] = 0
     b = Builder()
-    values = [b.input(f"in {j}") for j in range(columns)]
+    values = [b.input(Entry("in", j)) for j in range(columns)]
     found = b.transform(matrix.tolist(), values)
     assert [index is None for index in found] == [not row.any() for row in matrix]
     program = b.finish([], {}, {f"{i}": index for i, index in enumerate(found) if index is not None})
     inputs = draws.normal(size=(2, columns, 9))
-    supplied = inputs[:, [int(name.split()[1]) for name in program.inputs]]
+    supplied = inputs[:, [name.index for name in program.inputs]]
     meaning = interpreter.run(program, np.zeros((0, 9)), 2, supplied)
     assert differences(meaning, Kernel(program, "parity").run(program, np.zeros((0, 9)), 2, supplied)) == []
     for name, row in meaning.outputs.items():
@@ -146,9 +147,9 @@ def test_a_bank_costs_and_sends_what_its_loops_do(monkeypatch: pytest.MonkeyPatc
         rest = interpreter.run(program, first.states, 400)
         noise = loops[i].problem.noise_cost
         assert sum(step.cost[i] for step in steps) == pytest.approx(first.sums["cost"][0] + 30 * noise, rel=1e-9)
-        assert sum(step.sends["actuator"][i] for step in steps) == first.sums["sent actuator"][0]
+        assert sum(step.sends["actuator"][i] for step in steps) == first.sums[Sent("actuator")][0]
         assert many.cost[i] == pytest.approx(rest.sums["cost"][0] / 400 + noise, rel=1e-9)
-        assert many.sends["actuator"][i] == rest.sums["sent actuator"][0] / 400
+        assert many.sends["actuator"][i] == rest.sums[Sent("actuator")][0] / 400
 
 
 @pytest.mark.evidence

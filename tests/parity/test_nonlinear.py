@@ -14,8 +14,10 @@ from parity.loops import assert_parity
 from systems import System, systems
 
 from taciturn import Loop, Network, Plant, close, design, load
+from taciturn.model.policy import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Entry, Sent
 from taciturn.program.ops import Precision
 from taciturn.program.python import compile_python
 
@@ -67,10 +69,10 @@ def test_the_fast_build_decides_as_the_parity_build(name: str) -> None:
     states = loop.start(program, 16, 1)
     parity, fast = (Kernel(program, build).run(program, states, 200).outputs for build in ("parity", "fast"))
     for key, row in parity.items():
-        if key.startswith(("sent", "arrived")):
+        if isinstance(key, Sent | Received):
             np.testing.assert_array_equal(fast[key], row)
     for i in range(loop.problem.plant.states):
-        np.testing.assert_allclose(fast[f"x {i}"], parity[f"x {i}"], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(fast[Entry("x", i)], parity[Entry("x", i)], rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", few(NAMES, quick=1, start=2))

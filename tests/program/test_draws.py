@@ -12,6 +12,7 @@ from scipy import stats
 from taciturn.program.draws import GENERATOR, seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Entry
 from taciturn.program.numpy import run
 from taciturn.program.ops import State
 
@@ -20,7 +21,7 @@ PATHS, TICKS = 4096, 25_000  # 1e8 steps
 UNLIKELY = 1e-5  # probability below which a test of a law fails; the seeds are fixed
 
 
-def drawing(*names: str) -> Program:
+def drawing(*names: Entry) -> Program:
     """Return a program that records these draws."""
     b = Builder()
     return with_draws(b.finish([], {}, {name: b.input(name) for name in names}))
@@ -63,14 +64,14 @@ def words_of(bits: np.ndarray) -> list[int]:
 def test_the_generator_is_xoshiro_word_for_word() -> None:
     """A thousand words on each of four paths, and the uniform made of each."""
     start = seed_generators(7, 4)
-    program = drawing("uniform 0")
+    program = drawing(Entry("uniform", 0))
     assert [(state.name, state.index) for state in program.states] == [(GENERATOR, i) for i in range(4)]
     result = run(program, start, 1000)
     for path in range(4):
         expected = xoshiro(words_of(start[:, path]))
         for tick in range(1000):
             word, state = next(expected)
-            assert result.outputs["uniform 0"][tick, path] == math.ldexp(2 * (word >> 12) + 1, -53)
+            assert result.outputs[Entry("uniform", 0)][tick, path] == math.ldexp(2 * (word >> 12) + 1, -53)
         assert words_of(result.states[:, path]) == state
 
 
@@ -116,10 +117,10 @@ def telling_words() -> np.ndarray:
 
 def test_a_uniform_lies_strictly_between_zero_and_one() -> None:
     """The words of all zeros and of all ones give the ends."""
-    (drawn,) = draw_from(telling_words(), "uniform 0")
+    (drawn,) = draw_from(telling_words(), Entry("uniform", 0))
     assert drawn.min() > 0
     assert drawn.max() < 1
-    ends = draw_from(np.array([0, WORD], dtype=np.uint64), "uniform 0")[0]
+    ends = draw_from(np.array([0, WORD], dtype=np.uint64), Entry("uniform", 0))[0]
     assert list(ends) == [2.0**-53, 1 - 2.0**-53]
 
 
@@ -128,7 +129,7 @@ def test_a_uniform_lies_strictly_between_zero_and_one() -> None:
 def test_the_normals_are_box_muller_to_the_claimed_errors() -> None:
     """Against logarithm, cosine and sine in extended precision, at random words and at the edges of every field."""
     words = telling_words()
-    x, y = (value.astype(np.longdouble) for value in draw_from(words, "normal 0", "normal 1"))
+    x, y = (value.astype(np.longdouble) for value in draw_from(words, Entry("normal", 0), Entry("normal", 1)))
     u = ((words >> np.uint64(32)).astype(np.longdouble) + 0.5) / 2**32
     square = -2 * np.log(u)
     pi = np.longdouble(4) * np.arctan(np.longdouble(1))
@@ -150,7 +151,7 @@ def test_the_normals_are_box_muller_to_the_claimed_errors() -> None:
 def summing(*powers: tuple[int, int, int, int]) -> Program:
     """Return a program that sums a^i b^j c^k d^l over the steps; a and b a pair, c and d that of the step before."""
     b = Builder()
-    pair = [b.input("normal 0"), b.input("normal 1")]
+    pair = [b.input(Entry("normal", 0)), b.input(Entry("normal", 1))]
     before = [b.state(State("before", i)) for i in range(2)]
     sums: dict[str, int] = {}
     for exponents in powers:
@@ -212,8 +213,8 @@ def test_the_tails_hold_what_those_of_the_normal_law_hold(totals: dict[str, floa
 @pytest.fixture(scope="module")
 def recorded() -> tuple[np.ndarray, np.ndarray]:
     """Return both normals of 1000 paths by 1500 steps."""
-    outputs = run(drawing("normal 0", "normal 1"), seed_generators(11, 1000), 1500).outputs
-    return outputs["normal 0"], outputs["normal 1"]
+    outputs = run(drawing(Entry("normal", 0), Entry("normal", 1)), seed_generators(11, 1000), 1500).outputs
+    return outputs[Entry("normal", 0)], outputs[Entry("normal", 1)]
 
 
 def test_the_distribution_is_normal(recorded: tuple[np.ndarray, np.ndarray]) -> None:
@@ -224,7 +225,7 @@ def test_the_distribution_is_normal(recorded: tuple[np.ndarray, np.ndarray]) -> 
 
 def test_the_uniform_distribution_is_uniform() -> None:
     """Kolmogorov and Smirnov see nothing in a million draws."""
-    drawn = run(drawing("uniform 0"), seed_generators(12, 1000), 1000).outputs["uniform 0"]
+    drawn = run(drawing(Entry("uniform", 0)), seed_generators(12, 1000), 1000).outputs[Entry("uniform", 0)]
     assert stats.kstest(drawn.ravel(), "uniform").pvalue > UNLIKELY
 
 
@@ -255,10 +256,10 @@ def test_neighbouring_paths_are_independent(recorded: tuple[np.ndarray, np.ndarr
 
 def test_neighbouring_seeds_are_independent() -> None:
     """The same paths of seeds 0 and 1, and one path of a thousand seeds."""
-    program = drawing("normal 0", "normal 1")
-    one, other = (run(program, seed_generators(seed, 1000), 500).outputs["normal 0"] for seed in (0, 1))
+    program = drawing(Entry("normal", 0), Entry("normal", 1))
+    one, other = (run(program, seed_generators(seed, 1000), 500).outputs[Entry("normal", 0)] for seed in (0, 1))
     assert dependence(one, other) > UNLIKELY
     starts = np.concatenate([seed_generators(seed, 1) for seed in range(1000)], axis=1)
-    values = run(program, starts, 500).outputs["normal 0"]
+    values = run(program, starts, 500).outputs[Entry("normal", 0)]
     assert dependence(values[:, 1:], values[:, :-1]) > UNLIKELY
     assert stats.kstest(values[0], "norm").pvalue > UNLIKELY

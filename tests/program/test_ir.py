@@ -13,6 +13,7 @@ import taciturn
 from taciturn import Network, Problem
 from taciturn.program.draws import with_draws
 from taciturn.program.ir import Builder, Coefficient, Program, merge_states
+from taciturn.program.names import Sent
 from taciturn.program.numpy import Run, run
 from taciturn.program.ops import State
 
@@ -281,7 +282,7 @@ def test_the_copies_of_the_model_merge_as_well(masses: Problem) -> None:
 def test_the_generator_disappears_with_the_last_draw_that_matters(masses: Problem) -> None:
     """Counting the sends of a periodic policy needs its clock alone."""
     loop = masses.close(taciturn.design.periodic(masses.plant, masses.cost, every=3))
-    assert names(loop.program().keep({"sent actuator"})) == {"clock"}
+    assert names(loop.program().keep({Sent("actuator")})) == {"clock"}
 
 
 def test_draws_are_the_same_whatever_is_kept(masses: Problem) -> None:

@@ -14,6 +14,7 @@ from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import TimeStep
+from taciturn.program.names import Entry
 from taciturn.simulation.average import completed_squares, plain_average
 
 PLANTS = {
@@ -39,9 +40,9 @@ def test_every_jump_flows_to_the_end_of_its_tick(name: str) -> None:
     program = program_of(JumpNoise(A, Jumps(rate, spread @ spread.T), period))
     draws = np.random.default_rng(1)
     drawn = {"uniform": lambda: draws.uniform(0.05, 1, 200), "normal": lambda: draws.normal(size=200)}
-    given = np.array([drawn[name.split()[0]]() for name in program.inputs])
+    given = np.array([drawn[name.signal]() for name in program.inputs])
     found = interpreter.run(program, np.zeros((0, 200)), 1, given[None])
-    uniforms = [row for row, name in zip(given, program.inputs, strict=True) if "uniform" in name]
+    uniforms = [row for row, name in zip(given, program.inputs, strict=True) if name.signal == "uniform"]
     normals = [row for row, name in zip(given, program.inputs, strict=True) if "normal" in name]
     wanted = np.zeros((n, 200))
     for path in range(200):
@@ -51,7 +52,7 @@ def test_every_jump_flows_to_the_end_of_its_tick(name: str) -> None:
             if time < period:
                 size = spread @ [normal[path] for normal in normals[n * i : n * (i + 1)]]
                 wanted[:, path] += expm(A * (period - time)) @ size
-    got = np.array([found.outputs[f"w {i}"][0] for i in range(n)])
+    got = np.array([found.outputs[Entry("w", i)][0] for i in range(n)])
     assert got == pytest.approx(wanted, abs=1e-7 * np.abs(wanted).max())  # the logarithm has nine digits
 
 

@@ -18,6 +18,7 @@ from taciturn.model.policy import ONE, Apply, Assign, Condition, Decide, Draw, E
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep
+from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import run
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -108,10 +109,11 @@ def assert_told(loop: Loop, seed: int, ticks: int = 30, paths: int = 4) -> None:
     lossy = (loop.network.loss(step.link) > 0 for step in policy.steps if isinstance(step, Send))
     uniforms = sum(isinstance(step, Draw) for step in policy.steps) + sum(lossy)
     before, after = (factor(covariance).shape[1] for covariance in (plant.V, plant.W))
-    names = [f"normal {i}" for i in range(before)] + [f"uniform {i}" for i in range(uniforms)]
-    names += [f"normal {len(names) + i}" for i in range(after)]  # names count what was drawn before
+    names = [Entry("normal", i) for i in range(before)] + [Entry("uniform", i) for i in range(uniforms)]
+    names += [Entry("normal", len(names) + i) for i in range(after)]  # names count what was drawn before
     draws = np.random.default_rng(seed)
-    values = np.array([(draws.random if name[0] == "u" else draws.standard_normal)((ticks, paths)) for name in names])
+    drawn = {"uniform": draws.random, "normal": draws.standard_normal}
+    values = np.array([drawn[name.signal]((ticks, paths)) for name in names])
     values = values.reshape(len(names), ticks, paths).swapaxes(0, 1)
     means = [plant.mean[state.index] if state.name == "x" else state.start for state in program.states]
     states = np.repeat(np.array(means).reshape(-1, 1), paths, axis=1)
@@ -122,9 +124,9 @@ def assert_told(loop: Loop, seed: int, ticks: int = 30, paths: int = 4) -> None:
             v, drawn, w = np.split(values[tick, :, path], [before, before + uniforms])
             total += loop.problem.cost.discount**tick * told.tick(v, drawn, w)
             for link, sent in told.sent.items():
-                assert result.outputs[f"sent {link}"][tick, path] == sent
+                assert result.outputs[Sent(link)][tick, path] == sent
             for i, value in enumerate(told.signals["input"]):
-                assert result.outputs[f"applied {i}"][tick, path] == pytest.approx(value, rel=1e-6, abs=1e-8)
+                assert result.outputs[Entry("applied", i)][tick, path] == pytest.approx(value, rel=1e-6, abs=1e-8)
         assert result.sums["cost"][path] == pytest.approx(total, rel=1e-6)
 
 

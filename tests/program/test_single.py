@@ -14,6 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.program.draws import draw_numbers
 from taciturn.program.ir import Builder
+from taciturn.program.names import Entry, Name
 from taciturn.program.numpy import run
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import choose_estimator, plain_average
@@ -24,11 +25,11 @@ KINDS: tuple[Precision, Precision] = ("float64", "float32")
 RESOLUTION = 2.0**-24  # of a float near 1
 
 
-def drawn(words: np.ndarray, precision: Precision, *names: str) -> list[np.ndarray]:
+def drawn(words: np.ndarray, precision: Precision, *names: Entry) -> list[np.ndarray]:
     """Return what is drawn from given words: with s0 = 0 the output of the generator is the rotated s3."""
     states = np.zeros((4, len(words)), dtype=np.uint64)
     states[3] = (words >> np.uint64(23)) | (words << np.uint64(41))
-    b, supplied = Builder(precision), dict[str, int]()
+    b, supplied = Builder(precision), dict[Name, int]()
     following = draw_numbers(b, names, supplied)
     outputs = run(b.finish(following, {}, supplied), states.view(np.float64), 1).outputs
     return [outputs[name][0] for name in names]
@@ -38,7 +39,9 @@ def drawn(words: np.ndarray, precision: Precision, *names: str) -> list[np.ndarr
 def test_the_normals_of_a_word_are_those_of_double_precision() -> None:
     """At random words and at the edges of every field: the logarithm to 3e-7 of 1, all else to a few roundings."""
     words = telling_words()
-    double, single = (np.array(drawn(words, kind, "normal 0", "normal 1")) for kind in ("float64", "float32"))
+    double, single = (
+        np.array(drawn(words, kind, Entry("normal", 0), Entry("normal", 1))) for kind in ("float64", "float32")
+    )
     radius = np.hypot(*double)
     slack = 4e-7 / np.maximum(radius, 0.05) + 10 * RESOLUTION * radius
     assert (np.abs(single - double) <= slack)[:, radius > 0.05].all()
@@ -49,7 +52,7 @@ def test_the_normals_of_a_word_are_those_of_double_precision() -> None:
 def test_a_uniform_lies_strictly_between_zero_and_one() -> None:
     """It is that of double precision without the last bits."""
     words = np.concatenate([telling_words(), np.array([0, 2**64 - 1], dtype=np.uint64)])
-    (double,), (single,) = (drawn(words, kind, "uniform 0") for kind in ("float64", "float32"))
+    (double,), (single,) = (drawn(words, kind, Entry("uniform", 0)) for kind in ("float64", "float32"))
     assert list(single[-2:]) == [RESOLUTION, 1 - RESOLUTION]
     assert np.abs(single - double).max() <= RESOLUTION
 

@@ -11,10 +11,12 @@ import taciturn
 from taciturn.export.vector import drawn_by_the_policy
 from taciturn.loop import Loop
 from taciturn.model.places import roles
+from taciturn.model.policy import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
+from taciturn.program.names import Sent, is_entry
 from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.plant import SimulatedPlant
@@ -34,7 +36,7 @@ def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True)
     """Return what a loop shows, (steps, paths) by name, and the draws of its policy, (steps, draws, paths)."""
     program = open_program(loop)
     draws = np.random.default_rng(seed)
-    normal = [name.startswith(NORMAL) for name in program.inputs]
+    normal = [is_entry(name, NORMAL) for name in program.inputs]
     shape = (ticks, len(program.inputs), paths)
     inputs = np.where(np.array(normal, dtype=bool)[:, None], draws.standard_normal(shape), draws.random(shape))
     run = Kernel(program, "parity").run if fast else lambda *rest: interpreter.run(*rest)
@@ -45,8 +47,7 @@ def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True)
 
 def column(records: Records, name: str, path: int = 0) -> np.ndarray:
     """Return the entries of a signal, (steps, entries)."""
-    keys = sorted((key for key in records if key.rpartition(" ")[0] == name), key=lambda key: int(key.split()[-1]))
-    return np.array([records[key][:, path] for key in keys]).T
+    return np.array([values[:, path] for key, values in records.items() if is_entry(key, name)]).T
 
 
 def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int = 0) -> tuple[list[int], int]:
@@ -54,8 +55,8 @@ def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int =
     policy = loop.policy
     nodes = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
     y, applied = column(records, "y", path), column(records, "applied", path)
-    arrived = {name.split()[1]: values[:, path] for name, values in records.items() if name.startswith("arrived ")}
-    sent = {name.split()[1]: values[:, path] for name, values in records.items() if name.startswith("sent ")}
+    arrived = {name.link: values[:, path] for name, values in records.items() if isinstance(name, Received)}
+    sent = {name.link: values[:, path] for name, values in records.items() if isinstance(name, Sent)}
     boxes: dict[str, list[Packet]] = {role: [] for role in nodes}
     wrong, packets = [], 0
     for tick in range(len(y)):

@@ -36,6 +36,7 @@ from taciturn.errors import InformationError
 from taciturn.model.places import roles
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
+from taciturn.program.names import Entry, Sent, is_entry
 from taciturn.runtime.node import Node
 from taciturn.runtime.nodes import StepFunction
 from taciturn.runtime.packet import Packet
@@ -68,7 +69,7 @@ def nodes_apart(loop: Loop, y: np.ndarray, seed: int) -> np.ndarray:
     policy = loop.policy
     apart = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
     together = Nodes(policy, loop.network, seed)
-    own = [int(name.split()[1]) for name in drawn_by_the_policy(loop.open_program())]
+    own = [name.index for name in drawn_by_the_policy(loop.open_program())]
     boxes: dict[str, list[Packet]] = {role: [] for role in apart}
     rows = []
     for tick, measured in enumerate(y):
@@ -192,16 +193,19 @@ def test_a_loop_in_python_control_has_the_bits_of_the_loop(lossy: bool) -> None:
     else:
         plant, policy = TWO, design.stochastic(TWO, WEIGHTS, scale=0.5)
     loop, ticks, seed = taciturn.close(plant, policy), 80, 4
-    program, turns = open_program(loop), StepFunction(loop.open_program(), loop.network, seed)
-    normal = [name for name in program.inputs if name.startswith(NORMAL)]
+    program, turns = (
+        open_program(loop),
+        StepFunction(loop.open_program(), {"w": plant.states, "v": plant.outputs}, loop.network, seed),
+    )
+    normal = [name for name in program.inputs if is_entry(name, NORMAL)]
     z = np.random.default_rng(seed).standard_normal((ticks, len(normal)))
     supplied = np.empty((ticks, len(program.inputs), 1))
     for place, name in enumerate(program.inputs):
-        index = int(name.split()[1])
-        column = z[:, normal.index(name)] if name in normal else [turns.drawn(tick)[index] for tick in range(ticks)]
+        is_normal, drawn = name in normal, range(ticks)
+        column = z[:, normal.index(name)] if is_normal else [turns.drawn(tick)[name.index] for tick in drawn]
         supplied[:, place, 0] = column
     found = interpreter.run(program, loop.start(program, 1, seed), ticks, supplied).outputs
-    shown = [*(f"y {i}" for i in range(plant.outputs)), "applied 0", "sent actuator"]
+    shown = [*(Entry("y", i) for i in range(plant.outputs)), Entry("applied", 0), Sent("actuator")]
     p = factor(plant.V).shape[1]  # the measurement's noise is drawn first
     w, v = z[:, p:] @ factor(plant.W).T, z[:, :p] @ factor(plant.V).T
     system = to_control(loop, seed=seed)

@@ -12,7 +12,7 @@ from taciturn._arrays import Array, instance, symmetrised
 from taciturn._modes import factor
 from taciturn.analyse.reduction import Switched, reduce
 from taciturn.errors import ProblemError
-from taciturn.loop import COST, SENT, Loop
+from taciturn.loop import COST, Loop
 from taciturn.model.coverage import (
     BELLS,
     BURSTS,
@@ -36,6 +36,7 @@ from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.lower import TimeStep, Truth
+from taciturn.program.names import Entry, Name, Option, Sent, is_entry
 from taciturn.program.quadratic import as_form, read_polynomials
 
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
@@ -141,23 +142,23 @@ def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[S
     states = len(programs[0].states)
     size, total = states + read.shape[1], states + read.shape[1] + moves.shape[1]
     unit = np.eye(total + 1)
-    inputs = {f"{name} {i}": row @ unit[states:size] for i, row in enumerate(read)}
-    inputs |= {f"w {i}": row @ unit[size:total] for i, row in enumerate(moves)}
+    inputs: dict[Name, Array] = {Entry(name, i): row @ unit[states:size] for i, row in enumerate(read)}
+    inputs |= {Entry("w", i): row @ unit[size:total] for i, row in enumerate(moves)}
 
     def square(value: Array) -> tuple[Array, float]:
         form = as_form(value)
         return symmetrised(form[:size, :size]), float(form[-1, -1])
 
     F, M, sending = list[Array](), list[tuple[Array, float]](), list[bool]()
-    shown: dict[str, Array] = {}
+    shown: dict[Name, Array] = {}
     for program in programs:
         values = read_polynomials(program, total, inputs)
         shown = {output: values[op] for output, op in program.outputs.items()}
         F.append(np.array([values[op] for op in program.following]))
         M.append(square(values[program.sums[COST]]))
-        sending.append(all(shown[f"{SENT} {link}"][-1] > 0 for link in loop.policy.scheduled))
-    options = [square(value) for output, value in shown.items() if output.startswith("option ")]
-    X = np.array([row[:size] for output, row in shown.items() if output.split()[0] == observed])
+        sending.append(all(shown[Sent(link)][-1] > 0 for link in loop.policy.scheduled))
+    options = [square(value) for output, value in shown.items() if isinstance(output, Option)]
+    X = np.array([row[:size] for output, row in shown.items() if is_entry(output, observed)])
     G = np.eye(size, total - states, total - size - states)  # the noise of the plant, then that of the next measurement
     G[:states, : total - size] = F[0][:, size:total]
     memories = [0.0 if isinstance(state.start, tuple) else state.start for state in programs[0].states]
@@ -185,7 +186,7 @@ class _Collected(Builder):
     """A builder whose program keeps all states, so that the programs of all actions have the same."""
 
     def finish(
-        self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
+        self, following: Sequence[int], sums: Mapping[Name, int], outputs: Mapping[Name, int] | None = None
     ) -> Program:
         return self.collect(following, sums, outputs or {})
 

@@ -11,10 +11,11 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.policy import LinkName, Send
+from taciturn.model.policy import LinkName, Received, Send
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
+from taciturn.program.names import Entry, Name, Sent, is_entry
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,10 +59,10 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     program, plant = loop.open_program(), loop.problem.plant
     generator = np.random.default_rng(seed)
     noise = {"w": factor(plant.W), "v": factor(plant.V)}
-    supplied: dict[str, Array] = {}
+    supplied: dict[Name, Array] = {}
     for name, spread in noise.items():
         values = generator.standard_normal((ticks, spread.shape[1])) @ spread.T
-        supplied |= {f"{name} {i}": column for i, column in enumerate(values.T)}
+        supplied |= {Entry(name, i): column for i, column in enumerate(values.T)}
     inputs = np.array([supplied[name] if name in supplied else generator.random(ticks) for name in program.inputs])
     own = [program.inputs.index(name) for name in drawn_by_the_policy(program)]
     if drawn is not None:
@@ -72,11 +73,11 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     links: tuple[LinkName, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     vector = RecordedRun(
         links,
-        _columns([found[f"y {i}"] for i in range(plant.outputs)], ticks),
+        _columns([found[Entry("y", i)] for i in range(plant.outputs)], ticks),
         _columns([inputs[i] for i in own], ticks),
-        _columns([found[f"arrived {link}"] for link in links], ticks),
-        _columns([found[f"sent {link}"] for link in links], ticks),
-        _columns([found[f"applied {i}"] for i in range(plant.inputs)], ticks),
+        _columns([found[Received(link)] for link in links], ticks),
+        _columns([found[Sent(link)] for link in links], ticks),
+        _columns([found[Entry("applied", i)] for i in range(plant.inputs)], ticks),
     )
     finite = np.isfinite(vector.rows).all(axis=1)
     if not finite.all():
@@ -87,9 +88,9 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     return vector
 
 
-def drawn_by_the_policy(program: Program) -> list[str]:
+def drawn_by_the_policy(program: Program) -> list[Name]:
     """Return the inputs of ``Loop.open_program`` with the uniform numbers that the policy draws."""
-    drawn = [op for name, op in program.outputs.items() if name.startswith("drawn ")]
+    drawn = [op for name, op in program.outputs.items() if is_entry(name, "drawn")]
     return [program.inputs[program.ops[op].arguments[0]] for op in drawn]
 
 

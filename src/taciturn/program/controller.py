@@ -13,6 +13,7 @@ from taciturn.model.policy import ENDS, Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep, encode_payloads, is_bad
+from taciturn.program.names import named
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
 
@@ -22,8 +23,8 @@ Begin: TypeAlias = Callable[..., TimeStep]
 def lower_policy(policy: Policy, network: Network) -> Program:
     """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
 
-    Inputs: ``y i``, ``uniform i``. Outputs: ``applied i``, clipped by the model's ``input_limit``, ``sent LINK`` and
-    ``arrived LINK``.
+    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, clipped by the model's
+    ``input_limit``, and whether a packet is sent and received on each link.
 
     Args:
         policy: the policy.
@@ -32,14 +33,11 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     NODES.check(policy.parts, policy.designed_for, network)
     tick = begin_time_step(policy, network, {}, {})
     tick.draw_losses(policy, network)
-    tick.signals["y"] = [tick.builder.input(f"y {i}") for i in range(policy.model.outputs)]
+    tick.signals["y"] = tick.supplied("y", policy.model.outputs)
     for step in policy.steps:
         tick.take(step)
     applied = tick.clipped(tick.signals["input"], policy.model.input_limit)
-    outputs = {f"applied {i}": value for i, value in enumerate(applied)}
-    outputs |= {f"sent {link}": tick.as_number(truth) for link, truth in tick.sent.items()}
-    outputs |= {f"arrived {link}": tick.as_number(truth) for link, truth in tick.arrived.items()}
-    return tick.finish({}, outputs)
+    return tick.finish({}, {**named("applied", applied), **tick.packets()})
 
 
 def begin_time_step(

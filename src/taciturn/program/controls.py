@@ -11,9 +11,9 @@ from dataclasses import replace
 
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Program
+from taciturn.program.names import Control, Entry, is_entry
 from taciturn.program.ops import Op
 
-CONTROL = "control"
 MOST = 64  # most controls; more would take longer than the rest of a step
 
 
@@ -23,10 +23,12 @@ def with_controls(program: Program) -> Program:
     If there were more than MOST of them, the program is returned unchanged.
 
     Args:
-        program: one time step, with inputs ``normal i``.
+        program: one time step, with normal numbers among its inputs.
     """
     ops, sums = list(program.ops), dict(program.sums)
-    normals = [i for i, op in enumerate(ops) if op.name == "input" and _is_normal(program.inputs[op.arguments[0]])]
+    normals = [
+        i for i, op in enumerate(ops) if op.name == "input" and is_entry(program.inputs[op.arguments[0]], NORMAL)
+    ]
     states = [i for i, op in enumerate(ops) if op.name == "state" and not program.states[op.arguments[0]].word]
     if len(normals) * (len(states) + (len(normals) + 1) / 2) > MOST:
         return program
@@ -36,22 +38,18 @@ def with_controls(program: Program) -> Program:
         for index in states:
             ops.append(Op("mul", (normal, index)))
             state = program.states[ops[index].arguments[0]]
-            sums[f"{CONTROL} {k} of {state.name} {state.index}"] = len(ops) - 1
+            sums[Control(k, Entry(state.name, state.index))] = len(ops) - 1
         for m, other in enumerate(normals[k:], start=k):
             ops.append(Op("mul", (normal, other)))
             if m == k:
                 ops.append(Op("add", (len(ops) - 1, minus_one)))
-            sums[f"{CONTROL} {k} {m}"] = len(ops) - 1
+            sums[Control(k, m)] = len(ops) - 1
     return replace(program, ops=tuple(ops), constants=(*program.constants, -1.0), sums=sums)
 
 
 def controlled(program: Program, lean: Program) -> Program:
     """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``."""
-    remembered = {f"{state.name} {state.index}" for state in lean.states}
-    controls = [name for name in program.sums if name.startswith(CONTROL)]
-    fit = {name for name in controls if name.partition(" of ")[2] in {"", *remembered}}
+    remembered = {Entry(state.name, state.index) for state in lean.states}
+    controls = [name for name in program.sums if isinstance(name, Control)]
+    fit = {name for name in controls if isinstance(name.other, int) or name.other in remembered}
     return program.keep({*lean.sums, *fit}, states={state.name for state in lean.states})
-
-
-def _is_normal(name: str) -> bool:
-    return name.split()[0] == NORMAL

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from taciturn._arrays import Array
 from taciturn.program import single
 from taciturn.program.ir import Builder, Program, rebuild
+from taciturn.program.names import Entry, Name, is_entry
 from taciturn.program.ops import Op, Precision, State
 
 # −2 log(1+r) = r Σ c_i r^i on [−1/17, 1/17]
@@ -42,15 +43,15 @@ _SIGN = 1 << 63
 _WORD = (1 << 64) - 1
 
 GENERATOR = "generator"  # name of the four words of xoshiro256++
-NORMAL, UNIFORM = "normal", "uniform"  # inputs that are random numbers have names such as "normal 0"
+NORMAL, UNIFORM = "normal", "uniform"  # an input that is a random number has the name Entry(NORMAL, i)
 
 
 def with_draws(program: Program) -> Program:
-    """Return a program that computes its random inputs ``normal i`` and ``uniform i`` by its own generator."""
-    drawn = [name for name in program.inputs if name.split()[0] in (NORMAL, UNIFORM)]
+    """Return a program that computes its random inputs (NORMAL and UNIFORM) by its own generator."""
+    drawn = [name for name in program.inputs if is_entry(name, NORMAL, UNIFORM)]
     if not drawn:
         return program
-    supplied: dict[str, int] = {}
+    supplied: dict[Name, int] = {}
     words: list[int] = []
 
     def substitute(builder: Builder, op: Op) -> int | None:
@@ -66,9 +67,9 @@ def with_draws(program: Program) -> Program:
 
 
 def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
-    """Return a program that draws ``count`` uniform random numbers per step, as its outputs ``uniform i``."""
-    builder, supplied = Builder(precision), dict[str, int]()
-    following = draw_numbers(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
+    """Return a program that draws ``count`` uniform random numbers per step, as its outputs."""
+    builder, supplied = Builder(precision), dict[Name, int]()
+    following = draw_numbers(builder, [Entry(UNIFORM, i) for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
 
 
@@ -96,16 +97,16 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return z ^ (z >> np.uint64(31))
 
 
-def draw_numbers(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
+def draw_numbers(builder: Builder, names: Sequence[Name], supplied: dict[Name, int]) -> list[int]:
     """Add the random numbers of a step to the dictionary ``supplied``, and return the next state of the generator."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
-    normals = [name for name in names if name.split()[0] == NORMAL]
+    normals = [name for name in names if is_entry(name, NORMAL)]
     for i in range(0, len(normals), 2):
         drawn, words = _next_word(builder, words)
         for name, value in zip(normals[i : i + 2], _two_normals(builder, drawn), strict=False):
             supplied[name] = value
     for name in names:
-        if name.split()[0] == UNIFORM:
+        if is_entry(name, UNIFORM):
             drawn, words = _next_word(builder, words)
             supplied[name] = _uniform(builder, drawn)
     return words

@@ -15,6 +15,7 @@ from taciturn._arrays import Array
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
+from taciturn.program.names import Name
 from taciturn.program.numpy import Run
 
 MANY = 1024  # least number of paths of a program that runs alone, with constants shared by all paths
@@ -46,7 +47,7 @@ class Stepper:
         self._factors = {name: np.array([total[name].factor for total in totals]) for name in totals[0]}
         self._offsets = {name: np.array([total[name].offset for total in totals]) for name in totals[0]}
 
-    def run(self, states: Array, ticks: int, threads: int | None = None) -> tuple[Array, dict[str, Array]]:
+    def run(self, states: Array, ticks: int, threads: int | None = None) -> tuple[Array, dict[Name, Array]]:
         """Return the states and sums of all programs after a number of steps, given the initial states."""
         if self._kernel is None:
             runs = [interpreter.run(program, states[:, [i]], ticks) for i, program in enumerate(self._programs)]
@@ -87,7 +88,7 @@ class StepwiseRunner:
         """Run one step on all paths with given inputs, (inputs, paths), and return the outputs, (outputs, paths)."""
         return np.concatenate([part.tick(inputs[:, columns]) for columns, part in self._parts], axis=1)
 
-    def take_sums(self) -> dict[str, Array]:
+    def take_sums(self) -> dict[Name, Array]:
         """Return each sum, (paths,), over the steps since the last call of this method."""
         taken = [part.take_sums() for _, part in self._parts]
         return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}
@@ -107,7 +108,7 @@ class _Compiled:
         self._ticks += 1
         return self._there.tick(inputs)
 
-    def take_sums(self) -> dict[str, Array]:
+    def take_sums(self) -> dict[Name, Array]:
         rows, ticks, self._ticks = self._there.take_sums(), self._ticks, 0
         return {
             name: np.concatenate(
@@ -124,7 +125,7 @@ class _Interpreted:
     """A group of programs that NumPy runs."""
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
-        self._programs, self._added = programs, [dict[str, Array]() for _ in programs]
+        self._programs, self._added = programs, [dict[Name, Array]() for _ in programs]
         self._cuts = np.cumsum(paths)[:-1]
         self._states = np.split(states, self._cuts, axis=1)
 
@@ -137,6 +138,6 @@ class _Interpreted:
             found.append(np.concatenate(list(run.outputs.values())))
         return np.concatenate(found, axis=1)
 
-    def take_sums(self) -> dict[str, Array]:
-        taken, self._added = self._added, [dict[str, Array]() for _ in self._programs]
+    def take_sums(self) -> dict[Name, Array]:
+        taken, self._added = self._added, [dict[Name, Array]() for _ in self._programs]
         return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}

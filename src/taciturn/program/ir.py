@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 
+from taciturn.program.names import Name
 from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Op, Precision, State, Total, tiles
 
 BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
@@ -39,11 +40,11 @@ class Program:
     ops: tuple[Op, ...]
     states: tuple[State, ...]
     following: tuple[int, ...]
-    inputs: tuple[str, ...]
+    inputs: tuple[Name, ...]
     constants: tuple[float, ...]
     tables: tuple[tuple[float, ...], ...]
-    sums: Mapping[str, int]
-    outputs: Mapping[str, int]
+    sums: Mapping[Name, int]
+    outputs: Mapping[Name, int]
     precision: Precision = "float64"
     matrices: tuple[MatrixRows, ...] = ()
 
@@ -66,7 +67,7 @@ class Program:
         return self.ops, states, self.following, self.inputs, names, sizes, shapes, self.precision
 
     @property
-    def totals(self) -> dict[str, Total]:
+    def totals(self) -> dict[Name, Total]:
         """Sums over steps, each with a constant factor and term that are applied once, after the last step."""
         return {name: self._total(index) for name, index in self.sums.items()}
 
@@ -89,7 +90,7 @@ class Program:
         return self.constants[self.ops[index].arguments[0]] if self.ops[index].name == "const" else None
 
     def keep(
-        self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset(), states: Set[str] = frozenset()
+        self, sums: Set[Name] = frozenset(), outputs: Set[Name] = frozenset(), states: Set[str] = frozenset()
     ) -> Program:
         """Return the program reduced to given sums, outputs and states, and to the operations that these need."""
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
@@ -114,7 +115,7 @@ class Builder:
         self.tables: list[tuple[float, ...]] = []
         self.matrices: list[MatrixRows] = []
         self.states: list[State] = []
-        self.inputs: list[str] = []
+        self.inputs: list[Name] = []
         self._known: dict[tuple[str, tuple[int, ...]], int] = {}
         self._constant_index: dict[float | str, int] = {}
 
@@ -140,7 +141,7 @@ class Builder:
             self.states.append(state)
         return self.emit("state", self.states.index(state))
 
-    def input(self, name: str) -> int:
+    def input(self, name: Name) -> int:
         """Return the operation that reads the input with a given name, whose value is supplied at each step."""
         if name not in self.inputs:
             self.inputs.append(name)
@@ -261,12 +262,12 @@ class Builder:
         return 2.0 * coefficient if isinstance(coefficient, float) else self.emit("add", coefficient, coefficient)
 
     def finish(
-        self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
+        self, following: Sequence[int], sums: Mapping[Name, int], outputs: Mapping[Name, int] | None = None
     ) -> Program:
         """Return the collected program; equal states are merged, and unused operations are removed."""
         return merge_states(self.collect(following, sums, outputs or {}))
 
-    def collect(self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int]) -> Program:
+    def collect(self, following: Sequence[int], sums: Mapping[Name, int], outputs: Mapping[Name, int]) -> Program:
         """Return the collected operations as a program without simplification."""
         return Program(
             tuple(self.ops),

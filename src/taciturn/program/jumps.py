@@ -17,6 +17,7 @@ from taciturn.model.plant import JumpDistribution, JumpNoise
 from taciturn.program.draws import NORMAL, minus_two_log
 from taciturn.program.ir import Builder
 from taciturn.program.lower import Operands, TimeStep
+from taciturn.program.names import Entry
 
 MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
 MOST = 100  # most jumps drawn per step
@@ -116,4 +117,4 @@ def jump_size(b: Builder, distribution: JumpDistribution, drawn: int) -> int:
 
 def _draw(tick: TimeStep, distribution: JumpDistribution) -> int:
     b = tick.builder
-    return b.input(f"{NORMAL} {len(b.inputs)}") if distribution == "normal" else tick.uniform()
+    return b.input(Entry(NORMAL, len(b.inputs))) if distribution == "normal" else tick.uniform()

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Literal, NamedTuple
 
-from taciturn.model.policy import Acknowledged, Assign, Evaluate, Policy
+from taciturn.model.policy import Acknowledged, Assign, Evaluate, Policy, Received
 from taciturn.program.draws import UNIFORM
+from taciturn.program.names import Entry, Name, Option, Sent, StepCounter
 from taciturn.program.node import NodeProgram
 
 FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
@@ -66,38 +67,38 @@ class Layout:
         remembers: number of steps after which the effect of a fault, which the theory excludes, is negligible.
     """
 
-    inputs: tuple[str, ...]
+    inputs: tuple[Name, ...]
     wiring: tuple[tuple[int, ...], ...]
     clocks: int
     drawn: slice
     arrivals: tuple[Arrival, ...]
     departures: tuple[Departure, ...]
     applied: slice | None
-    options: dict[str, int]
+    options: dict[Option, int]
     remembers: int
 
 
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     """Return the positions of all inputs and outputs in the time step of a node."""
     sizes, arrivals = policy.sizes, list[Arrival]()
-    names = [f"y {i}" for i in range(sizes["y"])]
+    names: list[Name] = [Entry("y", i) for i in range(sizes["y"])]
     clocks = len(names)
-    names += [f"at {place.name}" for place in program.clocks]
+    names += [StepCounter(place.name) for place in program.clocks]
     for link, signals in program.hears.items():
-        payload = [f"{link} {signal} {i}" for signal in signals for i in range(sizes[signal])]
+        payload = [Entry(signal, i, link) for signal in signals for i in range(sizes[signal])]
         place = len(names), len(payload), int(link in program.late)
         arrivals.append(Arrival("data", link, program.lag[link], *place, _is_acknowledged(policy, link)))
-        names += [f"arrived {link}", *payload]
+        names += [Received(link), *payload]
     for link in program.acknowledged:
         arrivals.append(Arrival("acknowledgement", link, 1, len(names), 0, 1, False))
-        names.append(f"acknowledged {link}")
+        names.append(Acknowledged(link))
     drawn = slice(len(names), len(names) + (0 if program.draws is None else len(program.draws.outputs)))
-    names += [f"{UNIFORM} {i}" for i in range(drawn.stop - drawn.start)]
+    names += [Entry(UNIFORM, i) for i in range(drawn.stop - drawn.start)]
     places, outputs = (
         {name: i for i, name in enumerate(names)},
         {name: i for i, name in enumerate(program.parts[0].outputs)},
     )
-    first = outputs.get("input 0")
+    first = outputs.get(Entry("input", 0))
     return Layout(
         inputs=tuple(names),
         wiring=tuple(tuple(places[name] for name in part.inputs) for part in program.parts),
@@ -105,11 +106,11 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         drawn=drawn,
         arrivals=tuple(arrivals),
         departures=tuple(
-            Departure(link, outputs[f"sent {link}"], sum(sizes[name] for name in payload))
+            Departure(link, outputs[Sent(link)], sum(sizes[name] for name in payload))
             for link, payload in program.sends.items()
         ),
         applied=None if first is None else slice(first, first + policy.model.inputs),
-        options={name.removeprefix("option "): i for name, i in outputs.items() if name.startswith("option ")},
+        options={name: i for name, i in outputs.items() if isinstance(name, Option)},
         remembers=steps_of_a_fault(policy),
     )
 

@@ -26,6 +26,7 @@ from taciturn.model.policy import (
     Decide,
     Draw,
     Evaluate,
+    LinkName,
     Location,
     Policy,
     Received,
@@ -38,11 +39,12 @@ from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.exponential import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
+from taciturn.program.names import Entry, Name, Option, Sent
 from taciturn.program.ops import State
 from taciturn.program.trace import trace
 
 Operands = list[int]
-Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
+Payloads: TypeAlias = Mapping[LinkName, Mapping[str, Encoding]]
 
 LOWERED = Coverage(STEPS | TRACKING | NETWORKS, "programs do not carry out")
 
@@ -75,8 +77,8 @@ class TimeStep:
         self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Operands] = {}
         self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
-        self.arrived: dict[str, Truth] = {}
-        self.sent: dict[str, Truth] = {}
+        self.arrived: dict[LinkName, Truth] = {}
+        self.sent: dict[LinkName, Truth] = {}
         self.options: dict[str, dict[str, int]] = {}  # value of each option of each trigger
         self.losses: dict[str, Coefficient] = {}  # loss probability of each link
         self.thresholds: list[int] = []  # uniform numbers that the policy draws; all others determine losses and noise
@@ -225,9 +227,26 @@ class TimeStep:
     def uniform(self) -> int:
         """Return a new random number, uniform in (0, 1)."""
         self.drawn += 1
-        return self.builder.input(f"{UNIFORM} {self.drawn - 1}")
+        return self.builder.input(Entry(UNIFORM, self.drawn - 1))
 
-    def finish(self, sums: Mapping[str, int], outputs: Mapping[str, int] | None = None) -> Program:
+    def supplied(self, signal: str, size: int, first: int = 0, link: str | None = None) -> Operands:
+        """Return the entries of a signal that is an input of the program, numbered from ``first``."""
+        return [self.builder.input(Entry(signal, first + i, link)) for i in range(size)]
+
+    def packets(self) -> dict[Name, int]:
+        """Return, by name, whether a packet is sent and whether it arrives on each link."""
+        sent: dict[Name, int] = {Sent(link): self.as_number(truth) for link, truth in self.sent.items()}
+        return sent | {Received(link): self.as_number(truth) for link, truth in self.arrived.items()}
+
+    def option_values(self) -> dict[Name, int]:
+        """Return, by name, the value of each option of each trigger."""
+        return {
+            Option(decision, label): value
+            for decision, options in self.options.items()
+            for label, value in options.items()
+        }
+
+    def finish(self, sums: Mapping[Name, int], outputs: Mapping[Name, int] | None = None) -> Program:
         """Return the program of this time step, at whose end all memories and locations get their next values."""
         for location in self.locations.values():
             if location.name in self.memories:
@@ -303,14 +322,14 @@ class TimeStep:
                     sent = self._and(sent, self._not(truth))
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
-    def arrives(self, link: str, sent: Truth) -> Truth:
+    def arrives(self, link: LinkName, sent: Truth) -> Truth:
         """Return whether a packet arrives: it is sent, and a uniform random number is above the loss probability."""
         loss = self.losses[link]
         if isinstance(loss, float) and loss == 0.0:
             return sent
         return self._and(sent, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
 
-    def _arrived(self, link: str) -> Truth:
+    def _arrived(self, link: LinkName) -> Truth:
         """Return whether the packet of this step has arrived, or before its Send, the packet of the previous step."""
         if link not in self.arrived:
             name = _arrival(link)
@@ -332,14 +351,14 @@ class TimeStep:
         return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
 
 
-def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
+def encode_payloads(policy: Policy, network: Network) -> dict[LinkName, dict[str, Encoding]]:
     """Return how each signal is encoded in the packets of a policy, by link and signal.
 
     Raises:
         ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.
     """
     LOWERED.check(policy.parts, network)
-    payloads: dict[str, dict[str, Encoding]] = {}
+    payloads: dict[LinkName, dict[str, Encoding]] = {}
     for step in policy.steps:
         if isinstance(step, Send):
             sizes = [policy.sizes[name] for name in step.payload]

@@ -20,6 +20,7 @@ from taciturn.model.policy import (
     Assign,
     Condition,
     Evaluate,
+    LinkName,
     Location,
     NodeName,
     Policy,
@@ -31,6 +32,7 @@ from taciturn.model.steps import assigned
 from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
 from taciturn.program.lower import Operands, Payloads, TimeStep, encode_payloads
+from taciturn.program.names import Name, Sent, StepCounter, named
 from taciturn.program.ops import Precision, State
 
 NODES = Coverage(LOOPS, "nodes do not carry out")
@@ -40,9 +42,9 @@ NODES = Coverage(LOOPS, "nodes do not carry out")
 class NodeProgram:
     """Programs of one time step of the nodes at one site of a policy.
 
-    Inputs of the parts: ``y i``, ``at COUNTER``, ``arrived LINK`` and ``LINK SIGNAL i`` of packets,
-    ``acknowledged LINK``, ``uniform i``. Outputs of the first part: ``sent LINK``, ``LINK i`` (the payload),
-    ``input i``, ``option DECISION LABEL``.
+    Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a link,
+    the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a link, its
+    payload (entries named by the link), the plant's ``input``, and the values of the triggers' options.
 
     Args:
         site: the nodes at the site.
@@ -60,11 +62,11 @@ class NodeProgram:
     parts: tuple[Program, ...]
     draws: Program | None
     clocks: tuple[Location, ...]
-    hears: Mapping[str, tuple[str, ...]]
-    lag: Mapping[str, int]
-    late: frozenset[str]
-    acknowledged: tuple[str, ...]
-    sends: Mapping[str, tuple[str, ...]]
+    hears: Mapping[LinkName, tuple[str, ...]]
+    lag: Mapping[LinkName, int]
+    late: frozenset[LinkName]
+    acknowledged: tuple[LinkName, ...]
+    sends: Mapping[LinkName, tuple[str, ...]]
 
 
 def lower_node(
@@ -130,7 +132,7 @@ class _Part(TimeStep):
         super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
         self.drawn = drawn
         self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
-        self.packets: dict[str, Operands] = {}  # payload of each packet, rounded by its encoding
+        self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
         self._link = ""
 
     def take(self, step: Step) -> None:
@@ -139,14 +141,14 @@ class _Part(TimeStep):
         super().take(step)
         if isinstance(step, Send):
             parts = [self.rounded(self.recall(name), how) for name, how in self.payloads[step.link].items()]
-            self.packets[step.link] = [value for part in parts for value in part]
+            self.payload[step.link] = [value for part in parts for value in part]
 
     def hear(self, name: str) -> Operands:
-        return [self.builder.input(f"{self._link} {name} {i}") for i in range(self.sizes[name])]
+        return self.supplied(name, self.sizes[name], link=self._link)
 
     def recall(self, name: str) -> Operands:
         if name == "y" and name not in self.signals:
-            self.signals[name] = [self.builder.input(f"y {i}") for i in range(self.sizes[name])]
+            self.signals[name] = self.supplied(name, self.sizes[name])
         return super().recall(name)
 
     def happened(self, condition: Condition) -> list[Truth]:
@@ -154,12 +156,11 @@ class _Part(TimeStep):
             if condition not in self.outcomes:  # decided in the first part
                 self.outcomes[condition] = [self._true(flag) for flag in self.recall(_flags(condition))]
             return self.outcomes[condition]
-        word = "arrived" if isinstance(condition, Received) else "acknowledged"
-        return [self.builder.emit("not", self._true(self.builder.input(f"{word} {condition.link}")))]
+        return [self.builder.emit("not", self._true(self.builder.input(condition)))]
 
     def place(self, name: str) -> int:
         own = self.locations[name].on is not None
-        return super().place(name) if own else self.builder.input(f"at {name}")
+        return super().place(name) if own else self.builder.input(StepCounter(name))
 
     def _true(self, flag: int) -> int:
         return self.builder.emit("greater", flag, self.builder.constant(0.0))
@@ -202,17 +203,19 @@ class _Lowering:
         programs = tuple(self._program(i, tick, states) for i, tick in enumerate(walked))
         inputs = [set(program.inputs) for program in programs]
         read = {name for names in inputs for name in names}
-        hears = {link: self._order(link) for link in self.payloads if f"arrived {link}" in read}
-        late = frozenset(link for link in hears if f"arrived {link}" not in inputs[0])
+        hears: dict[LinkName, tuple[str, ...]] = {
+            link: self._order(link) for link in self.payloads if Received(link) in read
+        }
+        late = frozenset[LinkName](link for link in hears if Received(link) not in inputs[0])
         return NodeProgram(
             site=self.site,
             parts=programs,
             draws=draw_uniforms(walked[-1].drawn, self.precision) if walked[-1].drawn else None,
-            clocks=tuple(place for place in self.policy.locations if f"at {place.name}" in read),
+            clocks=tuple(place for place in self.policy.locations if StepCounter(place.name) in read),
             hears=hears,
             lag={link: self._before(link) + (link in late) for link in hears},
             late=late,
-            acknowledged=tuple(link for link in self.payloads if f"acknowledged {link}" in read),
+            acknowledged=tuple(link for link in self.payloads if Acknowledged(link) in read),
             sends={step.link: step.payload for step in self.steps if isinstance(step, Send)},
         )
 
@@ -263,17 +266,14 @@ class _Lowering:
         program = builder.collect([following[states.index(state)] for state in builder.states], {}, outputs)
         return rebuild(program, lambda builder, op: None, order)
 
-    def _outputs(self, tick: _Part) -> dict[str, int]:
-        outputs: dict[str, int] = {}
+    def _outputs(self, tick: _Part) -> dict[Name, int]:
+        outputs: dict[Name, int] = {}
         for link, truth in tick.sent.items():
-            outputs |= {f"sent {link}": tick.as_number(truth)}
-            outputs |= {f"{link} {i}": value for i, value in enumerate(tick.packets[link])}
+            outputs |= {Sent(link): tick.as_number(truth), **named(link, tick.payload[link])}
         if "actuator" in self.site:
             applied = tick.clipped(tick.recall("input"), self.policy.model.input_limit)
-            outputs |= {f"input {i}": value for i, value in enumerate(applied)}
-        for decision, options in tick.options.items():
-            outputs |= {f"option {decision} {label}": value for label, value in options.items()}
-        return outputs
+            outputs |= named("input", applied)
+        return outputs | tick.option_values()
 
 
 def _condition(step: Step) -> Condition | None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn.program.ir import Program
+from taciturn.program.names import Name
 from taciturn.program.ops import EIGHT, WINDOW, Op, Tile, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
@@ -116,8 +117,8 @@ class Run:
     """
 
     states: Array
-    sums: Mapping[str, Array]
-    outputs: Mapping[str, Array]
+    sums: Mapping[Name, Array]
+    outputs: Mapping[Name, Array]
 
 
 @np.errstate(all="ignore")  # branches that a selection discards may divide by zero

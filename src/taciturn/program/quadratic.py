@@ -13,9 +13,10 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 from taciturn.program.ir import Program, needed
+from taciturn.program.names import Name
 
 
-def read_polynomials(program: Program, coordinates: int, inputs: Mapping[str, Array]) -> dict[int, Array]:
+def read_polynomials(program: Program, coordinates: int, inputs: Mapping[Name, Array]) -> dict[int, Array]:
     """Return the values of all states, sums and outputs of a program, by operation.
 
     Args:

@@ -32,6 +32,7 @@ from taciturn.model.plant import Jumps
 from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw_numbers, minus_two_log, seed_generators
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import jump_size
+from taciturn.program.names import Entry, Name
 from taciturn.program.ops import State
 from taciturn.renewal.bernstein import TaylorMotion, bernstein, evaluate_polynomial, integrate_polynomial, only_root
 
@@ -175,7 +176,7 @@ def filled_states(program: Program, paths: int, values: Mapping[str, Array]) -> 
 
 def count_cycle(
     b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
-) -> tuple[int, dict[str, int], dict[str, int]]:
+) -> tuple[int, dict[Name, int], dict[Name, int]]:
     """Return the operations at the end of a cycle: whether later cycles count, the sums, and the outputs.
 
     Args:
@@ -189,7 +190,7 @@ def count_cycle(
     zero, half = b.constant(0.0), b.constant(0.5)
     last = b.emit("and", ended, b.emit("greater", closing, half))
     counted = b.emit("and", ended, b.emit("greater", opened, half))
-    found = {CYCLES: b.constant(1.0), DURATION: duration, COST: cost}
+    found: dict[Name, int] = {CYCLES: b.constant(1.0), DURATION: duration, COST: cost}
     sums = {name: b.emit("select", counted, value, zero) for name, value in found.items()}
     outputs = {name: b.emit("select", ended, value, zero) for name, value in found.items()}
     outputs[ENDED] = outputs.pop(CYCLES)
@@ -230,7 +231,7 @@ class _Attempt:
         self.gone, self.time, self.wait, self.piece, self.jumped = [self._state(name) for name in names]
         self.longest = self.b.constant(self.motion.longest)
         self.spread, normal = factor(process.jumps.covariance), process.jumps.distribution == "normal"
-        self.drawn = [f"{NORMAL} {i}" if normal else f"{UNIFORM} {i + 1}" for i in range(self.spread.shape[1])]
+        self.drawn = [Entry(NORMAL, i) if normal else Entry(UNIFORM, i + 1) for i in range(self.spread.shape[1])]
 
     def program(self) -> Program:
         """Return the whole attempt."""
@@ -269,7 +270,7 @@ class _Attempt:
             if jump is not None:
                 value = b.emit("select", fresh, b.emit("add", value, jump), value)
             following[ERROR, i] = value
-        following[WAIT, 0] = b.emit("select", fresh, self._waited(supplied[f"{UNIFORM} 0"]), rest)
+        following[WAIT, 0] = b.emit("select", fresh, self._waited(supplied[Entry(UNIFORM, 0)]), rest)
         for i, word in enumerate(words):
             old = b.emit("number", self._state(GENERATOR, i, word=True))
             following[GENERATOR, i] = b.emit("bits", b.emit("select", fresh, b.emit("number", word), old))
@@ -347,12 +348,12 @@ class _Attempt:
             return self._either(safe, early), b.emit("and", once, due), b.emit("and", now, due)
         return safe, once, now
 
-    def _draws(self) -> tuple[dict[str, int], list[int]]:
+    def _draws(self) -> tuple[dict[Name, int], list[int]]:
         """Return the random numbers of a jump and of the time after it, by name, and the generator's next words."""
-        supplied: dict[str, int] = {}
-        return supplied, draw_numbers(self.b, [f"{UNIFORM} 0", *self.drawn], supplied)
+        supplied: dict[Name, int] = {}
+        return supplied, draw_numbers(self.b, [Entry(UNIFORM, 0), *self.drawn], supplied)
 
-    def _jump(self, supplied: dict[str, int]) -> list[int | None]:
+    def _jump(self, supplied: dict[Name, int]) -> list[int | None]:
         """Return G·ξ."""
         sizes = [jump_size(self.b, self.process.jumps.distribution, supplied[name]) for name in self.drawn]
         return [self.b.combine([float(g) for g in row], sizes) for row in self.spread]

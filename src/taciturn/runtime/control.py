@@ -11,12 +11,13 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, instance
 from taciturn._control import is_linear, nonlinear_system, state_space
 from taciturn.errors import ProblemError
-from taciturn.loop import SENT, Loop
+from taciturn.loop import Loop
 from taciturn.model.coverage import PLANTS, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, plant_from
 from taciturn.model.policy import Policy
+from taciturn.program.names import Entry, Sent
 from taciturn.runtime.nodes import Nodes, StepFunction, Values
 
 CONVERTED = Coverage(PLANTS, "systems of python-control do not model")
@@ -84,8 +85,8 @@ def to_control(
         plant, (turns, links) = thing.model, (Nodes(thing, network, seed).turns, thing.scheduled)
         return _system(turns, {"y": plant.outputs}, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
     plant, links = thing.problem.plant, thing.policy.scheduled
-    turns = StepFunction(replace(thing, precision="float64").open_program(), thing.network, seed)
     taken, shown = {"w": plant.states, "v": plant.outputs}, {"y": plant.outputs, "applied": plant.inputs}
+    turns = StepFunction(replace(thing, precision="float64").open_program(), taken, thing.network, seed)
     return _system(turns, taken, shown, links if sent else (), plant, "loop", given=plant.states)
 
 
@@ -142,14 +143,14 @@ def _system(
 
     The first ``given`` states are taken from the initial state; the others begin with their start values.
     """
-    inputs = _entries(taken)
-    places = [turns.outputs[output] for output in (*_entries(shown), *(f"{SENT} {link}" for link in links))]
+    places = [turns.outputs[Entry(signal, i)] for signal, size in shown.items() for i in range(size)]
+    places += [turns.outputs[Sent(link)] for link in links]
 
     def turn(x: Array, u: Array) -> tuple[Values, Values]:
         *memory, tick = x.tolist()
         if tick == 0:
             memory[given:] = turns.start[given:]
-        return turns.turn(int(tick), memory, dict(zip(inputs, u.tolist(), strict=True)))
+        return turns.turn(int(tick), memory, u.tolist())
 
     def update(t: float, x: Array, u: Array, params: object) -> Array:
         return np.array([*turn(x, u)[0], x[-1] + 1])
@@ -159,7 +160,7 @@ def _system(
         return np.array([values[place] for place in places])
 
     outputs = _labels({"u" if signal == "applied" else signal: size for signal, size in shown.items()})
-    outputs += [f"{SENT}_{link}" for link in links]
+    outputs += [f"sent_{link}" for link in links]
     return nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
 
 
@@ -180,11 +181,6 @@ def _moving(plant: Plant, function: Dynamics) -> Any:
 def _step(plant: Plant) -> float | bool:
     """Return the seconds per step in python-control's convention: True if unspecified."""
     return True if plant.dt is None else plant.dt
-
-
-def _entries(signals: Mapping[str, int]) -> list[str]:
-    """Return the names of the entries of signals in programs, such as ``y 0``."""
-    return [f"{name} {i}" for name, size in signals.items() for i in range(size)]
 
 
 def _labels(signals: Mapping[str, int]) -> list[str]:

@@ -17,6 +17,7 @@ from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, L
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program, needed
 from taciturn.program.layout import lay_out
+from taciturn.program.names import text_of
 from taciturn.program.node import lower_node
 from taciturn.program.ops import State, tiles
 from taciturn.runtime.inbox import AHEAD
@@ -69,7 +70,8 @@ def _node(policy: Policy, network: Network, role: NodeName, seed: int) -> dict[s
     first = program.parts[0]
     words: list[int] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
     return {
-        "role": role, "site": sorted(program.site), "inputs": list(layout.inputs), "outputs": list(first.outputs),
+        "role": role, "site": sorted(program.site),
+        "inputs": [*map(text_of, layout.inputs)], "outputs": [*map(text_of, first.outputs)],
         "measurement": policy.model.outputs if "sensor" in program.site else 0,
         "counters": [
             {"input": layout.clocks + i, "start": place.initial, "next": [int(one) for one in place.table]}

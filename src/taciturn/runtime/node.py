@@ -23,6 +23,7 @@ from taciturn.model.places import place_of
 from taciturn.model.policy import NodeName, Policy
 from taciturn.program.draws import seed_generators
 from taciturn.program.layout import Layout, lay_out
+from taciturn.program.names import Option
 from taciturn.program.node import NodeProgram, lower_node
 from taciturn.program.python import CompiledStep, compile_python
 from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
@@ -119,7 +120,7 @@ class Node:
         self._heard_at, self._degraded_until = -1, -1
         self._unheard = False  # whether the watchdog has expired while no step begins
         self._sent_at: dict[str, int] = {}  # last step with a packet, by link
-        self.options: dict[str, float] = {}
+        self.options: dict[Option, float] = {}
 
     @property
     def measures(self) -> bool:

@@ -14,11 +14,12 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, instance
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
-from taciturn.model.policy import ENDS, Policy
+from taciturn.model.policy import ENDS, Policy, Received
 from taciturn.program.controller import lower_policy
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.lower import is_bad
+from taciturn.program.names import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.runtime.node import Values
 
@@ -30,11 +31,12 @@ class StepFunction:
 
     Args:
         program: program of one step, with uniform random numbers among its inputs.
+        taken: number of entries of each other signal among its inputs.
         network: network, which defines the probability that a link starts in the bad state.
         seed: seed of the random draws.
     """
 
-    def __init__(self, program: Program, network: Network, seed: int) -> None:
+    def __init__(self, program: Program, taken: Mapping[str, int], network: Network, seed: int) -> None:
         """Compile the program, and draw its initial memory."""
         self._seed = count("seed", seed, 0)
         self._turn = compile_python(program)
@@ -50,9 +52,11 @@ class StepFunction:
             for state in program.states
         )
         self.outputs = {name: i for i, name in enumerate(program.outputs)}
-        self._inputs = program.inputs
-        numbers = [int(name.split()[1]) for name in program.inputs if name.startswith(f"{UNIFORM} ")]
+        numbers = [name.index for name in program.inputs if is_entry(name, UNIFORM)]
         number = max(numbers, default=-1) + 1  # count unread numbers too, so that draws do not depend on them
+        supplied = [Entry(signal, i) for signal, size in {**taken, UNIFORM: number}.items() for i in range(size)]
+        places: dict[Name, int] = {name: i for i, name in enumerate(supplied)}
+        self._read = [places[name] for name in program.inputs]
         self._draw = compile_python(draw_uniforms(number)) if number else None
         self._block: tuple[int, list[list[int]]] = -1, []
 
@@ -67,10 +71,10 @@ class StepFunction:
             self._block = block, words
         return self._draw(words[place], ())[1]
 
-    def turn(self, tick: int, memory: Sequence[float], inputs: Mapping[str, float]) -> tuple[Values, Values]:
-        """Return the memory after a step, and the outputs of the step."""
-        supplied = {**inputs, **{f"{UNIFORM} {i}": value for i, value in enumerate(self.drawn(tick))}}
-        return self._turn(memory, [supplied[name] for name in self._inputs])
+    def turn(self, tick: int, memory: Sequence[float], inputs: Sequence[float]) -> tuple[Values, Values]:
+        """Return the memory after a step, and the outputs of the step, given the entries of the signals ``taken``."""
+        supplied = [*inputs, *self.drawn(tick)]
+        return self._turn(memory, [supplied[place] for place in self._read])
 
 
 class Nodes:
@@ -100,7 +104,7 @@ class Nodes:
         instance("policy", policy, Policy)
         self.policy, self.network = policy, policy.network if network is None else network
         check_network(policy, self.network)
-        self.turns = StepFunction(lower_policy(policy, self.network), self.network, seed)
+        self.turns = StepFunction(lower_policy(policy, self.network), {"y": policy.model.outputs}, self.network, seed)
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
@@ -121,12 +125,9 @@ class Nodes:
             ProblemError: the measurement has the wrong size, or is not finite.
         """
         y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
-        supplied = {f"y {i}": value for i, value in enumerate(y.tolist())}
-        self._memory, values = self.turns.turn(self.tick, self._memory, supplied)
+        self._memory, values = self.turns.turn(self.tick, self._memory, y.tolist())
         self.tick += 1
-        found = {name: values[i] for name, i in self.turns.outputs.items()}
-        self.sent, self.arrived = (
-            {link: found[f"{what} {link}"] > 0 for link in ENDS if f"{what} {link}" in found}
-            for what in ("sent", "arrived")
-        )
-        return np.array([found[f"applied {i}"] for i in range(self.policy.model.inputs)])
+        places = self.turns.outputs.items()
+        self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
+        self.arrived = {name.link: values[i] > 0 for name, i in places if isinstance(name, Received)}
+        return np.array([values[i] for name, i in places if is_entry(name, "applied")])

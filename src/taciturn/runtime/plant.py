@@ -15,6 +15,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.program.ir import Program
+from taciturn.program.names import is_entry
 from taciturn.program.python import CompiledStep, compile_python
 
 PLANT_SERVER = Coverage(LOOPS, "the simulated plant of a running loop does not model")
@@ -50,7 +51,7 @@ class SimulatedPlant:
         ]
         outputs = list(program.outputs)
         self._cost = outputs.index(COST)
-        self._y = [i for i, name in enumerate(outputs) if name.startswith("y ")]
+        self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y")]
         self._x = [i for i, state in enumerate(program.states) if state.name == "x"]
         plant = loop.problem.plant
         self._nonlinear = plant.function is not None

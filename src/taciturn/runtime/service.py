@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeAlias
 
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
+from taciturn.program.names import text_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.udp import Address, Endpoint, parse_address
@@ -178,7 +179,7 @@ def log_line(
         line[f"sent_{link}"] = int(any(packet.kind == "data" and packet.link == link for packet in packets))
     for link in node.program.hears:
         line[f"arrived_{link}"] = arrived.get(link, [])
-    line |= {f"option_{name.replace(' ', '_')}": value for name, value in node.options.items()}
+    line |= {text_of(option).replace(" ", "_"): value for option, value in node.options.items()}
     line["memory"] = node.memory
     if given is not None:
         line["u"] = list(given)

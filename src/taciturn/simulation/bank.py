@@ -11,9 +11,10 @@ import numpy.typing as npt
 from taciturn._arrays import Array, count, instance, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.loop import COST, SENT, Loop
+from taciturn.loop import COST, Loop
 from taciturn.program.engine import Stepper, prepare
 from taciturn.program.ir import Program
+from taciturn.program.names import Sent
 from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import sends
 
@@ -118,8 +119,8 @@ class Bank:
                     )
                 if name == COST:
                     cost[indices] += total / ticks / self._ticks[indices]
-                else:
-                    sent[name.removeprefix(f"{SENT} ")][indices] = total / ticks
+                elif isinstance(name, Sent):
+                    sent[name.link][indices] = total / ticks
         return Tally(cost, sent)
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.errors import UnstableError
-from taciturn.loop import COST, SENT, Loop
-from taciturn.program.controls import CONTROL, controlled
+from taciturn.loop import COST, Loop
+from taciturn.program.controls import controlled
 from taciturn.program.ir import Program
+from taciturn.program.names import Control, Name, Sent
 
 RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
 
@@ -56,15 +57,15 @@ class Part(Displayed):
     sign: float = 1.0
 
     @property
-    def names(self) -> list[str]:
+    def names(self) -> list[Name]:
         """Names of the simulated sums that are read: the sum of the cost estimator, then the sends on each link."""
         return [self.estimator.sum, *sends(self.loop)]
 
     @property
-    def controls(self) -> list[str]:
+    def controls(self) -> list[Control]:
         """Names of the control variates of this loop's cost, whose mean is 0."""
         program = self.estimator.controlled
-        return [] if program is None else [name for name in program.sums if name.startswith(CONTROL)]
+        return [] if program is None else [name for name in program.sums if isinstance(name, Control)]
 
     @property
     def settling(self) -> float:
@@ -95,6 +96,6 @@ class Part(Displayed):
             raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
 
 
-def sends(loop: Loop) -> list[str]:
+def sends(loop: Loop) -> list[Sent]:
     """Return the names of a program's sums that count the sends on each link with a send decision."""
-    return [f"{SENT} {link}" for link in loop.policy.scheduled]
+    return [Sent(link) for link in loop.policy.scheduled]

@@ -14,13 +14,13 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.errors import ProblemError
-from taciturn.loop import COST, SENT
+from taciturn.loop import COST
 from taciturn.model.estimate import Estimate
-from taciturn.program.controls import CONTROL
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
+from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.nonfinite import find_loss
-from taciturn.simulation.parts import Part
+from taciturn.simulation.parts import Part, sends
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
@@ -93,14 +93,14 @@ class Sampling:
         self.steps = 0
         self._read([part.estimator.program for part in parts], [part.names for part in parts])
 
-    def _read(self, programs: Sequence[Program], names: Sequence[Sequence[str]]) -> None:
+    def _read(self, programs: Sequence[Program], names: Sequence[Sequence[Name]]) -> None:
         """Select the programs to run and the sums to read."""
         self.programs, self.runs, self.names = programs, [prepare(program) for program in programs], names
         sizes = [len(some) for some in names]
         self.rows = [slice(int(end) - size, int(end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
-        kinds = [name.split()[0] for some in names for name in some]
-        self.counted: npt.NDArray[np.bool_] = np.array([kind == SENT for kind in kinds])
-        self.controls: npt.NDArray[np.bool_] = np.array([kind == CONTROL for kind in kinds])
+        read = [name for some in names for name in some]
+        self.counted: npt.NDArray[np.bool_] = np.array([isinstance(name, Sent) for name in read])
+        self.controls: npt.NDArray[np.bool_] = np.array([isinstance(name, Control) for name in read])
 
     def _add_controls(self, paths: int) -> bool:
         """Add control variates to the sums if there are any and enough paths to fit them; return whether it did.
@@ -309,9 +309,8 @@ class Sampling:
         """Return the sends of the paths on each link, summed over the parts, (paths,)."""
         found: dict[str, Array] = {}
         for part, rows in zip(self.parts, self.rows, strict=True):
-            for name, row in zip(part.names[1:], sums[rows][1 : len(part.names)], strict=True):
-                link = name.split()[1]
-                found[link] = found.get(link, 0.0) + part.sign * row
+            for name, row in zip(sends(part.loop), sums[rows][1 : len(part.names)], strict=True):
+                found[name.link] = found.get(name.link, 0.0) + part.sign * row
         return found
 
     def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:

@@ -13,10 +13,11 @@ from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, Size, Style, draw
 from taciturn._text import pairs_text, table_text, wrapped_text
 from taciturn.design.bare import own_problem
-from taciturn.loop import SENT, Loop, close
+from taciturn.loop import Loop, close
 from taciturn.model.policy import Policy, Send
 from taciturn.model.table import FIRST, LAST, Column, Columns, Tabular
 from taciturn.program.engine import prepare
+from taciturn.program.names import Name, Option, Sent, is_entry
 from taciturn.simulation.nonfinite import expect_numbers
 
 if TYPE_CHECKING:
@@ -177,13 +178,13 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     records = {name: values[:, 0] for name, values in outputs.items()}
 
     def stacked(name: str) -> Array:
-        rows = [records[key] for key in sorted((k for k in records if k.rpartition(" ")[0] == name), key=_entry)]
+        rows = [values for key, values in records.items() if is_entry(key, name)]
         return np.array(rows).T if rows else np.empty((ticks, 0))
 
     states = stacked("x")
     expect_numbers(loop, states)
     silent, others = _weighed(loop.policy, records)
-    sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
+    sends = {name.link: values > 0 for name, values in records.items() if isinstance(name, Sent)}
     dt = loop.problem.plant.dt
     time, unit = np.arange(ticks, dtype=np.float64) * (dt or 1.0), "steps" if dt is None else "s"
     estimate, applied, measured = map(stacked, ("estimate", "applied", "y"))
@@ -193,18 +194,14 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     return Trajectory(time, unit, states, estimate, applied, silent, others, sends, measured, model is not None)
 
 
-def _weighed(policy: Policy, records: Mapping[str, Array]) -> tuple[Array, Array]:
+def _weighed(policy: Policy, records: Mapping[Name, Array]) -> tuple[Array, Array]:
     """Return the least values of the options without and with the packet; they are empty for a schedule."""
     for step in policy.steps:
         if isinstance(step, Send) and step.on is not None and policy.decisions[step.on].reads:
             labels = policy.decisions[step.on].labels
             sending = step.labels or labels[1:]
-            values = {label: records[f"option {step.on} {label}"] for label in labels}
+            values = {label: records[Option(step.on, label)] for label in labels}
             silent = [value for label, value in values.items() if label not in sending]
             if silent:
                 return np.min(silent, axis=0), np.min([values[label] for label in sending], axis=0)
     return np.empty(0), np.empty(0)
-
-
-def _entry(name: str) -> int:
-    return int(name.rpartition(" ")[2])

@@ -19,14 +19,14 @@ from taciturn._arrays import Array, count, number
 from taciturn._files import temporary_folder
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
-from taciturn.loop import COST, EXCESS, SENT, Loop
+from taciturn.loop import COST, EXCESS, Loop
 from taciturn.model.policy import Assign
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import load
 from taciturn.program import machine
-from taciturn.program.controls import CONTROL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Build, Kernel
+from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.statistics import controlled_mean, mean
 from taciturn.study.printed import bench_text
 
@@ -35,7 +35,7 @@ Contestant = Callable[[int], tuple[int, float]]
 
 PATHS, TICKS = 4096, 4000
 MOST_ROUNDS = 1000  # about half an hour
-SUMS = {COST, EXCESS, f"{SENT} actuator"}
+SUMS = {COST, EXCESS, Sent("actuator")}
 FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "NumPy over paths"
 
 
@@ -130,7 +130,7 @@ def contestants(loop: Loop) -> dict[str, Contestant]:
 def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = TICKS) -> Contestant:
     """Return the compared program that runs machine code on one thread."""
     kept = program.keep(SUMS)
-    kernel, link = Kernel(kept, build), f"{SENT} {loop.policy.scheduled[0]}"
+    kernel, link = Kernel(kept, build), Sent(loop.policy.scheduled[0])
 
     def run(seed: int) -> tuple[int, float]:
         sums = kernel.run(kept, loop.start(kept, PATHS, seed), ticks, threads=1).sums
@@ -238,7 +238,7 @@ def variance_ratios(loop: Loop) -> dict[str, float]:
     Source: khashooei2017, henderson2002
     """
     full, reduced = loop.program().keep({COST}), loop.reduced_program()
-    controls = [name for name in reduced.sums if name.startswith(CONTROL)]
+    controls = [name for name in reduced.sums if isinstance(name, Control)]
     plain, squares = (_settled_sums(loop, program) for program in (full, reduced.keep({EXCESS, *controls})))
     alone = mean(squares[EXCESS]).standard_error
     sharp = controlled_mean(squares[EXCESS], np.array([squares[name] for name in controls])).standard_error
@@ -248,7 +248,7 @@ def variance_ratios(loop: Loop) -> dict[str, float]:
     }
 
 
-def _settled_sums(loop: Loop, program: Program) -> Mapping[str, Array]:
+def _settled_sums(loop: Loop, program: Program) -> Mapping[Name, Array]:
     """Return the sums of each path over the same number of steps, after a burn-in."""
     kernel = Kernel(program)
     settled = kernel.run(program, loop.start(program, PATHS, 1), 600).states

@@ -202,7 +202,7 @@ def _decide(tick: TimeStep, group: Group, sends: int) -> int:
     zero = builder.constant(0.0)
     tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(RULE_ERROR)]
     excess = tick.form(Form((KEPT,), group.Gamma))
-    tick.signals[NORMAL] = [builder.input(f"{NORMAL} {i}") for i in range(spread.shape[1])]
+    tick.signals[NORMAL] = tick.supplied(NORMAL, spread.shape[1])
     tick.signals[RULE_ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
     return excess
 
