@@ -22,6 +22,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.reference import Reference
 from taciturn.problem.suggested import example_of
+from taciturn.program.names import Sent, is_entry
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 A, B, C, V, W = [[1.1, 0.2], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.2]], [[0.1, 0.0], [0.0, 0.1]]
@@ -202,7 +203,7 @@ def law(problem: Problem) -> Hashable:
 def run_law(loop: Loop) -> Hashable:
     """Return the program of a loop as far as states, inputs and sends depend on it, and its first states."""
     whole = loop.program()
-    shown = {name for name in whole.outputs if name.split()[0] in ("x", "applied", "sent")}
+    shown = {name for name in whole.outputs if isinstance(name, Sent) or is_entry(name, "x", "applied")}
     program = whole.keep(sums={"cost"}, outputs=shown)
     numbers = (program.constants, program.tables, program.matrices)
     started = loop.start(program, 4, seed=1).tobytes()

@@ -94,7 +94,7 @@ def test_self_triggered_control_sleeps_as_long_as_it_said() -> None:
     policy = design.self_triggered(system.plant, system.cost, beta=1.1, max_interval=5)
     found = outputs(policy, 2, paths=1, ticks=400)
     sends = np.flatnonzero(found[Sent("actuator")][:, 0])
-    allowed = np.array([found[Option("sleep", f"{m} allowed")][:, 0] < 0 for m in range(2, 6)])
+    allowed = np.array([found[Option(f"sleep {m}", "allowed")][:, 0] < 0 for m in range(2, 6)])
     said = np.array(
         [max([m for m, yes in zip(range(2, 6), allowed[:, k], strict=True) if yes], default=1) for k in sends]
     )

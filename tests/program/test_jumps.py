@@ -14,7 +14,7 @@ from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import TimeStep
-from taciturn.program.names import Entry
+from taciturn.program.names import Entry, named
 from taciturn.simulation.average import completed_squares, plain_average
 
 PLANTS = {
@@ -28,7 +28,7 @@ PLANTS = {
 def program_of(noise: JumpNoise) -> Program:
     """Return the program of what one step adds, before its draws are drawn inside."""
     tick = TimeStep(Builder(), {}, {}, ())
-    return tick.finish({}, {f"w {i}": value for i, value in enumerate(add_jumps(tick, noise))})
+    return tick.finish({}, named("w", add_jumps(tick, noise)))
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -43,7 +43,7 @@ def test_every_jump_flows_to_the_end_of_its_tick(name: str) -> None:
     given = np.array([drawn[name.signal]() for name in program.inputs])
     found = interpreter.run(program, np.zeros((0, 200)), 1, given[None])
     uniforms = [row for row, name in zip(given, program.inputs, strict=True) if name.signal == "uniform"]
-    normals = [row for row, name in zip(given, program.inputs, strict=True) if "normal" in name]
+    normals = [row for row, name in zip(given, program.inputs, strict=True) if name.signal == "normal"]
     wanted = np.zeros((n, 200))
     for path in range(200):
         time = 0.0

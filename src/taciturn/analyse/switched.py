@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any, NamedTuple, NoReturn
 
@@ -36,7 +36,7 @@ from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.lower import TimeStep, Truth
-from taciturn.program.names import Entry, Name, Option, Sent, is_entry
+from taciturn.program.names import Entry, Name, Named, Option, Sent, is_entry
 from taciturn.program.quadratic import as_form, read_polynomials
 
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
@@ -185,9 +185,7 @@ def _factor(covariance: Array) -> Array:
 class _Collected(Builder):
     """A builder whose program keeps all states, so that the programs of all actions have the same."""
 
-    def finish(
-        self, following: Sequence[int], sums: Mapping[Name, int], outputs: Mapping[Name, int] | None = None
-    ) -> Program:
+    def finish(self, following: Sequence[int], sums: Named, outputs: Named | None = None) -> Program:
         return self.collect(following, sums, outputs or {})
 
 

@@ -85,7 +85,8 @@ def _poles(A: Array, continuous: bool) -> str:
     size = max(float(np.abs(poles).max()), 1e-300) if continuous else 1.0
     margin = float(poles.real.max() if continuous else np.abs(poles).max() - 1) / size
     stable = "marginally stable" if abs(margin) < BLUR else "stable" if margin < 0 else "unstable"
-    shown = (complex(p.real) if abs(p.imag) < BLUR * abs(p) else complex(p) for p in poles)
+    shown = [complex(p.real) if abs(p.imag) < BLUR * abs(p) else complex(p) for p in poles]
+    shown.sort(key=lambda p: (-float(f"{abs(p):.6g}"), p.real, -p.imag))  # rounding does not decide their order
     return f"{stable}: {', '.join(map(mode_text, shown))}"
 
 

@@ -6,12 +6,12 @@ and removes operations without effect. The result is a ``Program``, the data tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 
-from taciturn.program.names import Name
+from taciturn.program.names import Name, Named
 from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Op, Precision, State, Total, tiles
 
 BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
@@ -43,8 +43,8 @@ class Program:
     inputs: tuple[Name, ...]
     constants: tuple[float, ...]
     tables: tuple[tuple[float, ...], ...]
-    sums: Mapping[Name, int]
-    outputs: Mapping[Name, int]
+    sums: Named
+    outputs: Named
     precision: Precision = "float64"
     matrices: tuple[MatrixRows, ...] = ()
 
@@ -96,7 +96,7 @@ class Program:
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
         kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
         smaller = replace(self, sums=kept_sums, outputs=kept_outputs)
-        # every state is the leader of its own class, since ``finish`` has merged the states that agree
+        # every state leads its own class, since ``finish`` has merged the states that agree
         return _pruned(smaller, range(len(self.states)), states)
 
 
@@ -228,7 +228,7 @@ class Builder:
         """Return the quadratic form v'Ψv for a symmetric matrix Ψ; None if Ψ is zero."""
         # v'Ψv = Σ_i v_i (Ψ_ii v_i + Σ_{j>i} 2Ψ_ij v_j): the upper triangle holds every pair once.
         # Rows without off-diagonal terms are grouped by weight: ψ v_1² + ψ v_2² = ψ (v_1² + v_2²).
-        alone: dict[int, list[int]] = {}  # squares by the operation of their common weight
+        alone: dict[int, list[int]] = {}
         mixed: list[tuple[int, list[Coefficient]]] = []  # a list, since the same value may occur more than once
         total: int | None = None
         for i, value in enumerate(values):
@@ -261,13 +261,11 @@ class Builder:
     def _twice(self, coefficient: Coefficient) -> Coefficient:
         return 2.0 * coefficient if isinstance(coefficient, float) else self.emit("add", coefficient, coefficient)
 
-    def finish(
-        self, following: Sequence[int], sums: Mapping[Name, int], outputs: Mapping[Name, int] | None = None
-    ) -> Program:
+    def finish(self, following: Sequence[int], sums: Named, outputs: Named | None = None) -> Program:
         """Return the collected program; equal states are merged, and unused operations are removed."""
         return merge_states(self.collect(following, sums, outputs or {}))
 
-    def collect(self, following: Sequence[int], sums: Mapping[Name, int], outputs: Mapping[Name, int]) -> Program:
+    def collect(self, following: Sequence[int], sums: Named, outputs: Named) -> Program:
         """Return the collected operations as a program without simplification."""
         return Program(
             tuple(self.ops),

@@ -39,7 +39,7 @@ from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.exponential import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
-from taciturn.program.names import Entry, Name, Option, Sent
+from taciturn.program.names import Entry, Name, Named, Option, Sent
 from taciturn.program.ops import State
 from taciturn.program.trace import trace
 
@@ -246,7 +246,7 @@ class TimeStep:
             for label, value in options.items()
         }
 
-    def finish(self, sums: Mapping[Name, int], outputs: Mapping[Name, int] | None = None) -> Program:
+    def finish(self, sums: Named, outputs: Named | None = None) -> Program:
         """Return the program of this time step, at whose end all memories and locations get their next values."""
         for location in self.locations.values():
             if location.name in self.memories:

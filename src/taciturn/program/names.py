@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias, TypeGuard
 
@@ -56,6 +56,7 @@ class Control:
 
 # A string names a single number. ``Received`` and ``Acknowledged`` name whether a packet arrived.
 Name: TypeAlias = str | Entry | Sent | Received | Acknowledged | Option | StepCounter | Control
+Named: TypeAlias = Mapping[Name, int]  # operations by name
 
 
 def named(signal: str, values: Iterable[int], link: str | None = None) -> dict[Name, int]:
