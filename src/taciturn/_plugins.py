@@ -49,18 +49,27 @@ def load_plugin(group: str, name: str, purpose: str) -> Any:
             f"{purpose} needs the entry point {name!r} of the group {group}, which {got}; expected one installed "
             "package with it: install taciturn again, or remove the other packages"
         )
+    return load_entry(entries[0], purpose)
+
+
+def load_entry(entry: EntryPoint, purpose: str) -> Any:
+    """Import the object of an entry point; ``purpose`` is the beginning of the message if this fails.
+
+    Raises:
+        ProblemError: the import fails.
+    """
     try:
-        return entries[0].load()
+        return entry.load()
     except Exception as error:  # whatever the code of the package raises
         raise ProblemError(
-            f"{purpose} needs {entries[0].value}, which cannot be imported ({type(error).__name__}: {error}); expected "
-            f"an entry point that names an existing object: repair or remove {package_of(entries[0])}"
+            f"{purpose} needs {entry.value}, which cannot be imported ({type(error).__name__}: {error}); expected "
+            f"an existing object: repair or remove {package_of(entry)}"
         ) from error
 
 
 def package_of(entry: EntryPoint) -> str:
     """Return the name of the package that an entry point belongs to, with the word package."""
-    return "an unknown package" if entry.dist is None else f"the package {entry.dist.name}"
+    return "taciturn itself" if entry.dist is None else f"the package {entry.dist.name}"
 
 
 @cache

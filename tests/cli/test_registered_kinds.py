@@ -127,11 +127,17 @@ def test_a_registered_kind_is_completed_without_its_import(tmp_path: Path) -> No
     [
         (
             {"lost": "missing:KIND"},
-            "the policy kind lost of the package decaying cannot be loaded (ModuleNotFoundError",
+            "the policy kind lost needs missing:KIND, which cannot be imported (ModuleNotFoundError",
         ),
-        ({"lost": "decaying:decaying"}, "the policy kind lost of the package decaying names a function; expected"),
-        ({"lost": "decaying:KIND"}, "the policy kind lost of the package decaying names the kind decaying; expected"),
-        ({"lqg": "decaying:KIND"}, "the policy kind lqg is registered by the package decaying and by taciturn itself"),
+        (
+            {"lost": "decaying:decaying"},
+            "the policy kind lost needs decaying:decaying of the package decaying, which is a function; expected",
+        ),
+        (
+            {"lost": "decaying:KIND"},
+            "the policy kind lost needs decaying:KIND of the package decaying, which is the kind decaying; expected",
+        ),
+        ({"lqg": "decaying:KIND"}, "the policy kind lqg is registered by taciturn itself and by the package decaying"),
     ],
 )
 def test_a_wrong_registration_is_refused_when_it_is_asked_for(

@@ -12,12 +12,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taciturn._plugins import find_plugins, package_of
+from taciturn._plugins import find_plugins, load_entry, package_of
 from taciturn.errors import ProblemError
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     from taciturn.design.kind import Kind
 
 GROUP = "taciturn.kinds"
@@ -61,38 +59,25 @@ def own_kinds() -> tuple[str, ...]:
 
 @cache
 def _kind(name: str) -> Kind:
-    entries = find_plugins(GROUP).get(name, ())
-    packages = [package_of(entry) for entry in entries] + ["taciturn itself"] * (name in own_kinds())
-    if len(packages) > 1:
-        raise ProblemError(
-            f"the policy kind {name} is registered by {' and by '.join(packages)}; expected one kind of this name: "
-            "rename the kind, or remove a package"
-        )
-    if name in own_kinds():
-        kind: Kind = pkgutil.resolve_name(f"taciturn.design.kinds.{name.replace('-', '_')}:KIND")
-        return kind
-    if not entries:
-        raise KeyError(name)
-    return _loaded(entries[0])
+    from importlib.metadata import EntryPoint
 
-
-def _loaded(entry: EntryPoint) -> Kind:
-    """Return the record that an entry point names.
-
-    Raises:
-        ProblemError: if the record cannot be imported, is not a ``Kind``, or has another name.
-    """
     from taciturn.design.kind import Kind
 
-    try:
-        found = entry.load()
-    except Exception as error:  # whatever the code of the package raises
-        got = f"cannot be loaded ({type(error).__name__}: {error})"
-    else:
-        if isinstance(found, Kind) and found.name == entry.name:
-            return found
-        got = f"names the kind {found.name}" if isinstance(found, Kind) else f"names a {type(found).__name__}"
-    raise ProblemError(
-        f"the policy kind {entry.name} of {package_of(entry)} {got}; expected its entry point {entry.value!r} to name "
-        "a Kind with this name: repair or remove the package"
-    )
+    entries = find_plugins(GROUP).get(name, ())
+    if name in own_kinds():
+        entries = (EntryPoint(name, f"taciturn.design.kinds.{name.replace('-', '_')}:KIND", GROUP), *entries)
+    if len(entries) > 1:
+        raise ProblemError(
+            f"the policy kind {name} is registered by {' and by '.join(map(package_of, entries))}; expected one kind "
+            "of this name: rename the kind, or remove a package"
+        )
+    if not entries:
+        raise KeyError(name)
+    found = load_entry(entries[0], f"the policy kind {name}")
+    if not isinstance(found, Kind) or found.name != name:
+        got = f"the kind {found.name}" if isinstance(found, Kind) else f"a {type(found).__name__}"
+        raise ProblemError(
+            f"the policy kind {name} needs {entries[0].value} of {package_of(entries[0])}, which is {got}; expected a "
+            f"Kind with the name {name}"
+        )
+    return found
