@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from taciturn.errors import UnstableError as UnstableError
     from taciturn.loop import Loop as Loop
     from taciturn.loop import close as close
+    from taciturn.model.controller import Controller as Controller
+    from taciturn.model.controller import pid as pid
     from taciturn.model.cost import Cost as Cost
     from taciturn.model.dynamics import integrate as integrate
     from taciturn.model.dynamics import linearise as linearise
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Burst": "model.network",
     "ContinuousPlant": "model.plant",
+    "Controller": "model.controller",
     "Cost": "model.cost",
     "Estimate": "model.estimate",
     "Guarantee": "model.theory",
@@ -80,6 +83,7 @@ _HOME = {
     "integrate": "model.dynamics",
     "linearise": "model.dynamics",
     "load": "problem",
+    "pid": "model.controller",
     "plant_from": "model.plant",
     "run_network": "study.testbed.network",
     "share_channel": "study.channel.share",

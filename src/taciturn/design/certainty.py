@@ -335,7 +335,7 @@ def count_ticks(ticks: int, start: int | None) -> Location:
 
 
 @dataclass(frozen=True, eq=False)
-class _Actuation:
+class ActuationSteps:
     """The policy steps for the actuator's input in silence, and for the controller's copy of this input.
 
     ``deviation`` is the difference between the actuator's state and the estimate; ``noted`` updates its memory.
@@ -344,14 +344,15 @@ class _Actuation:
     candidate: Step
     send: tuple[Step, ...]
     initial: dict[str, Array]
-    deviation: tuple[Step, ...]
+    deviation: tuple[Step, ...] = ()
     noted: tuple[Step, ...] = ()
 
 
-def _hold(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
+def hold_steps(plant: Plant, on: str | None) -> ActuationSteps:
+    """Return the policy steps of an actuator that keeps the last input."""
     unit, state = np.eye(plant.inputs), np.eye(plant.states)
     known = ({"candidate": unit}, {"command": unit})
-    return _Actuation(
+    return ActuationSteps(
         Assign("controller", "candidate", {HELD: unit}),
         (
             Send("controller", "actuator", ("command",), on),
@@ -364,12 +365,12 @@ def _hold(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
     )
 
 
-def _model(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
+def _model(plant: Plant, L: Matrix, on: str | None) -> ActuationSteps:
     assert not isinstance(L, Scheduled)
     unit, closed = np.eye(plant.states), plant.A + plant.B @ L
     copied = ({"prediction": unit}, {ESTIMATE: unit})
     known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
-    return _Actuation(
+    return ActuationSteps(
         Assign("controller", "candidate", {"prediction": L}),
         (
             Send("controller", "actuator", (ESTIMATE,), on),
@@ -389,7 +390,10 @@ def _off(plant: Plant, signal: str) -> Step:
     return Assign("controller", DEVIATION, {signal: np.eye(plant.states), ESTIMATE: -np.eye(plant.states)})
 
 
-_ACTUATIONS: dict[Actuation, Callable[[Plant, Matrix, str | None], _Actuation]] = {"hold": _hold, "model": _model}
+_ACTUATIONS: dict[Actuation, Callable[[Plant, Matrix, str | None], ActuationSteps]] = {
+    "hold": lambda plant, _, on: hold_steps(plant, on),
+    "model": _model,
+}
 
 
 def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str]:

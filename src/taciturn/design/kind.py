@@ -27,6 +27,7 @@ Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
 REPAIR = "; expected a policy of this kind, or a ProblemError: repair or remove the package"
+APART = ("network", "reference", "controller")  # arguments of a design that are no parameters
 ANY_PLANT: tuple[PlantClass, ...] = ("discrete", "continuous", "outputs", "jumps")
 
 
@@ -127,11 +128,9 @@ class Kind(Displayed):
 
     @cached_property
     def parameters(self) -> Mapping[str, inspect.Parameter]:
-        """The parameters of the kind: the keyword-only arguments except network and reference, which files state."""
+        """The parameters of the kind: the keyword-only arguments except the network, reference and controller."""
         given = self.arguments.items()
-        return {
-            name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in ("network", "reference")
-        }
+        return {name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in APART}
 
     @property
     def identity(self) -> str:

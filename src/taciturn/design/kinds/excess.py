@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from taciturn._arrays import number
+from taciturn._arrays import instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
     Actuation,
-    CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     design_certainty,
 )
+from taciturn.design.given import keep_controller
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
+from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -29,6 +30,7 @@ def excess(
     theta: float | None = None,
     period: float | None = None,
     actuation: Actuation = "hold",
+    controller: Controller | None = None,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -36,6 +38,10 @@ def excess(
     is sent iff e'He > δ. Silence costs at most δ per step, so J ≤ J_all + δ(1 − rate), with the rate in sends per step.
     Since e'He ≤ δ after each decision, the loop equals that of sending every sample under a bounded disturbance, and is
     mean-square stable.
+
+    With a ``controller``, this controller computes the input instead, and J_all is its cost with every sample. Silence
+    costs E[e'He + 2e'(slope)z] more, now and later, with the weights of its value (``design/base``), and a packet is
+    sent iff this exceeds δ. It can be negative: δ = 0 sends less and costs less than the controller with every sample.
 
     Args:
         plant: the plant.
@@ -45,6 +51,7 @@ def excess(
             and which is 0 for a discrete plant.
         period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+        controller: a linear controller to keep, which need not be optimal; default: LQG.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -54,7 +61,7 @@ def excess(
             applicable.
         UnstableError: if no stabilising gain or filter exists.
 
-    Source: astrom2002, khashooei2017
+    Source: astrom2002, khashooei2017, antunes2014rollout
 
     Example:
         >>> policy = excess(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
@@ -65,8 +72,11 @@ def excess(
         got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
         raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
     problem = discretise(plant, cost, period)
+    if controller is not None:
+        instance("controller", controller, Controller)
+        return keep_controller("excess", problem, controller, lambda cost: _price(cost, delta, theta), actuation)
     certainty = design_certainty("excess", problem)
-    price = _price(certainty, delta, theta)
+    price = _price(certainty.cost_all_time, delta, theta)
     rule = Trigger({"silent": Form(("error",), certainty.regulator.H), SEND: Form(constant=price)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
     return certainty_policy(
@@ -80,13 +90,11 @@ def excess(
     )
 
 
-def _price(certainty: CertaintyEquivalentDesign, delta: float | None, theta: float | None) -> float:
-    """Return δ per step."""
+def _price(cost: float, delta: float | None, theta: float | None) -> float:
+    """Return δ per step, for the cost of sending every sample."""
     if delta is not None:
         return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    return (
-        number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * certainty.cost_all_time
-    )
+    return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * cost
 
 
 KIND = Kind(

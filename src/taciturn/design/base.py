@@ -1,0 +1,97 @@
+"""What silence costs in a loop whose controller is given: the advantage of the base, the loop that always sends.
+
+In each step of the loop, a packet carries the choice c = K z, where z contains everything that the loop uses. With the
+choice, the loop moves by z⁺ = Φ z + Γ c + noise at the stage cost [z; c]'S[z; c]. The base makes the choice in every
+step, and has the value z'P z. A step with the choice c = K z + e instead costs
+
+    e'He + 2 e'(slope) z,    H = S_cc + Γ'PΓ,    slope = S_cz + S_cc K + Γ'P(Φ + ΓK)
+
+more than the base, now and later. For every policy that decides when to be silent, the cost exceeds that of the base by
+the mean of this over the silent steps. LQG minimises its own value, so its slope is zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, symmetrised
+from taciturn._display import Displayed
+from taciturn._modes import mode_text
+from taciturn.errors import UnstableError
+
+DOUBLINGS = 64
+CONVERGED = 1e-14  # relative change of the value within a doubling of the horizon
+LARGEST = 1e100  # a larger value has diverged
+SEEN = 1e-9  # share of a mode in the value below which the cost does not depend on it
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Base(Displayed):
+    """A loop that sends in every step, as a linear system.
+
+    Args:
+        Phi: dynamics without the choice, (n, n).
+        Gamma: effect of the choice, (n, c).
+        stage: weight of the stage cost, (n + c, n + c).
+        K: the choice of the base, (c, n).
+        noise: covariance of the noise, (n, n).
+    """
+
+    Phi: Array
+    Gamma: Array
+    stage: Array
+    K: Array
+    noise: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Advantage(Displayed):
+    """The value of a base, and what another choice costs.
+
+    Args:
+        P: the value z'P z of the base beyond its average cost, (n, n).
+        H: quadratic weight of the deviation of the choice, (c, c).
+        slope: linear weight of this deviation, (c, n).
+        cost: average cost of the base per step.
+        settling: time constant in steps of the slowest mode that the cost depends on.
+    """
+
+    P: Array
+    H: Array
+    slope: Array
+    cost: float
+    settling: float
+
+
+def advantage(base: Base, remedy: str) -> Advantage:
+    """Return the value of a base, and what another choice costs.
+
+    P is the least solution of P = M + F'PF with F = Φ + ΓK, so a mode that the cost does not depend on may be
+    marginally stable. It is computed by doubling the horizon.
+
+    Raises:
+        UnstableError: the cost of the base is infinite; the message ends with ``remedy``.
+    """
+    n = len(base.Phi)
+    F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(n), base.K])
+    M = symmetrised(closed.T @ base.stage @ closed)
+    P, step, modes = M, F, np.linalg.eig(F)
+    size = float(np.abs(P).max(initial=0.0))
+    for _ in range(DOUBLINGS):
+        added = symmetrised(step.T @ P @ step)
+        P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
+        if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
+            break
+    seen = np.abs(np.einsum("ji,jk,ki->i", modes.eigenvectors.conj(), P, modes.eigenvectors)) > SEEN * size
+    slowest = np.abs(modes.eigenvalues)[seen].max(initial=0.0)
+    if size > LARGEST or slowest >= 1:
+        worst = complex(modes.eigenvalues[np.argmax(np.abs(modes.eigenvalues))])
+        raise UnstableError(
+            f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
+            f"eigenvalues inside the unit circle: {remedy}"
+        )
+    gain = base.stage[n:] @ closed + base.Gamma.T @ P @ F
+    H = symmetrised(base.stage[n:, n:] + base.Gamma.T @ P @ base.Gamma)
+    return Advantage(P, H, gain, float(np.sum(P * base.noise)), 1 / (1 - float(slowest)))

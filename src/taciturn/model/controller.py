@@ -1,0 +1,124 @@
+"""Linear controllers that a user already has, such as PID controllers, in the time steps of a policy.
+
+A controller computes the input from measurements, u = C z + D y with the state z⁺ = A z + B y + E u. E feeds the
+applied input back, as an observer does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, number
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Controller(Displayed):
+    """A linear controller in discrete time: z⁺ = A z + B y + E u and u = C z + D y, with u as applied in each step.
+
+    Args:
+        A: dynamics of the controller's state, (k, k).
+        B: effect of the measurement on the state, (k, p).
+        C: effect of the state on the input, (m, k).
+        D: direct effect of the measurement, (m, p); default 0.
+        E: effect of the applied input on the state, (k, m), for observers; default 0.
+        dt: seconds per step; None if it is not stated.
+
+    Raises:
+        ProblemError: the sizes of the matrices differ.
+
+    Example:
+        >>> Controller([[1.0]], [[0.1]], [[-0.15]], [[-1.2]]).integrates
+        True
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    E: Array
+    dt: float | None = None
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike | None = None,
+        E: ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> None:
+        """Validate and store the arguments."""
+        A = array("controller.A", A, (None, None), "(controller states, controller states)")
+        k = len(A)
+        if A.shape[1] != k:
+            raise ProblemError(f"controller.A has shape {A.shape}; expected a square matrix")
+        B = array("controller.B", B, (k, None), "(controller states, outputs)")
+        C = array("controller.C", C, (None, k), "(inputs, controller states)")
+        m, p = len(C), B.shape[1]
+        D = np.zeros((m, p)) if D is None else D
+        E = np.zeros((k, m)) if E is None else E
+        for name, value in (("A", A), ("B", B), ("C", C)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "D", array("controller.D", D, (m, p), "(inputs, outputs)"))
+        object.__setattr__(self, "E", array("controller.E", E, (k, m), "(controller states, inputs)"))
+        object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
+
+    @property
+    def integrates(self) -> bool:
+        """True if the controller has an integrator: an eigenvalue 1 of A."""
+        return bool(np.any(np.abs(np.linalg.eigvals(self.A) - 1.0) < 1e-9)) if len(self.A) else False
+
+    def check(self, outputs: int, inputs: int, dt: float | None) -> None:
+        """Check that the controller suits a plant.
+
+        Raises:
+            ProblemError: the numbers of measurements or inputs differ, or both steps are stated and differ.
+        """
+        for name, got, expected in (("measurements", self.D.shape[1], outputs), ("inputs", self.D.shape[0], inputs)):
+            if got != expected:
+                raise ProblemError(f"the controller has {got} {name}; expected {expected}, as for the plant")
+        if self.dt is not None and dt is not None and abs(self.dt - dt) > 1e-9 * dt:
+            raise ProblemError(
+                f"controller.dt is {self.dt:g} s, and a step of the policy takes {dt:g} s; expected equal steps"
+            )
+
+
+def pid(kp: float, ki: float = 0.0, kd: float = 0.0, filter: float | None = None, *, dt: float) -> Controller:
+    """Return the PID controller u = −(kp y + ki ∫y dt + kd dy/dt) of one measurement.
+
+    The integral and the filter of the derivative use forward differences: I⁺ = I + dt y, f⁺ = f + (dt/T)(y − f), and
+    the derivative is (y − f)/T.
+
+    Args:
+        kp: proportional gain.
+        ki: integral gain per second.
+        kd: derivative gain in seconds.
+        filter: time constant T of the derivative's filter in seconds, at least ``dt``; required with ``kd``.
+        dt: seconds per step.
+
+    Raises:
+        ProblemError: a gain is not finite, ``dt`` is not positive, or the filter is missing or faster than a step.
+
+    Example:
+        >>> pid(1.2, 0.15, 1.0, 0.5, dt=0.1).D.tolist()
+        [[-3.2]]
+    """
+    kp, ki, kd, dt = number("kp", kp), number("ki", ki), number("kd", kd), number("dt", dt, 0.0)
+    A, B, C, D = list[float](), list[float](), list[float](), -kp
+    if ki:
+        A, B, C = [1.0], [dt], [-ki]
+    if kd:
+        if filter is None:
+            raise ProblemError(
+                "filter is missing; expected the time constant of the derivative's filter in seconds, e.g. kd/(10 kp)"
+            )
+        T = number("filter", filter, dt, closed=True)
+        A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, kd / T], D - kd / T
+    k = len(A)
+    return Controller(
+        np.diag(A).reshape(k, k), np.reshape(B, (k, 1)), np.reshape(C, (1, k)), [[D]], np.zeros((k, 1)), dt
+    )

@@ -1,0 +1,183 @@
+"""Event-triggered control with a controller that the user has: its value, what silence costs, and the bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from catalogue import outputs
+
+import taciturn
+from taciturn import Controller, Cost, Network, Plant, ProblemError, UnstableError, design, pid
+from taciturn.design.base import advantage
+from taciturn.design.given import REMEDY, base_of
+from taciturn.lqg.discrete import discretise
+from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.riccati import regulate
+from taciturn.program.engine import prepare
+from taciturn.program.names import Option, Sent
+from taciturn.simulation.average import average
+
+STEP = 0.1
+TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
+WEIGHTS = Cost(np.diag([1.0, 0.0]), [[0.05]])
+PID = pid(1.2, 0.15, 1.0, 0.5, dt=STEP)
+ALL_TIME = 0.00272706026
+TABLE = {  # actuation, theta: packets per step, cost relative to that of every sample; from a simulation, ± 0.002
+    ("hold", 0.0): (0.738, 0.961), ("hold", 0.1): (0.547, 0.964), ("hold", 0.5): (0.308, 0.992),
+    ("hold", 1.0): (0.211, 1.043), ("model", 0.0): (0.692, 0.941), ("model", 0.1): (0.497, 0.940),
+    ("model", 0.5): (0.276, 0.963), ("model", 1.0): (0.181, 1.014),
+}  # fmt: skip
+
+
+def observer(plant: Plant, cost: Cost, told: bool) -> Controller:
+    """Return LQG control as a given controller; ``told``: its observer uses the applied input, not the command."""
+    steady, found = (
+        filter_checked(plant.A, plant.C, plant.W, plant.V),
+        regulate(plant.A, plant.B, cost.Q, cost.R, cost.N),
+    )
+    left = np.eye(plant.states) - steady.gain @ plant.C
+    C, D = found.L @ left, found.L @ steady.gain
+    A, B = plant.A @ left, plant.A @ steady.gain
+    if told:
+        return Controller(A, B, C, D, plant.B)
+    return Controller(A + plant.B @ C, B + plant.B @ D, C, D)
+
+
+def random_loop(seed: int) -> tuple[Plant, Cost, Controller]:
+    """Return a random plant, often unstable, with cross terms, and a detuned observer and gain that stabilise it."""
+    draws = np.random.default_rng(seed)
+    while True:
+        n, m, p = (int(number) for number in draws.integers(1, 4, 3))
+        A = draws.normal(size=(n, n)) * 0.8 / np.sqrt(n) + 0.5 * np.eye(n)
+        W, V = draws.normal(size=(n, n)), draws.normal(size=(p, p))
+        plant = Plant(A, draws.normal(size=(n, m)), W @ W.T, draws.normal(size=(p, n)), V @ V.T + 0.1 * np.eye(p))
+        root = draws.normal(size=(n + m, n + m))
+        whole = root @ root.T
+        cost = Cost(whole[:n, :n], whole[n:, n:], whole[:n, n:])
+        other = Cost(np.eye(n) * draws.uniform(0.1, 10), np.eye(m))
+        try:
+            kept = observer(plant, other, bool(draws.integers(2)))
+            advantage(base_of(discretise(plant, cost, None), kept), REMEDY)
+        except UnstableError:
+            continue
+        return plant, cost, kept
+
+
+@pytest.mark.parametrize(
+    ("actuation", "theta"),
+    [pytest.param(*key, marks=() if key[1] in (0.1,) else pytest.mark.evidence) for key in TABLE],
+)
+def test_a_pid_sends_and_costs_what_the_reference_says(actuation: str, theta: float) -> None:
+    """A hand-tuned PID of an integrating tank; with θ = 0 it sends less and costs less than with every sample."""
+    policy = design.excess(TANK, WEIGHTS, theta=theta, actuation=actuation, controller=PID)
+    assert policy.cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
+    found = taciturn.evaluate(policy, standard_error=2e-6)
+    packets, cost = TABLE[actuation, theta]
+    assert found.rates["actuator"].value == pytest.approx(packets, abs=0.002)
+    assert found.cost.value / ALL_TIME == pytest.approx(cost, abs=0.002 + 4 * found.cost.standard_error / ALL_TIME)
+    bound = policy.guarantee.at_rate(found.rates["actuator"].value)
+    assert found.cost.value < bound
+
+
+@pytest.mark.parametrize("seeds", [range(12), pytest.param(range(300), marks=pytest.mark.evidence)])
+def test_the_value_of_a_base_is_its_stationary_cost(seeds: range) -> None:
+    """P iterates the cost backwards, the other side the covariance forwards; both to 1e-9."""
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        base = base_of(discretise(plant, cost, None), kept)
+        F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(len(base.Phi)), base.K])
+        M = closed.T @ base.stage @ closed
+        X = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(F, F), base.noise.ravel()).reshape(F.shape)
+        assert advantage(base, REMEDY).cost == pytest.approx(np.trace(M @ X), rel=1e-8)
+
+
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(300), marks=pytest.mark.evidence)])
+def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
+    """The plain average and the completed squares of the same loop agree, and both are below the bound at the rate."""
+    off = []
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        actuation = ("hold", "model")[seed % 2]
+        policy = design.excess(plant, cost, theta=(0.0, 0.2, 1.0)[seed % 3], controller=kept, actuation=actuation)
+        loop = taciturn.close(plant, policy)
+        program, paths = loop.program(), 400
+        run = prepare(program)
+        states = run(loop.start(program, paths, seed), 2000, None).states
+        sums = run(states, 4000, None).sums
+        plain, squares = sums["cost"] / 4000, policy.cost_all_time + sums["excess"] / 4000
+        error = (plain - squares).std(ddof=1) / np.sqrt(paths)
+        off.append(float((plain - squares).mean() / error))
+        rate = float(sums[Sent("actuator")].mean()) / 4000
+        assert plain.mean() < policy.guarantee.at_rate(rate) + 4 * plain.std(ddof=1) / np.sqrt(paths)
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1 + 5 / np.sqrt(len(off))
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.evidence) for seed in range(1, 12))])
+def test_lqg_as_a_given_controller_is_the_excess_trigger(seed: int) -> None:
+    """An observer that uses the applied input decides as the kind itself, with the same values of the trigger."""
+    plant, cost, _ = random_loop(seed)
+    own = design.excess(plant, cost, theta=0.2)
+    for told in (True, False):
+        kept = design.excess(plant, cost, theta=0.2, controller=observer(plant, cost, told))
+        assert kept.cost_all_time == pytest.approx(own.cost_all_time, rel=1e-9)
+        assert kept.guarantee.cost == pytest.approx(own.guarantee.cost, rel=1e-9)
+    kept = design.excess(plant, cost, theta=0.2, controller=observer(plant, cost, True))
+    paths = [outputs(policy, seed) for policy in (own, kept)]
+    silent = [path[Option("send", "silent")] for path in paths]
+    assert np.abs(silent[0] - silent[1]).max() < 1e-10 * np.abs(silent[0]).max()
+    assert np.array_equal(*(path[Sent("actuator")] for path in paths))
+
+
+def test_an_integrator_that_the_cost_does_not_see_is_no_obstacle() -> None:
+    """A mode at 1 whose value is zero."""
+    kept = Controller([[1.0, 0.0], [0.0, 0.8]], [[0.1], [0.2]], [[0.0, 2.0]], [[-3.2]], dt=STEP)
+    without = pid(1.2, 0, 1.0, 0.5, dt=STEP)
+    policies = [design.excess(TANK, WEIGHTS, theta=0.1, controller=one) for one in (kept, without)]
+    assert policies[0].cost_all_time == pytest.approx(policies[1].cost_all_time, rel=1e-10)
+
+
+def test_a_static_gain_on_the_measured_state_needs_no_register() -> None:
+    """Nor a filter."""
+    plant = Plant([[1.2]], [[1.0]], [[0.01]])
+    policy = design.excess(plant, Cost([[1.0]], [[1.0]]), delta=0.0, controller=pid(0.9, dt=1.0))
+    found = taciturn.evaluate(policy, standard_error=1e-4)
+    assert found.cost.value < policy.cost_all_time + 4e-4
+    assert found.rates["actuator"].value < 1
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: pid(1.0, kd=1.0, dt=0.1), "filter is missing; expected the time constant"),
+        (lambda: pid(1.0, kd=1.0, filter=0.01, dt=0.1), "filter is 0.01; expected"),
+        (lambda: pid(1.0, dt=0.0), "dt is 0"),
+        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=pid(-1.2, dt=STEP)), "it has the eigenvalue 1."),
+        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=pid(1.2, dt=0.2)), "controller.dt is 0.2 s"),
+        (
+            lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=Controller([[0.5]], [[1.0, 0.0]], [[1.0]])),
+            "the controller has 2 measurements; expected 1",
+        ),
+        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=[[1.0]]), "controller is [[1.0]]"),
+        (
+            lambda: design.excess(TANK, Cost(np.eye(2), [[1.0]], horizon=9), theta=0.1, controller=PID),
+            "cost.horizon is 9, which excess does not use",
+        ),
+    ],
+)
+def test_what_is_wrong_is_refused(build: object, words: str) -> None:
+    """In one sentence."""
+    with pytest.raises((ProblemError, UnstableError)) as told:
+        build()  # type: ignore[operator]
+    assert words in str(told.value)
+
+
+def test_claims_fail_closed() -> None:
+    """Clipped inputs, losses and another plant leave a simulation without a bound."""
+    policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=PID)
+    assert taciturn.close(TANK, policy, cost=WEIGHTS).nominal
+    clipped = Plant(TANK.A, TANK.B, TANK.W, TANK.C, TANK.V, STEP, input_limit=[0.1])
+    for plant, network in ((clipped, None), (TANK, Network("udp", actuator_loss=0.1))):
+        loop = taciturn.close(plant, policy, network, WEIGHTS)
+        assert not loop.nominal
+        assert average(loop, steps=200_000).cost.value > 0
