@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from taciturn.errors import UnstableError as UnstableError
     from taciturn.loop import Loop as Loop
     from taciturn.loop import close as close
+    from taciturn.model.controller import PID as PID
     from taciturn.model.controller import Controller as Controller
-    from taciturn.model.controller import pid as pid
     from taciturn.model.cost import Cost as Cost
     from taciturn.model.dynamics import integrate as integrate
     from taciturn.model.dynamics import linearise as linearise
@@ -62,6 +62,7 @@ _HOME = {
     "Loop": "loop",
     "Network": "model.network",
     "Nodes": "runtime.nodes",
+    "PID": "model.controller",
     "Plant": "model.plant",
     "Policy": "model.policy",
     "Problem": "problem",
@@ -83,7 +84,6 @@ _HOME = {
     "integrate": "model.dynamics",
     "linearise": "model.dynamics",
     "load": "problem",
-    "pid": "model.controller",
     "plant_from": "model.plant",
     "run_network": "study.testbed.network",
     "share_channel": "study.channel.share",

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from catalogue import outputs
+from runtime.loops import differing_ticks, record
 
 import taciturn
-from taciturn import Controller, Cost, Network, Plant, ProblemError, UnstableError, design, pid
+from taciturn import PID, Controller, Cost, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import advantage
 from taciturn.design.given import REMEDY, base_of
 from taciturn.lqg.discrete import discretise
@@ -16,11 +20,12 @@ from taciturn.lqg.riccati import regulate
 from taciturn.program.engine import prepare
 from taciturn.program.names import Option, Sent
 from taciturn.simulation.average import average
+from taciturn.study.record import fingerprint
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
 WEIGHTS = Cost(np.diag([1.0, 0.0]), [[0.05]])
-PID = pid(1.2, 0.15, 1.0, 0.5, dt=STEP)
+KEPT = PID(1.2, 0.15, 1.0, 0.5)
 ALL_TIME = 0.00272706026
 TABLE = {  # actuation, theta: packets per step, cost relative to that of every sample; from a simulation, ± 0.002
     ("hold", 0.0): (0.738, 0.961), ("hold", 0.1): (0.547, 0.964), ("hold", 0.5): (0.308, 0.992),
@@ -69,7 +74,7 @@ def random_loop(seed: int) -> tuple[Plant, Cost, Controller]:
 )
 def test_a_pid_sends_and_costs_what_the_reference_says(actuation: str, theta: float) -> None:
     """A hand-tuned PID of an integrating tank; with θ = 0 it sends less and costs less than with every sample."""
-    policy = design.excess(TANK, WEIGHTS, theta=theta, actuation=actuation, controller=PID)
+    policy = design.excess(TANK, WEIGHTS, theta=theta, actuation=actuation, controller=KEPT)
     assert policy.cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
     found = taciturn.evaluate(policy, standard_error=2e-6)
     packets, cost = TABLE[actuation, theta]
@@ -132,15 +137,15 @@ def test_lqg_as_a_given_controller_is_the_excess_trigger(seed: int) -> None:
 def test_an_integrator_that_the_cost_does_not_see_is_no_obstacle() -> None:
     """A mode at 1 whose value is zero."""
     kept = Controller([[1.0, 0.0], [0.0, 0.8]], [[0.1], [0.2]], [[0.0, 2.0]], [[-3.2]], dt=STEP)
-    without = pid(1.2, 0, 1.0, 0.5, dt=STEP)
+    without = PID(1.2, 0, 1.0, 0.5)
     policies = [design.excess(TANK, WEIGHTS, theta=0.1, controller=one) for one in (kept, without)]
     assert policies[0].cost_all_time == pytest.approx(policies[1].cost_all_time, rel=1e-10)
 
 
 def test_a_static_gain_on_the_measured_state_needs_no_register() -> None:
     """Nor a filter."""
-    plant = Plant([[1.2]], [[1.0]], [[0.01]])
-    policy = design.excess(plant, Cost([[1.0]], [[1.0]]), delta=0.0, controller=pid(0.9, dt=1.0))
+    plant = Plant([[1.2]], [[1.0]], [[0.01]], dt=1.0)
+    policy = design.excess(plant, Cost([[1.0]], [[1.0]]), delta=0.0, controller=PID(0.9))
     found = taciturn.evaluate(policy, standard_error=1e-4)
     assert found.cost.value < policy.cost_all_time + 4e-4
     assert found.rates["actuator"].value < 1
@@ -149,18 +154,19 @@ def test_a_static_gain_on_the_measured_state_needs_no_register() -> None:
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: pid(1.0, kd=1.0, dt=0.1), "filter is missing; expected the time constant"),
-        (lambda: pid(1.0, kd=1.0, filter=0.01, dt=0.1), "filter is 0.01; expected"),
-        (lambda: pid(1.0, dt=0.0), "dt is 0"),
-        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=pid(-1.2, dt=STEP)), "it has the eigenvalue 1."),
-        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=pid(1.2, dt=0.2)), "controller.dt is 0.2 s"),
+        (lambda: PID(1.0, kd=1.0), "pid.filter is missing; expected the time constant"),
+        (lambda: PID(1.0, kd=1.0, filter=0.01).at(0.1), "pid.filter is 0.01 s, and a step takes 0.1 s"),
+        (lambda: PID(1.0).at(None), "plant.dt is missing"),
+        (lambda: PID(np.nan), "pid.kp is nan"),
+        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(-1.2)), "it has the eigenvalue 1."),
+        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(1.2).at(0.2)), "controller.dt is 0.2 s"),
         (
             lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=Controller([[0.5]], [[1.0, 0.0]], [[1.0]])),
             "the controller has 2 measurements; expected 1",
         ),
         (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=[[1.0]]), "controller is [[1.0]]"),
         (
-            lambda: design.excess(TANK, Cost(np.eye(2), [[1.0]], horizon=9), theta=0.1, controller=PID),
+            lambda: design.excess(TANK, Cost(np.eye(2), [[1.0]], horizon=9), theta=0.1, controller=KEPT),
             "cost.horizon is 9, which excess does not use",
         ),
     ],
@@ -174,10 +180,94 @@ def test_what_is_wrong_is_refused(build: object, words: str) -> None:
 
 def test_claims_fail_closed() -> None:
     """Clipped inputs, losses and another plant leave a simulation without a bound."""
-    policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=PID)
+    policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=KEPT)
     assert taciturn.close(TANK, policy, cost=WEIGHTS).nominal
     clipped = Plant(TANK.A, TANK.B, TANK.W, TANK.C, TANK.V, STEP, input_limit=[0.1])
     for plant, network in ((clipped, None), (TANK, Network("udp", actuator_loss=0.1))):
         loop = taciturn.close(plant, policy, network, WEIGHTS)
         assert not loop.nominal
         assert average(loop, steps=200_000).cost.value > 0
+
+
+FILE = """
+[plant]
+A = [[1.0, 0.1], [0.0, 0.9]]
+B = [[0.0], [0.1]]
+C = [[1.0, 0.0]]
+W = [[1e-4, 0.0], [0.0, 4e-4]]
+V = [[1e-3]]
+dt = 0.1
+
+[cost]
+Q = [[1.0, 0.0], [0.0, 0.0]]
+R = [[0.05]]
+
+[policy]
+kind = "excess"
+theta = 0.1
+
+[controller]
+"""
+MATRICES = "A = [[1.0, 0.0], [0.0, 0.8]]\nB = [[0.1], [0.2]]\nC = [[0.15, -2.0]]\nD = [[3.2]]"
+
+
+def read(tmp_path: Path, controller: str) -> taciturn.Problem:
+    """Return the problem of a file with this controller."""
+    (tmp_path / "tank.toml").write_text(FILE + controller, encoding="utf-8")
+    return taciturn.load(tmp_path / "tank.toml")
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        "pid = {kp = 1.2, ki = 0.15, kd = 1.0, filter = 0.5}",
+        'pid = {kp = -1.2, ki = -0.15, kd = -1.0, filter = 0.5}\nsign = "positive"',
+        MATRICES,
+        MATRICES.replace("[[0.15, -2.0]]", "[[-0.15, 2.0]]").replace("3.2", "-3.2") + '\nsign = "positive"',
+    ],
+)
+def test_a_problem_file_names_the_controller(tmp_path: Path, controller: str) -> None:
+    """By its gains or its matrices; a changed parameter keeps it, and the digest depends on it."""
+    problem = read(tmp_path, controller)
+    assert problem.design().cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
+    assert problem.changed({"theta": 0.2}).design().cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
+    others = [problem.changed({"plant.V": [[2e-3]]}), replace(problem, controller=PID(1.0))]
+    assert all(other.design().cost_all_time != pytest.approx(ALL_TIME, rel=1e-3) for other in others)
+    assert len({fingerprint(one) for one in (problem, *others)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        ("D = [[1.2]]\npid = {kp = 1.2}", "controller.pid and controller.D are given; expected one of the two"),
+        ("A = [[1.0]]", "[controller] has no controller; expected pid, or A, B, C and D"),
+        ("pid = {kp = 1.2, kd = 1.0}", "pid.filter is missing"),
+        ("pid = {kp = 1.2, kf = 1.0}", "controller.pid.kf is not a known key"),
+        ('D = [[1.2]]\nsign = "minus"', "controller.sign is 'minus'; expected 'negative' or 'positive'"),
+        ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1, as for the plant"),
+        ("A = [[0.5, 0.0]]\nB = [[1.0]]\nC = [[1.0]]", "controller.A has shape (1, 2); expected a square matrix"),
+    ],
+)
+def test_a_wrong_table_is_refused(tmp_path: Path, controller: str, words: str) -> None:
+    """In one sentence."""
+    with pytest.raises((ProblemError, UnstableError)) as told:
+        read(tmp_path, controller).design()
+    assert words in str(told.value)
+
+
+def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
+    """Instead of ignoring it."""
+    problem = read(tmp_path, "D = [[1.2]]")
+    for kind, more in (("lqg", {}), ("near-optimal", {"theta": None, "price": 0.01})):
+        with pytest.raises(ProblemError, match=f"is given, which {kind} does not use"):
+            problem.changed({"kind": kind} | more).designed()
+
+
+def test_nodes_apart_carry_the_bits_of_the_loop() -> None:
+    """On paths with packets and silence, for both kinds of actuators."""
+    for actuation in ("hold", "model"):
+        loop = taciturn.close(TANK, design.excess(TANK, WEIGHTS, theta=0.1, controller=KEPT, actuation=actuation))
+        records, draws = record(loop, 200, 1)
+        wrong, packets = differing_ticks(loop, records, draws)
+        assert wrong == []
+        assert 20 < packets < 180

@@ -1,4 +1,4 @@
-"""What silence costs in a loop whose controller is given: the advantage of the base, the loop that always sends.
+"""Cost of silence in a loop with a given controller, relative to the base, the loop that always sends.
 
 In each step of the loop, a packet carries the choice c = K z, where z contains everything that the loop uses. With the
 choice, the loop moves by z⁺ = Φ z + Γ c + noise at the stage cost [z; c]'S[z; c]. The base makes the choice in every
@@ -48,7 +48,7 @@ class Base(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Advantage(Displayed):
-    """The value of a base, and what another choice costs.
+    """The value of a base, and the weights of the additional cost of another choice.
 
     Args:
         P: the value z'P z of the base beyond its average cost, (n, n).
@@ -66,7 +66,7 @@ class Advantage(Displayed):
 
 
 def advantage(base: Base, remedy: str) -> Advantage:
-    """Return the value of a base, and what another choice costs.
+    """Return the value of a base, and the weights of the additional cost of another choice.
 
     P is the least solution of P = M + F'PF with F = Φ + ΓK, so a mode that the cost does not depend on may be
     marginally stable. It is computed by doubling the horizon.

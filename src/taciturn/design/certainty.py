@@ -155,7 +155,7 @@ def control_steps(
     """
     on = None if trigger is None else SEND
     decide = () if trigger is None else (Decide("controller", SEND, trigger),)
-    part = _ACTUATIONS[choice("actuation", actuation, _ACTUATIONS)](plant, L, on)
+    part = _STEPS[choice("actuation", actuation, _STEPS)](plant, L, on)
     deviates = trigger is not None and DEVIATION in trigger.reads
     steps: tuple[Step, ...] = (
         *estimation.correct,
@@ -334,8 +334,8 @@ def count_ticks(ticks: int, start: int | None) -> Location:
     return Location(CLOCK, table)
 
 
-@dataclass(frozen=True, eq=False)
-class ActuationSteps:
+@dataclass(frozen=True, eq=False, repr=False)
+class ActuationSteps(Displayed):
     """The policy steps for the actuator's input in silence, and for the controller's copy of this input.
 
     ``deviation`` is the difference between the actuator's state and the estimate; ``noted`` updates its memory.
@@ -348,8 +348,8 @@ class ActuationSteps:
     noted: tuple[Step, ...] = ()
 
 
-def hold_steps(plant: Plant, on: str | None) -> ActuationSteps:
-    """Return the policy steps of an actuator that keeps the last input."""
+def hold_steps(plant: Plant, L: Matrix | None, on: str | None) -> ActuationSteps:
+    """Return the policy steps of an actuator that keeps the last input, for any gain L."""
     unit, state = np.eye(plant.inputs), np.eye(plant.states)
     known = ({"candidate": unit}, {"command": unit})
     return ActuationSteps(
@@ -390,10 +390,7 @@ def _off(plant: Plant, signal: str) -> Step:
     return Assign("controller", DEVIATION, {signal: np.eye(plant.states), ESTIMATE: -np.eye(plant.states)})
 
 
-_ACTUATIONS: dict[Actuation, Callable[[Plant, Matrix, str | None], ActuationSteps]] = {
-    "hold": lambda plant, _, on: hold_steps(plant, on),
-    "model": _model,
-}
+_STEPS: dict[Actuation, Callable[[Plant, Matrix, str | None], ActuationSteps]] = {"hold": hold_steps, "model": _model}
 
 
 def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str]:

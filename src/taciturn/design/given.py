@@ -23,16 +23,20 @@ from taciturn.design.certainty import (
     hold_steps,
 )
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
-from taciturn.errors import TaciturnError
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import filter_checked
-from taciturn.model.controller import Controller
-from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
+from taciturn.model.controller import PID, Controller
+from taciturn.model.coverage import GAUSSIAN_THEORY, SIMULATED, THEORY
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Trigger
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
+CONSTANT = (
+    "the controller integrates, and the noise of the plant has mean zero: a constant disturbance that the plant lacks "
+    "would make silence cost more than computed"
+)
 REMEDY = "check the sign of the controller (feedback is u = −K y), its gains and its step"
 
 
@@ -54,14 +58,14 @@ def base_of(problem: Discrete, controller: Controller) -> Base:
 
 
 def keep_controller(
-    kind: str, problem: Discrete, controller: Controller, price_at: Callable[[float], float], actuation: Actuation
+    kind: str, problem: Discrete, kept: Controller | PID, price_at: Callable[[float], float], actuation: Actuation
 ) -> Policy:
     """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller.
 
     Args:
         kind: name of the policy kind.
         problem: the discrete-time problem.
-        controller: the controller.
+        kept: the controller.
         price_at: function that returns δ per step, given the cost of sending every sample per step.
         actuation: ``"hold"`` keeps the last input; with ``"model"`` the actuator simulates plant and controller.
 
@@ -71,14 +75,20 @@ def keep_controller(
     """
     expect_average(kind, problem.cost)
     plant = problem.plant
-    controller.check(plant.outputs, plant.inputs, plant.dt)
+    controller = kept.at(plant.dt)
+    for name, got, expected in zip(
+        ("inputs", "measurements"), controller.D.shape, (plant.inputs, plant.outputs), strict=True
+    ):
+        if got != expected:
+            raise ProblemError(f"the controller has {got} {name}; expected {expected}, as for the plant")
+    SIMULATED.check(controller)
     base = base_of(problem, controller)
     found, steady = advantage(base, REMEDY), filter_checked(plant.A, plant.C, plant.W, plant.V)
     estimation = estimate_state(plant, steady)
     price = price_at(found.cost)
     silent = _silence(base, found, len(controller.A))
     choice("actuation", actuation, ("hold", "model"))
-    part = hold_steps(plant, SEND) if actuation == "hold" else _model(base, problem, controller)
+    part = hold_steps(plant, None, SEND) if actuation == "hold" else _model(base, problem, controller)
     output = {"prior": plant.C, "innovation": np.eye(plant.outputs)}
     if estimation.innovations is None:
         output = {ESTIMATE: plant.C}
@@ -120,7 +130,7 @@ def keep_controller(
         sites=COLLOCATED,
         initial={**estimation.initial, **part.initial},
         tick=problem.tick,
-        notes=_beside(kind, problem, found.cost),
+        notes=(*_beside(kind, problem, found.cost), *((CONSTANT,) if controller.integrates else ())),
     )
 
 

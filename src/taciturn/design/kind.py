@@ -27,7 +27,6 @@ Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
 REPAIR = "; expected a policy of this kind, or a ProblemError: repair or remove the package"
-APART = ("network", "reference", "controller")  # arguments of a design that are no parameters
 ANY_PLANT: tuple[PlantClass, ...] = ("discrete", "continuous", "outputs", "jumps")
 
 
@@ -81,6 +80,7 @@ class Kind(Displayed):
         offered: position among the goals that ``taciturn new`` lists; None if the kind is not listed there.
         requires: the condition on plant and cost as a phrase, for messages.
         check: function that raises a ``ProblemError`` if the kind does not support a plant and a cost.
+        keeps_controller: whether the argument ``controller`` of the design is a controller that the user has.
 
     Raises:
         ProblemError: if the name has other characters.
@@ -104,6 +104,7 @@ class Kind(Displayed):
     offered: int | None = None
     requires: str = ""
     check: Callable[[Plant | ContinuousPlant, Cost], object] | None = None
+    keeps_controller: bool = False
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -128,9 +129,15 @@ class Kind(Displayed):
 
     @cached_property
     def parameters(self) -> Mapping[str, inspect.Parameter]:
-        """The parameters of the kind: the keyword-only arguments except the network, reference and controller."""
+        """The parameters of the kind: the keyword-only arguments except those that files state in other tables."""
         given = self.arguments.items()
-        return {name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in APART}
+        return {name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in self.tables}
+
+    @cached_property
+    def tables(self) -> tuple[str, ...]:
+        """The arguments that files state in tables of their own: network, reference, and a controller to keep."""
+        names = ("network", "reference", *(("controller",) if self.keeps_controller else ()))
+        return tuple(name for name in names if name in self.arguments)
 
     @property
     def identity(self) -> str:

@@ -72,53 +72,74 @@ class Controller(Displayed):
         """True if the controller has an integrator: an eigenvalue 1 of A."""
         return bool(np.any(np.abs(np.linalg.eigvals(self.A) - 1.0) < 1e-9)) if len(self.A) else False
 
-    def check(self, outputs: int, inputs: int, dt: float | None) -> None:
-        """Check that the controller suits a plant.
+    def at(self, dt: float | None) -> Controller:
+        """Return the controller itself, whose step must be ``dt`` if both are stated.
 
         Raises:
-            ProblemError: the numbers of measurements or inputs differ, or both steps are stated and differ.
+            ProblemError: both steps are stated and differ.
         """
-        for name, got, expected in (("measurements", self.D.shape[1], outputs), ("inputs", self.D.shape[0], inputs)):
-            if got != expected:
-                raise ProblemError(f"the controller has {got} {name}; expected {expected}, as for the plant")
         if self.dt is not None and dt is not None and abs(self.dt - dt) > 1e-9 * dt:
             raise ProblemError(
                 f"controller.dt is {self.dt:g} s, and a step of the policy takes {dt:g} s; expected equal steps"
             )
+        return self
 
 
-def pid(kp: float, ki: float = 0.0, kd: float = 0.0, filter: float | None = None, *, dt: float) -> Controller:
-    """Return the PID controller u = −(kp y + ki ∫y dt + kd dy/dt) of one measurement.
+@dataclass(frozen=True, repr=False)
+class PID(Displayed):
+    """A PID controller of one measurement, u = −(kp y + ki ∫y dt + kd dy/dt).
 
-    The integral and the filter of the derivative use forward differences: I⁺ = I + dt y, f⁺ = f + (dt/T)(y − f), and
-    the derivative is (y − f)/T.
+    The integral and the filter of the derivative use forward differences over a step h: I⁺ = I + h y,
+    f⁺ = f + (h/T)(y − f), and the derivative is (y − f)/T.
 
     Args:
         kp: proportional gain.
         ki: integral gain per second.
         kd: derivative gain in seconds.
-        filter: time constant T of the derivative's filter in seconds, at least ``dt``; required with ``kd``.
-        dt: seconds per step.
+        filter: time constant T of the derivative's filter in seconds, at least a step; required with ``kd``.
 
     Raises:
-        ProblemError: a gain is not finite, ``dt`` is not positive, or the filter is missing or faster than a step.
+        ProblemError: a gain is not finite, or the filter is missing or not positive.
 
     Example:
-        >>> pid(1.2, 0.15, 1.0, 0.5, dt=0.1).D.tolist()
+        >>> PID(1.2, 0.15, 1.0, 0.5).at(0.1).D.tolist()
         [[-3.2]]
     """
-    kp, ki, kd, dt = number("kp", kp), number("ki", ki), number("kd", kd), number("dt", dt, 0.0)
-    A, B, C, D = list[float](), list[float](), list[float](), -kp
-    if ki:
-        A, B, C = [1.0], [dt], [-ki]
-    if kd:
-        if filter is None:
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    filter: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the gains and the filter."""
+        for name in ("kp", "ki", "kd"):
+            number(f"pid.{name}", getattr(self, name))
+        if self.filter is not None:
+            number("pid.filter", self.filter, 0.0)
+        elif self.kd:
             raise ProblemError(
-                "filter is missing; expected the time constant of the derivative's filter in seconds, e.g. kd/(10 kp)"
+                "pid.filter is missing; expected the time constant of the derivative's filter in seconds, such as a "
+                "tenth of kd/kp"
             )
-        T = number("filter", filter, dt, closed=True)
-        A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, kd / T], D - kd / T
-    k = len(A)
-    return Controller(
-        np.diag(A).reshape(k, k), np.reshape(B, (k, 1)), np.reshape(C, (1, k)), [[D]], np.zeros((k, 1)), dt
-    )
+
+    def at(self, dt: float | None) -> Controller:
+        """Return the controller at a step of ``dt`` seconds.
+
+        Raises:
+            ProblemError: the step is not stated, or longer than the filter's time constant.
+        """
+        if dt is None:
+            raise ProblemError("plant.dt is missing; expected the seconds per step, in which a PID controller acts")
+        A, B, C, D = list[float](), list[float](), list[float](), -self.kp
+        if self.ki:
+            A, B, C = [1.0], [dt], [-self.ki]
+        if self.kd and self.filter is not None:
+            T = self.filter
+            if dt > T:
+                raise ProblemError(
+                    f"pid.filter is {T:g} s, and a step takes {dt:g} s; expected a filter of at least a step"
+                )
+            A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, self.kd / T], D - self.kd / T
+        k = len(A)
+        return Controller(np.diag(A).reshape(k, k), np.reshape(B, (k, 1)), np.reshape(C, (1, k)), [[D]], dt=dt)

@@ -24,7 +24,9 @@ from taciturn.model.network import Network
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
-_PREFIXES |= {name: name.lower() for name in ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking")}
+_PREFIXES |= {
+    name: name.lower() for name in ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking", "Controller")
+}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _OPAQUE = ("plant.function", "Apply.function")  # callables
 _PLAIN = (str, int, float, np.ndarray, type(None))
@@ -44,6 +46,7 @@ LINKS = names("network", "protocol delay actuator_range sensor_range")  # a rang
 LOSSES = frozenset({"network.actuator_loss", "network.sensor_loss"})
 BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"network.actuator_burst", "network.sensor_burst"}
 ROUNDING = frozenset({"network.payload"})
+CONTROLLER = names("controller", "A B C D E dt")  # a given controller
 TRACKING = names("tracking", "state input final") | names("reference", "states inputs")
 LINEAR_STEPS = (
     names("Assign", "at signal branches on")
@@ -65,7 +68,7 @@ LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FUNCTIONS
 PLANTS = LINEAR_PLANT | FUNCTION | LIMIT | JUMPS
 NETWORKS = LINKS | LOSSES | BURSTS | ROUNDING
-LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | STEPS
+LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself
 GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS
 THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise

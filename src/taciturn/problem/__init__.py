@@ -23,7 +23,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
-from taciturn._arrays import Array, instance, quoted
+from taciturn._arrays import Array as Array
+from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
@@ -31,31 +32,47 @@ from taciturn._pydantic import ValidationError, validate
 from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
+from taciturn.model.controller import PID, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
-from taciturn.model.network import Burst, Network
-from taciturn.model.plant import ContinuousPlant, Jumps, Plant
+from taciturn.model.network import Burst as Burst
+from taciturn.model.network import Network
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
-from taciturn.problem.functions import functions_of, locate_functions, read_function, refuse_functions
+from taciturn.problem.functions import functions_of, locate_functions, refuse_functions
+from taciturn.problem.functions import read_function as read_function
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
+from taciturn.problem.parts import actual_of, controller_of, expect_argument, network_of, plant_of
 from taciturn.problem.tables import (
     IDEAL_LINKS,
-    BurstTable,
     File,
-    InitialTable,
-    JumpsTable,
     NetworkTable,
-    PlantTable,
     first_mistake,
     suggest,
+)
+from taciturn.problem.tables import (
+    BurstTable as BurstTable,
+)
+from taciturn.problem.tables import (
+    ControllerTable as ControllerTable,
+)
+from taciturn.problem.tables import (
+    InitialTable as InitialTable,
+)
+from taciturn.problem.tables import (
+    JumpsTable as JumpsTable,
+)
+from taciturn.problem.tables import (
+    PlantTable as PlantTable,
 )
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 # attributes that a problem reads from each table of its file; attributes of unchanged tables are not read again
-PARTS = {"plant": ("plant", "actual"), "cost": ("cost",), "network": ("network",), "reference": ("reference",)}
+PARTS = {"plant": ("plant", "actual"), **{name: (name,) for name in ("cost", "network", "reference", "controller")}}
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -72,6 +89,7 @@ class Problem(Displayed):
         parameters: parameters of the policy; default none.
         actual: the simulated plant, if it differs from ``plant``.
         reference: the reference to track, or None.
+        controller: the controller to keep, or None.
         source: tables of the problem file, needed to change single keys.
         name: name of the problem file, for messages.
         own: the policy kind, if the catalogue does not contain it.
@@ -90,6 +108,7 @@ class Problem(Displayed):
     source: Mapping[str, Any] | None = None
     name: str = ""
     own: Kind | None = None
+    controller: Controller | PID | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
@@ -111,6 +130,7 @@ class Problem(Displayed):
             "cost": self.cost.short(),
             "network": self.network.short(),
             "reference": self.reference,
+            "controller": self.controller,
         }
 
     def short(self) -> str:
@@ -154,7 +174,7 @@ class Problem(Displayed):
         SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
-        used = _used(kind, self.network, self.reference)
+        used = _used(kind, self.network, {"reference": self.reference, "controller": self.controller})
         policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
             check_network(policy, self.network)
@@ -283,112 +303,34 @@ def parse(
     kind, parameters = read_policy(file.policy, name, own)
     try:
         record = own if own is not None and own.name == kind else find_kind(kind)
-        if file.reference is not None:
-            _expect(record, "reference", "[reference]", "no reference: remove it")
+        for part in (part for part in ("reference", "controller") if getattr(file, part) is not None):
+            expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         cost = Cost(**{key: value for key, value in vars(file.cost).items() if value is not None})
-        plant = _plant(file.plant, known or {})
-        actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant, known or {})
+        plant = plant_of(file.plant, known or {})
+        actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
         reference = None if file.reference is None else Reference(**vars(file.reference))
-        network = _network(file.network, record)
-        return Problem(plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own)
+        controller = None if file.controller is None else controller_of(file.controller)
+        network = network_of(file.network, record)
+        return Problem(
+            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller
+        )
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 
 
-def _used(kind: Kind, network: Network, reference: Reference | None) -> dict[str, Any]:
-    """Return the network and reference arguments of a policy kind's design function.
+def _used(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
+    """Return the arguments of a policy kind's design function that are no parameters.
 
     Raises:
-        ProblemError: if the kind does not use the given network or reference.
+        ProblemError: if the kind does not use the given network, reference or controller.
     """
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
     unusual = [key for key in NetworkTable.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
     if unusual:
-        _expect(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
-    if reference is not None:
-        _expect(kind, "reference", "[reference]", "no reference: remove it")
-    offered = {"network": network, "reference": reference}
-    return {key: value for key, value in offered.items() if key in kind.arguments}
-
-
-def _expect(kind: Kind, name: str, given: str, expected: str) -> None:
-    """Raise a ``ProblemError`` if the policy kind has no parameter of this name."""
-    if name not in kind.arguments:
-        raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
-
-
-def _plant(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:
-    initial = table.initial or InitialTable()
-    if table.dt is None:
-        if table.function is not None:
-            raise ProblemError(
-                "plant.function is given without plant.dt; expected dt, the seconds per step of the function: "
-                "taciturn.integrate converts a differential equation into such a function"
-            )
-        jumps = None if table.jumps is None else _jumps(table.jumps)
-        return ContinuousPlant(
-            table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit
-        )
-    if table.jumps is not None:
-        raise ProblemError(
-            "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt"
-        )
-    if table.W is None:
-        raise ProblemError("plant.W is missing; expected the process-noise covariance per step (zeros for none)")
-    function = None if table.function is None else read_function(table.function, known)
-    return Plant(
-        table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
-        function,
-    )  # fmt: skip
-
-
-def _actual(
-    table: PlantTable, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
-) -> Plant | ContinuousPlant:
-    """Return the simulated plant, which must have the time base and the sizes of the design plant."""
-    try:
-        plant = _plant(table, known)
-    except ProblemError as error:
-        raise ProblemError(f"[plant.actual]: {error}") from None
-    if table.dt != dt:
-        got, expected = ("missing" if step is None else f"{step:g} s" for step in (table.dt, dt))
-        raise ProblemError(f"plant.actual.dt is {got}, but plant.dt is {expected}; expected the same time base in both")
-    for name, axis in (("A", 0), ("B", 1), ("C", 0)):
-        got, expected = getattr(plant, name).shape[axis], getattr(design, name).shape[axis]
-        if got != expected:
-            size = {"A": "states", "B": "inputs", "C": "outputs"}[name]
-            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected}, as in [plant]")
-    return plant
-
-
-def _jumps(table: JumpsTable) -> Jumps:
-    return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
-
-
-def _network(table: NetworkTable | None, kind: Kind) -> Network:
-    if table is None:
-        return Network()
-    lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
-    if lost and table.protocol == "ideal":
-        _expect(kind, "network", f"network.{lost[0]}", IDEAL_LINKS)
-    return Network(
-        cast("Any", table.protocol),
-        table.actuator_loss,
-        table.sensor_loss,
-        table.delay,
-        _burst("actuator", table.actuator_burst),
-        _burst("sensor", table.sensor_burst),
-        cast("Any", table.payload),
-        cast("Any", table.actuator_range),
-        cast("Any", table.sensor_range),
-    )
-
-
-def _burst(link: str, table: BurstTable | None) -> Burst | None:
-    try:
-        return None if table is None else Burst(**vars(table))
-    except ProblemError as error:
-        raise ProblemError(f"network.{link}_burst: {error}") from None
+        expect_argument(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
+    for name in (name for name, value in stated.items() if value is not None):
+        expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
+    return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
 
 
 def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:

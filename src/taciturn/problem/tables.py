@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_type_hints
 
 from taciturn._arrays import quoted
 from taciturn._display import Displayed
@@ -104,6 +104,29 @@ class ReferenceTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class PIDTable(Displayed):
+    """The keys of ``pid`` in the table ``[controller]``."""
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    filter: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ControllerTable(Displayed):
+    """The keys of the table ``[controller]``."""
+
+    pid: PIDTable | None = None
+    A: Rows | None = None
+    B: Rows | None = None
+    C: Rows | None = None
+    D: Rows | None = None
+    E: Rows | None = None
+    sign: Literal["negative", "positive"] = "negative"
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class File(Displayed):
     """The tables of a complete problem file."""
 
@@ -111,6 +134,7 @@ class File(Displayed):
     cost: CostTable
     network: NetworkTable | None = None
     reference: ReferenceTable | None = None
+    controller: ControllerTable | None = None
     policy: dict[str, Any]
 
 

@@ -51,7 +51,8 @@ def digest(text: str) -> str:
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
     stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
-    own = [] if problem.record.in_house else [problem.record.identity]
+    own: list[object] = [] if problem.record.in_house else [problem.record.identity]
+    own += [] if problem.controller is None else [problem.controller]
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 

@@ -15,7 +15,7 @@ from taciturn.design.given import keep_controller
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.model.controller import Controller
+from taciturn.model.controller import PID, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -30,7 +30,7 @@ def excess(
     theta: float | None = None,
     period: float | None = None,
     actuation: Actuation = "hold",
-    controller: Controller | None = None,
+    controller: Controller | PID | None = None,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -73,7 +73,7 @@ def excess(
         raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
     problem = discretise(plant, cost, period)
     if controller is not None:
-        instance("controller", controller, Controller)
+        instance("controller", controller, Controller, PID)
         return keep_controller("excess", problem, controller, lambda cost: _price(cost, delta, theta), actuation)
     certainty = design_certainty("excess", problem)
     price = _price(certainty.cost_all_time, delta, theta)
@@ -109,4 +109,5 @@ KIND = Kind(
     usual={"theta": 0.1, "actuation": "model"},  # a model sends fewer packets than a held input
     asked=("theta",),
     offered=1,
+    keeps_controller=True,
 )
