@@ -21,7 +21,7 @@ LONG = ["--standard-error", "1e-8"]
 GRID = ["--over", "theta=0.01,0.02,0.05,0.1,0.2,0.5,1,2"]
 COMMANDS: dict[str, tuple[float, list[str]]] = {  # seconds until the signal, and arguments
     "evaluate": (2.0, ["evaluate", "two-mass", *LONG]),
-    "simulate": (3.0, ["simulate", "two-mass", "--ticks", "30000000"]),
+    "simulate": (3.0, ["simulate", "two-mass", "--ticks", "10000000"]),
     "tradeoff": (3.0, ["tradeoff", "two-mass", *GRID, *LONG]),
     "tradeoff with workers": (4.0, ["tradeoff", "two-mass", *GRID, *LONG, "--workers", "2"]),
     "tune": (3.0, ["tune", "two-mass", "--rate", "0.3", *LONG]),

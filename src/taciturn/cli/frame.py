@@ -202,7 +202,9 @@ def _run() -> None:
     except OSError as error:
         drop_output()
         refuse(f"reading or writing failed ({error}); expected files that can be opened, and enough disk space")
-    except (ArithmeticError, MemoryError) as error:
+    except MemoryError:
+        refuse("the computation needs more memory than there is; expected fewer steps, runs or states")
+    except ArithmeticError as error:
         refuse(
             f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
             "expected numbers nearer to 1: scale the problem"
