@@ -93,7 +93,7 @@ def test_the_value_of_a_base_is_its_stationary_cost(seeds: range) -> None:
         F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(len(base.Phi)), base.K])
         M = closed.T @ base.stage @ closed
         X = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(F, F), base.noise.ravel()).reshape(F.shape)
-        assert advantage(base, REMEDY).cost == pytest.approx(np.trace(M @ X), rel=1e-8)
+        assert advantage(base, REMEDY).cost == pytest.approx(np.trace(M @ X), rel=1e-9)
 
 
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(300), marks=pytest.mark.evidence)])
