@@ -77,17 +77,18 @@ def advantage(base: Base, remedy: str) -> Advantage:
     n = len(base.Phi)
     F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(n), base.K])
     M = symmetrised(closed.T @ base.stage @ closed)
-    P, step, modes = M, F, np.linalg.eig(F)
+    P, step = M, F
     size = float(np.abs(P).max(initial=0.0))
     for _ in range(DOUBLINGS):
         added = symmetrised(step.T @ P @ step)
         P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
         if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
             break
-    seen = np.abs(np.einsum("ji,jk,ki->i", modes.eigenvectors.conj(), P, modes.eigenvectors)) > SEEN * size
-    slowest = np.abs(modes.eigenvalues)[seen].max(initial=0.0)
+    modes, vectors = np.linalg.eig(F)
+    seen = np.abs(np.einsum("ji,jk,ki->i", vectors.conj(), P, vectors)) > SEEN * size
+    slowest = np.abs(modes)[seen].max(initial=0.0)
     if size > LARGEST or slowest >= 1:
-        worst = complex(modes.eigenvalues[np.argmax(np.abs(modes.eigenvalues))])
+        worst = complex(modes[np.argmax(np.abs(modes))])
         raise UnstableError(
             f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
             f"eigenvalues inside the unit circle: {remedy}"

@@ -53,7 +53,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
 
     Raises:
         NoClockError: the simulated loop differs from the design, the horizon is finite, the policy schedules two
-            links or follows a reference, or with every sample it does not cost what LQG costs.
+            links or follows a reference, or with every sample it costs more than LQG: it keeps a controller,
+            or it uses measurements later than periodic control would.
     """
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
@@ -79,9 +80,11 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError("the policy follows a stored reference")
     always = certainty.problem.per_unit(certainty.cost_all_time)
     if abs(always - nodes.cost_all_time) > ALIKE * abs(always):
+        if problem.controller is None and problem.own is None:
+            raise NoClockError("the policy uses its measurements later than periodic control would")
+        more = nodes.cost_all_time / always
         raise NoClockError(
-            f"with every sample the policy costs {nodes.cost_all_time / always:.4g} times as much as LQG, by which "
-            "periodic control is computed"
+            f"with every sample the policy costs {more:.4g} times as much as LQG, which periodic control uses"
         )
     if len(nodes.scheduled) > 1:
         raise NoClockError(
