@@ -36,10 +36,8 @@ TABLE = {  # actuation, theta: packets per step, cost relative to that of every 
 
 def observer(plant: Plant, cost: Cost, told: bool) -> Controller:
     """Return LQG control as a given controller; ``told``: its observer uses the applied input, not the command."""
-    steady, found = (
-        filter_checked(plant.A, plant.C, plant.W, plant.V),
-        regulate(plant.A, plant.B, cost.Q, cost.R, cost.N),
-    )
+    steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
+    found = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
     left = np.eye(plant.states) - steady.gain @ plant.C
     C, D = found.L @ left, found.L @ steady.gain
     A, B = plant.A @ left, plant.A @ steady.gain

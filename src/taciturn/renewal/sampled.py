@@ -21,7 +21,6 @@ from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draw
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import TimeStep
-from taciturn.program.names import Entry
 from taciturn.program.ops import State
 from taciturn.renewal.events import CLOSING, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger, count_cycle, filled_states
 
@@ -99,6 +98,6 @@ def sampled_start(program: Program, paths: int, seed: int) -> Array:
 def _noise(tick: TimeStep, noise: Array | JumpNoise) -> list[int]:
     if isinstance(noise, JumpNoise):
         return add_jumps(tick, noise)
-    spread, b = factor(noise), tick.builder
-    drawn = [b.input(Entry(NORMAL, i)) for i in range(spread.shape[1])]
-    return [tick.value(b.combine([float(g) for g in row], drawn)) for row in spread]
+    spread = factor(noise)
+    drawn = tick.supplied(NORMAL, spread.shape[1])
+    return [tick.value(tick.builder.combine([float(g) for g in row], drawn)) for row in spread]
