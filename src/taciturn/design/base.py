@@ -69,7 +69,8 @@ def advantage(base: Base, remedy: str) -> Advantage:
     """Return the value of a base, and the weights of the additional cost of another choice.
 
     P is the least solution of P = M + F'PF with F = Φ + ΓK, so a mode that the cost does not depend on may be
-    marginally stable. It is computed by doubling the horizon.
+    marginally stable. The horizon is doubled until the value does not change. ``_modes.summed`` also waits until the
+    powers of F are zero, which those of such a mode never are.
 
     Raises:
         UnstableError: the cost of the base is infinite; the message ends with ``remedy``.
