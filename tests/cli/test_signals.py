@@ -29,10 +29,10 @@ COMMANDS: dict[str, tuple[float, list[str]]] = {  # seconds until the signal, an
     "sweep": (3.0, ["sweep", "two-mass", *GRID, *LONG, "--store", "cells", "--workers", "1"]),
     "sweep with workers": (4.0, ["sweep", "two-mass", *GRID, *LONG, "--store", "cells", "--workers", "2"]),
     "certify": (2.0, ["certify", "two-mass"]),
-    "channel": (3.0, ["channel", "wiener-double-integrator", "--copies", "500", "--capacity", "60"]),
+    "channel": (3.0, ["channel", "wiener-double-integrator", "--copies", "500", "--capacity", "60", *LONG]),
     "channel with workers": (
         3.0, ["channel", "wiener-double-integrator", "inverted-pendulum", "--copies", "500", "--capacity", "60",
-              "--workers", "2"],
+              *LONG, "--workers", "2"],
     ),
     "network": (4.0, ["network", "two-mass", "--ticks", "1000000"]),
     "network in real time": (4.0, ["network", "two-mass", "--ticks", "100000", "--real-time"]),
@@ -65,7 +65,7 @@ def handles_signals(process: int) -> bool:
 
 def heard(arguments: Sequence[str], seconds: float, numbers: Sequence[signal.Signals], at: Path) -> tuple[int, str]:
     """Return exit code and standard error of a command that receives signals like the job of a terminal."""
-    running = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", "taciturn.cli", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
@@ -74,19 +74,19 @@ def heard(arguments: Sequence[str], seconds: float, numbers: Sequence[signal.Sig
         cwd=at,
         start_new_session=True,
         preexec_fn=in_a_terminal,
-    )
-    while not handles_signals(running.pid):
-        time.sleep(0.001)
-    time.sleep(seconds)
-    assert running.poll() is None, "the command has ended before the signal"
-    for number in numbers:
-        os.killpg(running.pid, number)
-        time.sleep(0.02)
-    began = time.monotonic()
-    running.wait(60)
-    took = time.monotonic() - began
-    assert took < 2.0, f"the command took {took:.1f} s to end"
-    _, errors = running.communicate()
+    ) as running:
+        while not handles_signals(running.pid):
+            time.sleep(0.001)
+        time.sleep(seconds)
+        assert running.poll() is None, "the command has ended before the signal"
+        for number in numbers:
+            os.killpg(running.pid, number)
+            time.sleep(0.02)
+        began = time.monotonic()
+        running.wait(60)
+        took = time.monotonic() - began
+        assert took < 2.0, f"the command took {took:.1f} s to end"
+        _, errors = running.communicate()
     return running.returncode, "".join(
         line for line in errors.splitlines(keepends=True) if not any(word in line for word in POLITE)
     )
