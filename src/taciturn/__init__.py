@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from taciturn.model.controller import PID as PID
     from taciturn.model.controller import Controller as Controller
     from taciturn.model.cost import Cost as Cost
+    from taciturn.model.disturbance import Disturbance as Disturbance
     from taciturn.model.dynamics import integrate as integrate
     from taciturn.model.dynamics import linearise as linearise
     from taciturn.model.estimate import Estimate as Estimate
@@ -56,6 +57,7 @@ _HOME = {
     "ContinuousPlant": "model.plant",
     "Controller": "model.controller",
     "Cost": "model.cost",
+    "Disturbance": "model.disturbance",
     "Estimate": "model.estimate",
     "Guarantee": "model.theory",
     "Jumps": "model.plant",

@@ -94,6 +94,13 @@ def gamma_share(shape: Array, x: float) -> Array:
     return np.asarray(gammainc(shape, x), dtype=np.float64)
 
 
+def gamma_quantile(shape: float, share: float) -> float:
+    """Return the value below which a gamma variable with a given shape and scale 1 is with this probability."""
+    from scipy.special import gammaincinv
+
+    return float(gammaincinv(shape, share))
+
+
 def spectral_radius(apply: Callable[[Array], Array], size: int) -> float:
     """Return the spectral radius of a linear map on vectors with more than 2 entries, by Arnoldi's method."""
     import scipy.sparse.linalg as sparse

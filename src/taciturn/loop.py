@@ -15,6 +15,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED, uncovered
+from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -315,7 +316,8 @@ def close(
     """Close the loop of a plant, a policy and a network.
 
     Args:
-        plant: the controlled plant, which may differ from the plant of the design.
+        plant: the controlled plant, which may differ from the plant of the design. If the policy assumes a slow
+            disturbance that the plant lacks, it is added.
         policy: a policy from ``taciturn.design``, or a user-defined one.
         network: the network; default: the network of the design.
         cost: the cost to measure; default: the cost that the policy was designed for.
@@ -335,6 +337,12 @@ def close(
     if cost is None:
         raise ProblemError(f"cost is missing, and {policy.kind} was designed without a cost; expected a cost")
     network = policy.network if network is None else network
+    instance("plant", plant, Plant, ContinuousPlant)
+    assumed = policy.disturbance
+    if assumed is not None and plant.states == policy.model.states - policy.model.inputs:
+        plant = assumed.added_to(plant)
+    if assumed is not None and len(cost.Q) == policy.model.states - policy.model.inputs:
+        cost = padded(cost, policy.model.inputs)
     problem = discretise(plant, cost, policy.tick if isinstance(plant, ContinuousPlant) else None, policy.prediction)
     for name in ("states", "inputs", "outputs"):
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)

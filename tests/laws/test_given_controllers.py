@@ -11,26 +11,33 @@ from catalogue import outputs
 from runtime.loops import differing_ticks, record
 
 import taciturn
-from taciturn import PID, Controller, Cost, Network, Plant, ProblemError, UnstableError, design
+from taciturn import PID, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import advantage
-from taciturn.design.given import REMEDY, base_of
+from taciturn.design.given import REMEDY, lqg_observer
+from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
 from taciturn.lqg.riccati import regulate
 from taciturn.program.engine import prepare
 from taciturn.program.names import Option, Sent
+from taciturn.program.numpy import run
 from taciturn.simulation.average import average
 from taciturn.study.record import fingerprint
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
 WEIGHTS = Cost(np.diag([1.0, 0.0]), [[0.05]])
-KEPT = PID(1.2, 0.15, 1.0, 0.5)
-ALL_TIME = 0.00272706026
-TABLE = {  # actuation, theta: packets per step, cost relative to that of every sample; from a simulation, ± 0.002
+NO_DISTURBANCE = Disturbance(deviation=0.0)
+KEPT = PID(1.2, 0.15, 1.0, 0.5, NO_DISTURBANCE)
+SLOW = -STEP / np.log(0.999)  # time constant in seconds
+ALL_TIME, DISTURBED = 0.00272706026, {0.1: 0.00378021114, 0.3: 0.0122054181}
+# actuation or the sensor link with hold, theta: packets per step, relative cost; from a simulation, ± 0.002
+TABLE = {
     ("hold", 0.0): (0.738, 0.961), ("hold", 0.1): (0.547, 0.964), ("hold", 0.5): (0.308, 0.992),
     ("hold", 1.0): (0.211, 1.043), ("model", 0.0): (0.692, 0.941), ("model", 0.1): (0.497, 0.940),
     ("model", 0.5): (0.276, 0.963), ("model", 1.0): (0.181, 1.014),
+    ("sensor", 0.0): (0.619, 0.942), ("sensor", 0.1): (0.389, 0.948), ("sensor", 0.5): (0.186, 1.005),
+    ("sensor", 1.0): (0.123, 1.091),
 }  # fmt: skip
 
 
@@ -60,7 +67,7 @@ def random_loop(seed: int) -> tuple[Plant, Cost, Controller]:
         other = Cost(np.eye(n) * draws.uniform(0.1, 10), np.eye(m))
         try:
             kept = observer(plant, other, bool(draws.integers(2)))
-            advantage(base_of(discretise(plant, cost, None), kept), REMEDY)
+            advantage(actuator_base(discretise(plant, cost, None), kept), REMEDY)
         except UnstableError:
             continue
         return plant, cost, kept
@@ -72,14 +79,83 @@ def random_loop(seed: int) -> tuple[Plant, Cost, Controller]:
 )
 def test_a_pid_sends_and_costs_what_the_reference_says(actuation: str, theta: float) -> None:
     """A hand-tuned PID of an integrating tank; with θ = 0 it sends less and costs less than with every sample."""
-    policy = design.excess(TANK, WEIGHTS, theta=theta, actuation=actuation, controller=KEPT)
+    link, silence = ("sensor", "hold") if actuation == "sensor" else ("actuator", actuation)
+    policy = design.excess(TANK, WEIGHTS, theta=theta, actuation=silence, controller=KEPT, link=link)
     assert policy.cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
     found = taciturn.evaluate(policy, standard_error=2e-6)
     packets, cost = TABLE[actuation, theta]
-    assert found.rates["actuator"].value == pytest.approx(packets, abs=0.002)
+    assert found.rates[link].value == pytest.approx(packets, abs=0.002)
     assert found.cost.value / ALL_TIME == pytest.approx(cost, abs=0.002 + 4 * found.cost.standard_error / ALL_TIME)
-    bound = policy.guarantee.at_rate(found.rates["actuator"].value)
+    bound = policy.guarantee.at_rate(found.rates[link].value)
     assert found.cost.value < bound
+
+
+@pytest.mark.parametrize(
+    ("deviation", "theta", "packets", "cost"),
+    [
+        pytest.param(*row, marks=() if row[:2] == (0.3, 0.5) else pytest.mark.evidence)
+        for row in (
+            (0.1, 0.1, 0.507, 0.940), (0.1, 0.5, 0.278, 0.973), (0.1, 1.0, 0.187, 1.026),
+            (0.3, 0.1, 0.304, 0.786), (0.3, 0.5, 0.150, 0.837), (0.3, 1.0, 0.103, 0.915),
+        )
+    ],
+)  # fmt: skip
+def test_a_slow_disturbance_is_part_of_plant_and_filter(
+    deviation: float, theta: float, packets: float, cost: float
+) -> None:
+    """The reference simulates the same disturbance; after a step of it, the integrator restores the cost."""
+    kept = replace(KEPT, disturbance=Disturbance(SLOW, deviation))
+    policy, base = design.excess(TANK, WEIGHTS, theta=theta, controller=kept), DISTURBED[deviation]
+    assert policy.cost_all_time == pytest.approx(base, rel=1e-8)
+    found = taciturn.evaluate(policy, standard_error=4e-4 * base)
+    assert found.rates["actuator"].value == pytest.approx(packets, abs=0.002)
+    assert found.cost.value / base == pytest.approx(cost, abs=0.0036)
+    after = found.after_step
+    assert after.size == (deviation,)
+    bare = design.excess(TANK, WEIGHTS, theta=theta, controller=KEPT).cost_all_time
+    constant = bare + float(WEIGHTS.R.item()) * deviation**2  # the input compensates the disturbance, at a cost
+    assert after.cost_all_time.value == pytest.approx(constant, abs=5 * after.cost_all_time.standard_error)
+    assert after.cost.value < after.cost_all_time.value + policy.guarantee.per_silence
+    assert 0 < after.rates["actuator"].value < 1
+
+
+def test_an_integrator_brings_the_usual_disturbance() -> None:
+    """Half the noise of a step at the input, and 1,000 steps; the policy states both, and plants are completed."""
+    policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(1.2, 0.15, 1.0, 0.5))
+    assert policy.disturbance.time_constant == pytest.approx(100.0)
+    assert policy.disturbance.deviation == pytest.approx([0.1])
+    assert "time constant 100 s, deviation 0.1 (time_constant and deviation by default" in policy.notes[-1]
+    assert taciturn.close(TANK, policy).nominal
+    assert design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(1.2, 0, 1.0, 0.5)).disturbance is None
+    assert "has no slow disturbance" in design.excess(TANK, WEIGHTS, theta=0.1, controller=KEPT).notes[-1]
+
+
+def test_a_disturbed_nonlinear_plant_is_its_function_with_a_shifted_input() -> None:
+    """Sampled or discrete, the input at the plant is u + d."""
+    function = taciturn.integrate(lambda x, u: [x[1], -np.sin(x[0]) - x[1] + u[0]], STEP)
+    A, B = taciturn.linearise(function, 2, 1)
+    plant = Plant(A, B, TANK.W, TANK.C, TANK.V, STEP, function=function)
+    found = Disturbance(50.0, 0.2).added_to(plant)
+    moved = found.function([0.3, -0.2, 0.7], [0.1], [0.0, 0.0, 0.01])
+    assert moved[:2] == pytest.approx(np.asarray(function(np.array([0.3, -0.2]), np.array([0.8]), np.zeros(2))))
+    assert moved[2] == pytest.approx(0.7 * np.exp(-STEP / 50.0) + 0.01)
+    assert found.W[2, 2] == pytest.approx(0.2**2 * (1 - np.exp(-2 * STEP / 50.0)))
+
+
+def test_during_an_alarm_every_sample_is_sent() -> None:
+    """Noise of three times the deviation is an alarm; that of the model is none."""
+    policy = design.excess(TANK, WEIGHTS, theta=1.0, controller=PID(1.2, 0.15, 1.0, 0.5))
+    shaken = Plant(TANK.A, TANK.B, 9 * TANK.W, TANK.C, 9 * TANK.V, STEP)
+    usual, loud = (
+        run(program, loop.start(program, 4, 0), 400).outputs
+        for loop in (taciturn.close(plant, policy) for plant in (TANK, shaken))
+        for program in (loop.program(),)
+    )
+    watched = [path[Option("watch", "expected")] > path[Option("watch", "surprised")] for path in (usual, loud)]
+    assert not watched[0].any()
+    assert watched[1][100:].all()
+    assert loud[Sent("actuator")][100:].all()
+    assert not usual[Sent("actuator")].all()
 
 
 @pytest.mark.parametrize("seeds", [range(12), pytest.param(range(300), marks=pytest.mark.evidence)])
@@ -87,11 +163,12 @@ def test_the_value_of_a_base_is_its_stationary_cost(seeds: range) -> None:
     """P iterates the cost backwards, the other side the covariance forwards; both to 1e-9."""
     for seed in seeds:
         plant, cost, kept = random_loop(seed)
-        base = base_of(discretise(plant, cost, None), kept)
-        F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(len(base.Phi)), base.K])
-        M = closed.T @ base.stage @ closed
-        X = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(F, F), base.noise.ravel()).reshape(F.shape)
-        assert advantage(base, REMEDY).cost == pytest.approx(np.trace(M @ X), rel=1e-9)
+        for choose in (actuator_base, sensor_base):
+            base = choose(discretise(plant, cost, None), kept)
+            F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(len(base.Phi)), base.K])
+            M = closed.T @ base.stage @ closed
+            X = np.linalg.solve(np.eye(len(F) ** 2) - np.kron(F, F), base.noise.ravel()).reshape(F.shape)
+            assert advantage(base, REMEDY).cost == pytest.approx(np.trace(M @ X), rel=1e-9)
 
 
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(300), marks=pytest.mark.evidence)])
@@ -100,17 +177,17 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
     off = []
     for seed in seeds:
         plant, cost, kept = random_loop(seed)
-        actuation = ("hold", "model")[seed % 2]
-        policy = design.excess(plant, cost, theta=(0.0, 0.2, 1.0)[seed % 3], controller=kept, actuation=actuation)
+        way = {"actuation": ("hold", "model")[seed % 2], "link": ("actuator", "sensor")[seed // 2 % 2]}
+        policy = design.excess(plant, cost, theta=(0.0, 0.2, 1.0)[seed % 3], controller=kept, **way)
         loop = taciturn.close(plant, policy)
         program, paths = loop.program(), 400
-        run = prepare(program)
-        states = run(loop.start(program, paths, seed), 2000, None).states
-        sums = run(states, 4000, None).sums
+        prepared = prepare(program)
+        states = prepared(loop.start(program, paths, seed), 2000, None).states
+        sums = prepared(states, 4000, None).sums
         plain, squares = sums["cost"] / 4000, policy.cost_all_time + sums["excess"] / 4000
         error = (plain - squares).std(ddof=1) / np.sqrt(paths)
         off.append(float((plain - squares).mean() / error))
-        rate = float(sums[Sent("actuator")].mean()) / 4000
+        rate = float(sums[Sent(way["link"])].mean()) / 4000
         assert plain.mean() < policy.guarantee.at_rate(rate) + 4 * plain.std(ddof=1) / np.sqrt(paths)
     assert np.abs(off).max() < 4.5
     assert np.mean(np.square(off)) < 1 + 5 / np.sqrt(len(off))
@@ -130,11 +207,16 @@ def test_lqg_as_a_given_controller_is_the_excess_trigger(seed: int) -> None:
     silent = [path[Option("send", "silent")] for path in paths]
     assert np.abs(silent[0] - silent[1]).max() < 1e-10 * np.abs(silent[0]).max()
     assert np.array_equal(*(path[Sent("actuator")] for path in paths))
+    from_sensor = design.excess(plant, cost, theta=0.2, link="sensor", actuation="model")
+    assert from_sensor.cost_all_time == pytest.approx(own.cost_all_time, rel=1e-9)
+    found = lqg_observer("excess", discretise(plant, cost, None))
+    assert np.allclose(found.A, observer(plant, cost, True).A, rtol=1e-9)
 
 
 def test_an_integrator_that_the_cost_does_not_see_is_no_obstacle() -> None:
     """A mode at 1 whose value is zero."""
-    kept = Controller([[1.0, 0.0], [0.0, 0.8]], [[0.1], [0.2]], [[0.0, 2.0]], [[-3.2]], dt=STEP)
+    A = [[1.0, 0.0], [0.0, 0.8]]
+    kept = Controller(A, [[0.1], [0.2]], [[0.0, 2.0]], [[-3.2]], dt=STEP, disturbance=NO_DISTURBANCE)
     without = PID(1.2, 0, 1.0, 0.5)
     policies = [design.excess(TANK, WEIGHTS, theta=0.1, controller=one) for one in (kept, without)]
     assert policies[0].cost_all_time == pytest.approx(policies[1].cost_all_time, rel=1e-10)
@@ -156,6 +238,21 @@ def test_a_static_gain_on_the_measured_state_needs_no_register() -> None:
         (lambda: PID(1.0, kd=1.0, filter=0.01).at(0.1), "pid.filter is 0.01 s, and a step takes 0.1 s"),
         (lambda: PID(1.0).at(None), "plant.dt is missing"),
         (lambda: PID(np.nan), "pid.kp is nan"),
+        (lambda: Disturbance(0.0), "disturbance.time_constant is 0"),
+        (lambda: Disturbance(deviation=[-1.0]), "disturbance.deviation is [-1.0]; expected a deviation of at least 0"),
+        (
+            lambda: design.excess(TANK, WEIGHTS, theta=1, controller=replace(KEPT, disturbance=Disturbance(9, [1, 1]))),
+            "disturbance.deviation has 2 entries; expected 1, one per input",
+        ),
+        (
+            lambda: design.excess(
+                Plant(TANK.A, TANK.B, np.zeros((2, 2)), TANK.C, TANK.V, STEP),
+                WEIGHTS,
+                theta=1,
+                controller=PID(1.2, 0.15),
+            ),
+            "disturbance.deviation is missing, and W has no noise at an input",
+        ),
         (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(-1.2)), "it has the eigenvalue 1."),
         (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(1.2).at(0.2)), "controller.dt is 0.2 s"),
         (
@@ -211,7 +308,8 @@ MATRICES = "A = [[1.0, 0.0], [0.0, 0.8]]\nB = [[0.1], [0.2]]\nC = [[0.15, -2.0]]
 
 def read(tmp_path: Path, controller: str) -> taciturn.Problem:
     """Return the problem of a file with this controller."""
-    (tmp_path / "tank.toml").write_text(FILE + controller, encoding="utf-8")
+    text = FILE + controller + ("" if "disturbance" in controller else '\ndisturbance = "none"')
+    (tmp_path / "tank.toml").write_text(text, encoding="utf-8")
     return taciturn.load(tmp_path / "tank.toml")
 
 
@@ -234,6 +332,14 @@ def test_a_problem_file_names_the_controller(tmp_path: Path, controller: str) ->
     assert len({fingerprint(one) for one in (problem, *others)}) == 3
 
 
+def test_a_problem_file_states_the_disturbance(tmp_path: Path) -> None:
+    """Its missing key has the default value."""
+    table = "pid = {kp = 1.2, ki = 0.15, kd = 1.0, filter = 0.5}\ndisturbance = {deviation = 0.3}"
+    policy = read(tmp_path, table).design()
+    assert policy.disturbance.deviation.tolist() == [0.3]
+    assert "deviation 0.3 (time_constant by default" in policy.notes[-1]
+
+
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
@@ -242,6 +348,7 @@ def test_a_problem_file_names_the_controller(tmp_path: Path, controller: str) ->
         ("pid = {kp = 1.2, kd = 1.0}", "pid.filter is missing"),
         ("pid = {kp = 1.2, kf = 1.0}", "controller.pid.kf is not a known key"),
         ('D = [[1.2]]\nsign = "minus"', "controller.sign is 'minus'; expected 'negative' or 'positive'"),
+        ('D = [[1.2]]\ndisturbance = "some"', "controller.disturbance is 'some'; expected a table or 'none'"),
         ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1, as for the plant"),
         ("A = [[0.5, 0.0]]\nB = [[1.0]]\nC = [[1.0]]", "controller.A has shape (1, 2); expected a square matrix"),
     ],
@@ -263,8 +370,11 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
 
 def test_nodes_apart_carry_the_bits_of_the_loop() -> None:
     """On paths with packets and silence, for both kinds of actuators."""
-    for actuation in ("hold", "model"):
-        loop = taciturn.close(TANK, design.excess(TANK, WEIGHTS, theta=0.1, controller=KEPT, actuation=actuation))
+    ways = (("actuator", "hold"), ("actuator", "model"), ("sensor", "hold"), ("sensor", "model"))
+    for number, (link, actuation) in enumerate(ways):
+        kept = replace(KEPT, disturbance=Disturbance(50.0, 0.1)) if number % 3 else KEPT
+        policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=kept, actuation=actuation, link=link)
+        loop = taciturn.close(TANK, policy)
         records, draws = record(loop, 200, 1)
         wrong, packets = differing_ticks(loop, records, draws)
         assert wrong == []

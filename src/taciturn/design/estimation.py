@@ -10,7 +10,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.lqg.kalman import Filter
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Assign, Step
+from taciturn.model.policy import Assign, NodeName, Step
 from taciturn.model.theory import Innovations
 
 ESTIMATE, HELD = "estimate", "held"
@@ -33,7 +33,7 @@ class FilterSteps(Displayed):
     innovations: Innovations | None
 
 
-def estimate_state(plant: Plant, steady: Filter) -> FilterSteps:
+def estimate_state(plant: Plant, steady: Filter, at: NodeName = "controller") -> FilterSteps:
     """Return the policy steps that compute the steady-state filtered estimate x̂_k = E[x_k | y_0, …, y_k].
 
     If the full state is measured, x̂ = x, Σ = 0 and Σ̃ = W.
@@ -41,12 +41,12 @@ def estimate_state(plant: Plant, steady: Filter) -> FilterSteps:
     Source: anderson1990optimal
     """
     if plant.full_state:
-        measured = Assign("controller", ESTIMATE, {"y": np.eye(plant.states)})
+        measured = Assign(at, ESTIMATE, {"y": np.eye(plant.states)})
         return FilterSteps((measured,), (), {}, None)
     correct = (
-        Assign("controller", "innovation", {"y": np.eye(plant.outputs), "prior": -plant.C}),
-        Assign("controller", ESTIMATE, {"prior": np.eye(plant.states), "innovation": steady.gain}),
+        Assign(at, "innovation", {"y": np.eye(plant.outputs), "prior": -plant.C}),
+        Assign(at, ESTIMATE, {"prior": np.eye(plant.states), "innovation": steady.gain}),
     )
-    predict = (Assign("controller", "prior", {ESTIMATE: plant.A, HELD: plant.B}),)
+    predict = (Assign(at, "prior", {ESTIMATE: plant.A, HELD: plant.B}),)
     innovations = Innovations("innovation", steady.innovation, ESTIMATE, steady.posterior)
     return FilterSteps(correct, predict, {"prior": plant.mean}, innovations)

@@ -13,6 +13,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.disturbance import Disturbance
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,6 +27,8 @@ class Controller(Displayed):
         D: direct effect of the measurement, (m, p); default 0.
         E: effect of the applied input on the state, (k, m), for observers; default 0.
         dt: seconds per step; None if it is not stated.
+        disturbance: slowly varying disturbance at each input of the plant; default: ``Disturbance()`` if the controller
+            integrates, otherwise none.
 
     Raises:
         ProblemError: the sizes of the matrices differ.
@@ -41,6 +44,7 @@ class Controller(Displayed):
     D: Array
     E: Array
     dt: float | None = None
+    disturbance: Disturbance | None = None
 
     def __init__(
         self,
@@ -50,6 +54,7 @@ class Controller(Displayed):
         D: ArrayLike | None = None,
         E: ArrayLike | None = None,
         dt: float | None = None,
+        disturbance: Disturbance | None = None,
     ) -> None:
         """Validate and store the arguments."""
         A = array("controller.A", A, (None, None), "(controller states, controller states)")
@@ -66,11 +71,20 @@ class Controller(Displayed):
         object.__setattr__(self, "D", array("controller.D", D, (m, p), "(inputs, outputs)"))
         object.__setattr__(self, "E", array("controller.E", E, (k, m), "(controller states, inputs)"))
         object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
+        object.__setattr__(self, "disturbance", disturbance)
 
     @property
     def integrates(self) -> bool:
         """True if the controller has an integrator: an eigenvalue 1 of A."""
         return bool(np.any(np.abs(np.linalg.eigvals(self.A) - 1.0) < 1e-9)) if len(self.A) else False
+
+    @property
+    def expected(self) -> Disturbance | None:
+        """The disturbance that the controller compensates, with default values if it integrates, or None."""
+        stated = self.disturbance
+        if stated is None:
+            return Disturbance() if self.integrates else None
+        return None if stated.absent else stated
 
     def at(self, dt: float | None) -> Controller:
         """Return the controller itself, whose step must be ``dt`` if both are stated.
@@ -97,6 +111,8 @@ class PID(Displayed):
         ki: integral gain per second.
         kd: derivative gain in seconds.
         filter: time constant T of the derivative's filter in seconds, at least a step; required with ``kd``.
+        disturbance: slowly varying disturbance at the input of the plant; default: ``Disturbance()`` with ``ki``,
+            otherwise none.
 
     Raises:
         ProblemError: a gain is not finite, or the filter is missing or not positive.
@@ -110,6 +126,7 @@ class PID(Displayed):
     ki: float = 0.0
     kd: float = 0.0
     filter: float | None = None
+    disturbance: Disturbance | None = None
 
     def __post_init__(self) -> None:
         """Check the gains and the filter."""
@@ -142,4 +159,6 @@ class PID(Displayed):
                 )
             A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, self.kd / T], D - self.kd / T
         k = len(A)
-        return Controller(np.diag(A).reshape(k, k), np.reshape(B, (k, 1)), np.reshape(C, (1, k)), [[D]], dt=dt)
+        return Controller(
+            np.diag(A).reshape(k, k), np.reshape(B, (k, 1)), np.reshape(C, (1, k)), [[D]], None, dt, self.disturbance
+        )

@@ -24,9 +24,8 @@ from taciturn.model.network import Network
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
-_PREFIXES |= {
-    name: name.lower() for name in ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking", "Controller")
-}
+_OWN = ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking", "Controller", "Disturbance")
+_PREFIXES |= {name: name.lower() for name in _OWN}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _OPAQUE = ("plant.function", "Apply.function")  # callables
 _PLAIN = (str, int, float, np.ndarray, type(None))
@@ -46,7 +45,7 @@ LINKS = names("network", "protocol delay actuator_range sensor_range")  # a rang
 LOSSES = frozenset({"network.actuator_loss", "network.sensor_loss"})
 BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"network.actuator_burst", "network.sensor_burst"}
 ROUNDING = frozenset({"network.payload"})
-CONTROLLER = names("controller", "A B C D E dt")  # a given controller
+CONTROLLER = names("controller", "A B C D E dt disturbance") | names("disturbance", "time_constant deviation")
 TRACKING = names("tracking", "state input final") | names("reference", "states inputs")
 LINEAR_STEPS = (
     names("Assign", "at signal branches on")

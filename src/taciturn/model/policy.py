@@ -18,6 +18,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import uncovered
 from taciturn.model.diagram import DRAWN, Diagram, draw_diagram
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.location import Location as Location
 from taciturn.model.location import joint_cycle
 from taciturn.model.network import Network
@@ -69,6 +70,7 @@ class Policy(Displayed):
         tracking: the signals of a reference that the policy tracks, or None.
         schedule: the offline schedule of a link, or None.
         notes: remarks that a reader of the results should know.
+        disturbance: the slow disturbance at the inputs that the model contains and ``close`` adds to plants, or None.
 
     Raises:
         ProblemError: if a signal, decision or location is not defined, a matrix has the wrong size, a link has two
@@ -88,6 +90,7 @@ class Policy(Displayed):
     tracking: Tracking | None = None
     schedule: Schedule | None = None
     notes: tuple[str, ...] = ()
+    disturbance: Disturbance | None = None
     sizes: Mapping[str, int] = field(init=False)
 
     def __post_init__(self) -> None:

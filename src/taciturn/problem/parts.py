@@ -11,6 +11,7 @@ from taciturn._arrays import Array
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.model.controller import PID, Controller
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
@@ -80,18 +81,21 @@ def actual_of(
 def controller_of(table: ControllerTable) -> Controller | PID:
     """Return the controller of a table."""
     sign = 1.0 if table.sign == "positive" else -1.0
+    disturbance = table.disturbance
+    if disturbance is not None:
+        disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**vars(disturbance))
     stated = {name: rows for name in "ABCDE" if (rows := getattr(table, name)) is not None}
     if table.pid is not None:
         if stated:
             raise ProblemError(f"controller.pid and controller.{next(iter(stated))} are given; expected one of the two")
         gains = {name: -sign * getattr(table.pid, name) for name in ("kp", "ki", "kd")}
-        return PID(**gains, filter=table.pid.filter)
+        return PID(**gains, filter=table.pid.filter, disturbance=disturbance)
     if "D" not in stated and not {"A", "B", "C"} <= stated.keys():
         raise ProblemError("[controller] has no controller; expected pid, or A, B, C and D, or D alone, a static gain")
     m, p = np.shape(stated["D"]) if "D" in stated else (len(stated["C"]), len(stated["B"][0]))
     A, B, C = (stated.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
     D = None if "D" not in stated else sign * np.array(stated["D"])
-    return Controller(A, B, sign * np.array(C), D, stated.get("E"))
+    return Controller(A, B, sign * np.array(C), D, stated.get("E"), disturbance=disturbance)
 
 
 def _jumps(table: JumpsTable) -> Jumps:

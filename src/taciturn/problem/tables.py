@@ -114,6 +114,14 @@ class PIDTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class DisturbanceTable(Displayed):
+    """The keys of ``disturbance`` in the table ``[controller]``."""
+
+    time_constant: float | None = None
+    deviation: float | list[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ControllerTable(Displayed):
     """The keys of the table ``[controller]``."""
 
@@ -124,6 +132,7 @@ class ControllerTable(Displayed):
     D: Rows | None = None
     E: Rows | None = None
     sign: Literal["negative", "positive"] = "negative"
+    disturbance: DisturbanceTable | Literal["none"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -141,16 +150,36 @@ class File(Displayed):
 def first_mistake(error: ValidationError, root: type) -> str:
     """Return the first mistake as one clause: its location, the mistake, and a suggested correction."""
     mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
-    first = mistakes[0]
-    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).removeprefix(".")
-    if first["type"] == "extra_forbidden":
-        names = _keys_at(root, [str(part) for part in first["loc"][:-1]])
-        return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(first['loc'][-1]), names)}"
+    first, place = mistakes[0], _place(root, mistakes[0]["loc"])
+    extra = first["type"] == "extra_forbidden"
+    place = [*place, first["loc"][-1]] if extra else place
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+    if extra:
+        names = _keys_at(root, [str(part) for part in place[:-1]])
+        return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(place[-1]), names)}"
     if first["type"] == "missing":
-        kind = "the table" if len(first["loc"]) == 1 else "the key"
-        shown = f"[{where}]" if len(first["loc"]) == 1 else where
-        return f"{kind} {shown} is missing; expected {_required(root, [str(part) for part in first['loc']])}"
-    return f"{where} is {quoted(first['input'])}; {ours(first['msg'])}"
+        kind = "the table" if len(place) == 1 else "the key"
+        shown = f"[{where}]" if len(place) == 1 else where
+        return f"{kind} {shown} is missing; expected {_required(root, [str(part) for part in place])}"
+    same = [mistake for mistake in mistakes if _place(root, mistake["loc"]) == place]
+    texts = dict.fromkeys(ours(mistake["msg"]).removeprefix("expected ") for mistake in same)
+    expected = f"expected {' or '.join(texts)}" if len(same) > 1 else ours(first["msg"])
+    return f"{where} is {quoted(first['input'])}; {expected}"
+
+
+def _place(root: type, location: Sequence[str | int]) -> list[str | int]:
+    """Return the keys and indices of a location without the names that pydantic gives to alternative types."""
+    kept = list[str | int]()
+    table: Any = root
+    for part in location:
+        hints: dict[str, Any] = get_type_hints(table) if is_dataclass(table) else {}
+        if isinstance(part, int):
+            kept.append(part)
+        elif part in hints:
+            kept.append(part)
+            kinds: tuple[Any, ...] = (hints[part], *get_args(hints[part]))
+            table = next((kind for kind in kinds if is_dataclass(kind)), object)
+    return kept
 
 
 def _keys_at(root: type, path: Sequence[str]) -> list[str]:

@@ -21,6 +21,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.clock import ClockMix
+from taciturn.study.disturbed import after_step
 from taciturn.study.effects import forgotten_start, without_effect
 from taciturn.study.evaluation import Consistency, Evaluation
 from taciturn.study.fair import periodic_at
@@ -175,6 +176,7 @@ def _evaluated(
         settled=found.settled,
         trusted=found.trusted,
         bound_error=0.0 if guarantee is None else abs(guarantee.per_silence) * per_tick.standard_error,
+        after_step=after_step(problem, policy, request.seed),
         method=measured.method,
         reason=measured.reason,
     )

@@ -13,6 +13,7 @@ from taciturn.model.schedule import Schedule
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
 from taciturn.study.clock import ClockMix
+from taciturn.study.disturbed import AfterStep
 from taciturn.study.lines import MOST_DECIMALS, bound_text, decimals_of, outward, percent_above, proved, rounded
 from taciturn.study.measure import CONDITIONAL
 from taciturn.study.units import TimeUnit, Unit, rate_unit
@@ -65,6 +66,7 @@ class Evaluation(Tabular):
         trusted: whether the variance of a simulated cost is finite, as far as is known; if not, a note gives the
             reason.
         bound_error: standard error of ``cost_bound_at_rate`` that is due to the standard error of the measured rate.
+        after_step: averages after a step of the slow disturbance that the policy assumes, or None.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
@@ -97,6 +99,7 @@ class Evaluation(Tabular):
     no_clock: str = ""
     trusted: bool = True
     bound_error: float = 0.0
+    after_step: AfterStep | None = None
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -170,6 +173,8 @@ class Evaluation(Tabular):
             result["linearisation"] = asdict(self.linearisation)
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
+        if self.after_step is not None:
+            result["after_step"] = self.after_step.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
 
 
@@ -247,6 +252,8 @@ def _details(found: Evaluation) -> Lines:
         lines.append(("consistent", found.consistency))
     if found.schedule is not None:
         lines.append(("sensor queries", _queries(found.schedule)))
+    if found.after_step is not None:
+        lines.append(("after a step", found.after_step.text(f"per {found.rate_unit}")))
     lines += [("verdict", text) for text in _verdict(found)]
     return [*lines, *(("note", note) for note in found.notes)]
 

@@ -9,6 +9,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.clocked import predicted_cost
+from taciturn.design.estimation import ESTIMATE
 from taciturn.design.kind import AnyPolicy
 from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
@@ -19,7 +20,7 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import ENDS, Assign, Policy
+from taciturn.model.policy import ENDS, Assign, Policy, Send
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
@@ -59,6 +60,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
         return sampling_clock(problem, "model")
+    if problem.controller is not None:
+        raise NoClockError("the policy keeps a given controller, but periodic control is computed for LQG only")
     continuous = isinstance(problem.plant, ContinuousPlant)
     period = nodes.tick if continuous else None
     if problem.cost.mission:
@@ -80,7 +83,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError("the policy follows a stored reference")
     always = certainty.problem.per_unit(certainty.cost_all_time)
     if abs(always - nodes.cost_all_time) > ALIKE * abs(always):
-        if problem.controller is None and problem.own is None:
+        if problem.own is None:
             raise NoClockError("the policy uses its measurements later than periodic control would")
         more = nodes.cost_all_time / always
         raise NoClockError(
@@ -90,7 +93,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the policy decides on two links, and a single rate does not determine the rate of each link"
         )
-    if nodes.scheduled == ("sensor",):
+    if nodes.scheduled == ("sensor",) and actuation_of(nodes) == "hold":
         return _asking(certainty)
     p = certainty.problem
     if actuation_of(nodes) == "model":
@@ -119,7 +122,10 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
 
 
 def actuation_of(policy: Policy) -> Actuation:
-    """Return ``"hold"`` if the actuator of a policy holds its input between sends, ``"model"`` if it runs a model."""
+    """Return ``"hold"`` if the receiver of a policy holds its last value between sends, ``"model"`` if it predicts."""
+    packet = next((step.payload for step in policy.steps if isinstance(step, Send) and step.link == "sensor"), None)
+    if packet is not None:
+        return "model" if ESTIMATE in packet else "hold"
     silent = next(
         step.branches[0]
         for step in policy.steps

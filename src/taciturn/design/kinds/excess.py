@@ -11,14 +11,14 @@ from taciturn.design.certainty import (
     control_steps,
     design_certainty,
 )
-from taciturn.design.given import keep_controller
+from taciturn.design.given import keep_controller, lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.controller import PID, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Policy
+from taciturn.model.policy import LinkName, Policy
 from taciturn.model.trigger import Form, Trigger
 
 
@@ -31,6 +31,7 @@ def excess(
     period: float | None = None,
     actuation: Actuation = "hold",
     controller: Controller | PID | None = None,
+    link: LinkName = "actuator",
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -52,6 +53,9 @@ def excess(
         period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
         controller: a linear controller to keep, which need not be optimal; default: LQG.
+        link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
+            and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
+            measurement (``"hold"``) or the prediction of a model from the last sent estimate (``"model"``).
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -71,10 +75,16 @@ def excess(
     if (delta is None) == (theta is None):
         got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
         raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
-    problem = discretise(plant, cost, period)
-    if controller is not None:
+    if controller is not None or link != "actuator":
+        if controller is None:
+            controller = lqg_observer("excess", discretise(plant, cost, period))
         instance("controller", controller, Controller, PID)
-        return keep_controller("excess", problem, controller, lambda cost: _price(cost, delta, theta), actuation)
+
+        def price_at(cost_all_time: float) -> float:
+            return _price(cost_all_time, delta, theta)
+
+        return keep_controller("excess", plant, cost, period, controller, price_at, actuation, link)
+    problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty.cost_all_time, delta, theta)
     rule = Trigger({"silent": Form(("error",), certainty.regulator.H), SEND: Form(constant=price)})

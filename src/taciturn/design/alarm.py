@@ -1,0 +1,34 @@
+"""An alarm on the innovations of a filter, which are larger than its model allows if the plant differs from it.
+
+The policy averages the normalised squares ν'S⁻¹ν of the innovations with exponential forgetting. While the average
+exceeds its 1 − 10⁻⁹ quantile for the model's white noise, the alarm is on, and the decision ``watch`` is "surprised".
+The signal ``alarms`` counts these steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn import _scipy
+from taciturn.model.policy import Decide, Evaluate, NodeName, Step
+from taciturn.model.theory import Innovations
+from taciturn.model.trigger import Form, Trigger
+
+WATCH = "watch"  # the decision with the outcomes expected and surprised
+FORGOTTEN = 0.02  # weight of the newest innovation: the average extends over about 50 steps
+FALSE_ALARMS = 1e-9  # probability that a step without any fault is surprised
+
+
+def watch_innovations(innovations: Innovations, at: NodeName) -> tuple[Step, ...]:
+    """Return the policy steps that decide whether the innovations are as expected; they follow the filter's."""
+    entries = len(innovations.covariance)
+    freedom = entries * (2 - FORGOTTEN) / FORGOTTEN  # of the chi-square distribution with the average's first moments
+    limit = 2 * _scipy.gamma_quantile(freedom / 2, 1 - FALSE_ALARMS) * entries / freedom
+    square = FORGOTTEN * np.linalg.pinv(innovations.covariance, hermitian=True)
+    averaged = Form((innovations.signal,), square, plus={"surprise": 1 - FORGOTTEN})
+    same, more = Form(plus={"alarms": 1.0}), Form(constant=1.0, plus={"alarms": 1.0})
+    return (
+        Evaluate(at, "surprise", (averaged,)),
+        Decide(at, WATCH, Trigger({"expected": Form(plus={"surprise": 1.0}), "surprised": Form(constant=limit)})),
+        Evaluate(at, "alarms", (same, more), WATCH),
+    )

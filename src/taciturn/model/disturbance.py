@@ -1,0 +1,161 @@
+"""Slowly varying disturbances at the inputs of a plant, which a controller with an integrator compensates.
+
+The plant applies u + d instead of u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with
+the time constant T and a constant standard deviation. The state of the plant becomes (x, d).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, block_diagonal, number
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+from taciturn.model.cost import Cost
+from taciturn.model.dynamics import Dynamics
+from taciturn.model.plant import ContinuousPlant, Plant
+
+USUAL_STEPS = 1000.0  # default time constant in steps
+USUAL_SHARE = 0.5  # default deviation, relative to the noise of a step as seen at the input
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Disturbance(Displayed):
+    """A slowly varying disturbance that adds to each input of a plant.
+
+    Args:
+        time_constant: time constant T in seconds; default 1,000 steps.
+        deviation: standard deviation in units of the input, (m,), or one number for all inputs; 0 for no disturbance.
+            Default: half the deviation per step of the input noise that fits W best, the diagonal of B⁺W(B⁺)'.
+
+    Raises:
+        ProblemError: the time constant is not positive, or a deviation is negative.
+
+    Example:
+        >>> Disturbance(time_constant=100.0, deviation=0.1).deviation
+        array(0.1)
+    """
+
+    time_constant: float | None = None
+    deviation: Array | None = None
+
+    def __init__(self, time_constant: float | None = None, deviation: ArrayLike | None = None) -> None:
+        """Validate and store the arguments."""
+        if time_constant is not None:
+            time_constant = number("disturbance.time_constant", time_constant, 0.0)
+        object.__setattr__(self, "time_constant", time_constant)
+        if deviation is not None:
+            deviation = array("disturbance.deviation", deviation, (None,) * np.ndim(deviation))
+            if deviation.ndim > 1 or (deviation < 0).any():
+                raise ProblemError(
+                    f"disturbance.deviation is {deviation.tolist()}; expected a deviation of at least 0, or one for "
+                    "each input"
+                )
+        object.__setattr__(self, "deviation", deviation)
+
+    @property
+    def absent(self) -> bool:
+        """True if the deviation is zero, so that there is no disturbance."""
+        return self.deviation is not None and not self.deviation.any()
+
+    def completed(self, plant: Plant | ContinuousPlant, period: float | None) -> Disturbance:
+        """Return the disturbance with default values for a plant, which is sampled with a period if it is continuous.
+
+        Raises:
+            ProblemError: the number of deviations is not that of the inputs, or the noise gives no default.
+        """
+        step = _seconds(plant, period)
+        deviation = self.deviation
+        if deviation is None:
+            inverse = np.linalg.pinv(plant.B)
+            seen = np.sqrt(np.maximum(np.diag(inverse @ plant.W @ inverse.T), 0.0))
+            deviation = USUAL_SHARE * (seen / np.sqrt(step) if isinstance(plant, ContinuousPlant) else seen)
+            if not deviation.all():
+                raise ProblemError(
+                    "disturbance.deviation is missing, and W has no noise at an input to derive it from; expected the "
+                    "deviation of the slow disturbance in units of the input, or no disturbance"
+                )
+        elif deviation.ndim == 1 and len(deviation) != plant.inputs:
+            raise ProblemError(
+                f"disturbance.deviation has {len(deviation)} entries; expected {plant.inputs}, one per input"
+            )
+        T = USUAL_STEPS * step if self.time_constant is None else self.time_constant
+        return Disturbance(T, np.broadcast_to(deviation, (plant.inputs,)))
+
+    def text(self) -> str:
+        """Return time constant and deviation as text."""
+        sizes = [] if self.deviation is None else [f"{value:.4g}" for value in np.atleast_1d(self.deviation)]
+        return f"time constant {self.time_constant:.4g} s, deviation {', '.join(sizes)}"
+
+    def added_to(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
+        """Return the plant with the state (x, d), for a disturbance with time constant and deviations."""
+        assert self.time_constant is not None
+        assert self.deviation is not None
+        slow = -1.0 / self.time_constant
+        if isinstance(plant, ContinuousPlant):
+            return _with(plant, slow, -2.0 * slow * self.deviation**2, np.zeros(plant.inputs))
+        kept = float(np.exp(slow * (plant.dt or 1.0)))
+        return _with(plant, kept, (1.0 - kept**2) * self.deviation**2, np.zeros(plant.inputs))
+
+    def stepped(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
+        """Return the plant with the state (x, d) and a constant d of one deviation, the disturbance after a step."""
+        assert self.deviation is not None
+        start = np.broadcast_to(self.deviation, (plant.inputs,))
+        return _with(plant, float(isinstance(plant, Plant)), np.zeros(plant.inputs), start)
+
+    def removed_from(self, plant: Plant) -> Plant:
+        """Return the plant with the state x, the inverse of ``added_to``."""
+        n = plant.states - plant.inputs
+        function = None if plant.function is None else cast("_Disturbed", plant.function.function).function
+        return Plant(
+            plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
+            plant.covariance[:n, :n], plant.input_limit, function,
+        )  # fmt: skip
+
+
+def padded(cost: Cost, inputs: int) -> Cost:
+    """Return the cost of a plant with the state (x, d), which does not weight d."""
+    rest = np.zeros((inputs, inputs))
+    terminal = None if cost.terminal is None else block_diagonal(cost.terminal, rest)
+    N = np.vstack([cost.N, rest])
+    return Cost(block_diagonal(cost.Q, rest), cost.R, N, cost.horizon, terminal, cost.discount)
+
+
+def _seconds(plant: Plant | ContinuousPlant, period: float | None) -> float:
+    step = plant.dt if isinstance(plant, Plant) else period
+    return 1.0 if step is None else step
+
+
+def _with(plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array) -> Plant | ContinuousPlant:
+    (n, m), p = plant.B.shape, len(plant.C)
+    A = np.block([[plant.A, plant.B], [np.zeros((m, n)), kept * np.eye(m)]])
+    B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, np.zeros((p, m))])
+    noise, mean = block_diagonal(plant.W, W * np.eye(m)), np.concatenate([plant.mean, start])
+    covariance = block_diagonal(plant.covariance, np.zeros((m, m)))
+    if isinstance(plant, ContinuousPlant):
+        if plant.jumps is not None:
+            raise ProblemError(
+                "the plant has jumps, and a slow disturbance needs Gaussian noise; expected W instead of jumps, or no "
+                "disturbance"
+            )
+        return ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit)
+    function = None if plant.function is None else _Disturbed(plant.function, n, kept)
+    return Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function)
+
+
+@dataclass(frozen=True, repr=False)
+class _Disturbed(Displayed):
+    """The function of a nonlinear plant with the state (x, d)."""
+
+    function: Dynamics
+    states: int
+    kept: float
+
+    def __call__(self, x: Any, u: Any, w: Any) -> Any:
+        """Return the next state."""
+        n, d = self.states, x[self.states :]
+        moved: Any = self.function.function(x[:n], u + d, w[:n])
+        return np.concatenate([np.array(list(moved)), self.kept * d + w[n:]])
