@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from taciturn.loop import close as close
     from taciturn.model.controller import PID as PID
     from taciturn.model.controller import Controller as Controller
+    from taciturn.model.controller import controller_from as controller_from
     from taciturn.model.cost import Cost as Cost
     from taciturn.model.disturbance import Disturbance as Disturbance
     from taciturn.model.dynamics import integrate as integrate
@@ -77,6 +78,7 @@ _HOME = {
     "average": "simulation.average",
     "certify": "study.certify",
     "close": "loop",
+    "controller_from": "model.controller",
     "compare": "study.compare",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",

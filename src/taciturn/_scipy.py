@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,6 +34,17 @@ def continuous_lyapunov(F: Array, M: Array) -> Array:
         warnings.simplefilter("ignore")
         X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
     return (X + X.T) / 2
+
+
+def discrete_controller(
+    A: Array, B: Array, C: Array, D: Array, dt: float, method: str
+) -> tuple[Array, Array, Array, Array]:
+    """Return A, B, C, D of a continuous system at steps of dt, by scipy's method ``"bilinear"`` or ``"zoh"``."""
+    import scipy.signal
+
+    found: Any = scipy.signal.cont2discrete((A, B, C, D), dt, cast("Any", method))
+    a, b, c, d = (np.asarray(found[i], dtype=np.float64) for i in range(4))
+    return a, b, c, d
 
 
 def matrix_exponential(A: Array) -> Array:

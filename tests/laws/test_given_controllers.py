@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from catalogue import outputs
 from runtime.loops import differing_ticks, record
 
 import taciturn
-from taciturn import PID, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
+from taciturn import PID, Controller, Cost, Disturbance, Network, Plant, UnstableError, design
 from taciturn.design.base import advantage
 from taciturn.design.given import REMEDY, lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
@@ -22,7 +21,6 @@ from taciturn.program.engine import prepare
 from taciturn.program.names import Option, Sent
 from taciturn.program.numpy import run
 from taciturn.simulation.average import average
-from taciturn.study.record import fingerprint
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
@@ -231,48 +229,6 @@ def test_a_static_gain_on_the_measured_state_needs_no_register() -> None:
     assert found.rates["actuator"].value < 1
 
 
-@pytest.mark.parametrize(
-    ("build", "words"),
-    [
-        (lambda: PID(1.0, kd=1.0), "pid.filter is missing; expected the time constant"),
-        (lambda: PID(1.0, kd=1.0, filter=0.01).at(0.1), "pid.filter is 0.01 s, and a step takes 0.1 s"),
-        (lambda: PID(1.0).at(None), "plant.dt is missing"),
-        (lambda: PID(np.nan), "pid.kp is nan"),
-        (lambda: Disturbance(0.0), "disturbance.time_constant is 0"),
-        (lambda: Disturbance(deviation=[-1.0]), "disturbance.deviation is [-1.0]; expected a deviation of at least 0"),
-        (
-            lambda: design.excess(TANK, WEIGHTS, theta=1, controller=replace(KEPT, disturbance=Disturbance(9, [1, 1]))),
-            "disturbance.deviation has 2 entries; expected 1, one per input",
-        ),
-        (
-            lambda: design.excess(
-                Plant(TANK.A, TANK.B, np.zeros((2, 2)), TANK.C, TANK.V, STEP),
-                WEIGHTS,
-                theta=1,
-                controller=PID(1.2, 0.15),
-            ),
-            "disturbance.deviation is missing, and W has no noise at an input",
-        ),
-        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(-1.2)), "it has the eigenvalue 1."),
-        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=PID(1.2).at(0.2)), "controller.dt is 0.2 s"),
-        (
-            lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=Controller([[0.5]], [[1.0, 0.0]], [[1.0]])),
-            "the controller has 2 measurements; expected 1",
-        ),
-        (lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=[[1.0]]), "controller is [[1.0]]"),
-        (
-            lambda: design.excess(TANK, Cost(np.eye(2), [[1.0]], horizon=9), theta=0.1, controller=KEPT),
-            "cost.horizon is 9, which excess does not use",
-        ),
-    ],
-)
-def test_what_is_wrong_is_refused(build: object, words: str) -> None:
-    """In one sentence."""
-    with pytest.raises((ProblemError, UnstableError)) as told:
-        build()  # type: ignore[operator]
-    assert words in str(told.value)
-
-
 def test_claims_fail_closed() -> None:
     """Clipped inputs, losses and another plant leave a simulation without a bound."""
     policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=KEPT)
@@ -282,90 +238,6 @@ def test_claims_fail_closed() -> None:
         loop = taciturn.close(plant, policy, network, WEIGHTS)
         assert not loop.nominal
         assert average(loop, steps=200_000).cost.value > 0
-
-
-FILE = """
-[plant]
-A = [[1.0, 0.1], [0.0, 0.9]]
-B = [[0.0], [0.1]]
-C = [[1.0, 0.0]]
-W = [[1e-4, 0.0], [0.0, 4e-4]]
-V = [[1e-3]]
-dt = 0.1
-
-[cost]
-Q = [[1.0, 0.0], [0.0, 0.0]]
-R = [[0.05]]
-
-[policy]
-kind = "excess"
-theta = 0.1
-
-[controller]
-"""
-MATRICES = "A = [[1.0, 0.0], [0.0, 0.8]]\nB = [[0.1], [0.2]]\nC = [[0.15, -2.0]]\nD = [[3.2]]"
-
-
-def read(tmp_path: Path, controller: str) -> taciturn.Problem:
-    """Return the problem of a file with this controller."""
-    text = FILE + controller + ("" if "disturbance" in controller else '\ndisturbance = "none"')
-    (tmp_path / "tank.toml").write_text(text, encoding="utf-8")
-    return taciturn.load(tmp_path / "tank.toml")
-
-
-@pytest.mark.parametrize(
-    "controller",
-    [
-        "pid = {kp = 1.2, ki = 0.15, kd = 1.0, filter = 0.5}",
-        'pid = {kp = -1.2, ki = -0.15, kd = -1.0, filter = 0.5}\nsign = "positive"',
-        MATRICES,
-        MATRICES.replace("[[0.15, -2.0]]", "[[-0.15, 2.0]]").replace("3.2", "-3.2") + '\nsign = "positive"',
-    ],
-)
-def test_a_problem_file_names_the_controller(tmp_path: Path, controller: str) -> None:
-    """By its gains or its matrices; a changed parameter keeps it, and the digest depends on it."""
-    problem = read(tmp_path, controller)
-    assert problem.design().cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
-    assert problem.changed({"theta": 0.2}).design().cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
-    others = [problem.changed({"plant.V": [[2e-3]]}), replace(problem, controller=PID(1.0))]
-    assert all(other.design().cost_all_time != pytest.approx(ALL_TIME, rel=1e-3) for other in others)
-    assert len({fingerprint(one) for one in (problem, *others)}) == 3
-
-
-def test_a_problem_file_states_the_disturbance(tmp_path: Path) -> None:
-    """Its missing key has the default value."""
-    table = "pid = {kp = 1.2, ki = 0.15, kd = 1.0, filter = 0.5}\ndisturbance = {deviation = 0.3}"
-    policy = read(tmp_path, table).design()
-    assert policy.disturbance.deviation.tolist() == [0.3]
-    assert "deviation 0.3 (time_constant by default" in policy.notes[-1]
-
-
-@pytest.mark.parametrize(
-    ("controller", "words"),
-    [
-        ("D = [[1.2]]\npid = {kp = 1.2}", "controller.pid and controller.D are given; expected one of the two"),
-        ("A = [[1.0]]", "[controller] has no controller; expected pid, or A, B, C and D"),
-        ("pid = {kp = 1.2, kd = 1.0}", "pid.filter is missing"),
-        ("pid = {kp = 1.2, kf = 1.0}", "controller.pid.kf is not a known key"),
-        ('D = [[1.2]]\nsign = "minus"', "controller.sign is 'minus'; expected 'negative' or 'positive'"),
-        ('D = [[1.2]]\ndisturbance = "some"', "controller.disturbance is 'some'; expected a table or 'none'"),
-        ("D = [[1.2, 0.0]]", "the controller has 2 measurements; expected 1, as for the plant"),
-        ("A = [[0.5, 0.0]]\nB = [[1.0]]\nC = [[1.0]]", "controller.A has shape (1, 2); expected a square matrix"),
-    ],
-)
-def test_a_wrong_table_is_refused(tmp_path: Path, controller: str, words: str) -> None:
-    """In one sentence."""
-    with pytest.raises((ProblemError, UnstableError)) as told:
-        read(tmp_path, controller).design()
-    assert words in str(told.value)
-
-
-def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
-    """Instead of ignoring it."""
-    problem = read(tmp_path, "D = [[1.2]]")
-    for kind, more in (("lqg", {}), ("near-optimal", {"theta": None, "price": 0.01})):
-        with pytest.raises(ProblemError, match=f"is given, which {kind} does not use"):
-            problem.changed({"kind": kind} | more).designed()
 
 
 def test_nodes_apart_carry_the_bits_of_the_loop() -> None:

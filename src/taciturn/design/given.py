@@ -17,10 +17,10 @@ from taciturn.design.base import Advantage, advantage
 from taciturn.design.certainty import SEND, Actuation, design_certainty, expect_average
 from taciturn.design.estimation import ESTIMATE, FilterSteps, estimate_state
 from taciturn.design.routes import CANDIDATE, MEASURED, NEXT, REGISTER, over_actuator_link, over_sensor_link
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn.errors import TaciturnError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import filter_checked
-from taciturn.model.controller import PID, Controller
+from taciturn.model.controller import Controller, Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, SIMULATED, THEORY
 from taciturn.model.disturbance import Disturbance, padded
@@ -42,7 +42,7 @@ def keep_controller(
     plant: Plant | ContinuousPlant,
     cost: Cost,
     period: float | None,
-    kept: Controller | PID,
+    kept: Kept,
     price_at: Callable[[float], float],
     actuation: Actuation,
     link: LinkName,
@@ -65,12 +65,7 @@ def keep_controller(
     """
     expect_average(kind, cost)
     problem = discretise(plant, cost, period)
-    controller = kept.at(problem.plant.dt)
-    for name, got, expected in zip(
-        ("inputs", "measurements"), controller.D.shape, (problem.plant.inputs, problem.plant.outputs), strict=True
-    ):
-        if got != expected:
-            raise ProblemError(f"the controller has {got} {name}; expected {expected}, as for the plant")
+    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.outputs)
     SIMULATED.check(controller)
     disturbance = controller.expected
     if disturbance is not None:

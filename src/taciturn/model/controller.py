@@ -1,19 +1,26 @@
 """Linear controllers that a user already has, such as PID controllers, in the time steps of a policy.
 
 A controller computes the input from measurements, u = C z + D y with the state z⁺ = A z + B y + E u. E feeds the
-applied input back, as an observer does.
+applied input back, as an observer does. Each class has a method ``at``, which returns the ``Controller`` for the steps,
+inputs and outputs of a plant.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, number
+from taciturn import _scipy
+from taciturn._arrays import Array, ArrayLike, array, choice, count, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
+from taciturn.model.plant import state_space_of
+
+Method: TypeAlias = Literal["tustin", "zoh"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,17 +93,65 @@ class Controller(Displayed):
             return Disturbance() if self.integrates else None
         return None if stated.absent else stated
 
-    def at(self, dt: float | None) -> Controller:
-        """Return the controller itself, whose step must be ``dt`` if both are stated.
+    def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
+        """Return the controller itself, which must suit the steps, inputs and outputs of the plant.
 
         Raises:
-            ProblemError: both steps are stated and differ.
+            ProblemError: both steps are stated and differ, or a number differs.
         """
         if self.dt is not None and dt is not None and abs(self.dt - dt) > 1e-9 * dt:
             raise ProblemError(
                 f"controller.dt is {self.dt:g} s, and a step of the policy takes {dt:g} s; expected equal steps"
             )
+        for name, got, expected in zip(("inputs", "measurements"), self.D.shape, (inputs, outputs), strict=True):
+            if got != expected:
+                raise ProblemError(f"the controller has {got} {name}; expected {expected}, as for the plant")
         return self
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ContinuousController(Displayed):
+    """A linear controller in continuous time: dz/dt = A z + B y and u = C z + D y.
+
+    Args:
+        A: dynamics of the controller's state, (k, k), per second.
+        B: effect of the measurement on the state, (k, p).
+        C: effect of the state on the input, (m, k).
+        D: direct effect of the measurement, (m, p).
+        method: ``"tustin"``: the trapezoidal rule; ``"zoh"``: measurements are constant within a step.
+        disturbance: as for ``Controller``.
+
+    Raises:
+        ProblemError: the sizes of the matrices differ, or the method is unknown.
+
+    Example:
+        >>> ContinuousController([[0.0]], [[1.0]], [[-1.0]], [[-2.0]]).at(0.1, 1, 1).D.tolist()
+        [[-2.05]]
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    method: Method = "tustin"
+    disturbance: Disturbance | None = None
+
+    def __post_init__(self) -> None:
+        """Validate the matrices and the method."""
+        choice("controller.method", self.method, ("tustin", "zoh"))
+        stated = Controller(self.A, self.B, self.C, self.D)
+        for name in ("A", "B", "C", "D"):
+            object.__setattr__(self, name, getattr(stated, name))
+
+    def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
+        """Return the controller at a step of ``dt`` seconds.
+
+        Raises:
+            ProblemError: the step is not stated, or the number of inputs or outputs is not that of the plant.
+        """
+        method = "bilinear" if self.method == "tustin" else "zoh"
+        found = _scipy.discrete_controller(self.A, self.B, self.C, self.D, _stated(dt), method)
+        return Controller(*found, None, dt, self.disturbance).at(dt, inputs, outputs)
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,12 +168,14 @@ class PID(Displayed):
         filter: time constant T of the derivative's filter in seconds, at least a step; required with ``kd``.
         disturbance: slowly varying disturbance at the input of the plant; default: ``Disturbance()`` with ``ki``,
             otherwise none.
+        input: number of the plant's input that the controller computes, from 1 on.
+        output: number of the plant's output that it measures, from 1 on.
 
     Raises:
         ProblemError: a gain is not finite, or the filter is missing or not positive.
 
     Example:
-        >>> PID(1.2, 0.15, 1.0, 0.5).at(0.1).D.tolist()
+        >>> PID(1.2, 0.15, 1.0, 0.5).at(0.1, 1, 1).D.tolist()
         [[-3.2]]
     """
 
@@ -127,11 +184,15 @@ class PID(Displayed):
     kd: float = 0.0
     filter: float | None = None
     disturbance: Disturbance | None = None
+    input: int = 1
+    output: int = 1
 
     def __post_init__(self) -> None:
         """Check the gains and the filter."""
         for name in ("kp", "ki", "kd"):
             number(f"pid.{name}", getattr(self, name))
+        for name in ("input", "output"):
+            count(f"pid.{name}", getattr(self, name))
         if self.filter is not None:
             number("pid.filter", self.filter, 0.0)
         elif self.kd:
@@ -140,14 +201,17 @@ class PID(Displayed):
                 "tenth of kd/kp"
             )
 
-    def at(self, dt: float | None) -> Controller:
+    def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
         """Return the controller at a step of ``dt`` seconds.
 
         Raises:
-            ProblemError: the step is not stated, or longer than the filter's time constant.
+            ProblemError: the step is not stated, or longer than the filter's time constant; or the plant lacks the
+                input or output, or has another input.
         """
-        if dt is None:
-            raise ProblemError("plant.dt is missing; expected the seconds per step, in which a PID controller acts")
+        return PIDLoops((self,)).at(dt, inputs, outputs)
+
+    def rows(self, dt: float) -> tuple[list[float], list[float], list[float], float]:
+        """Return the diagonal of A, and B, C and D, at a step of ``dt`` seconds."""
         A, B, C, D = list[float](), list[float](), list[float](), -self.kp
         if self.ki:
             A, B, C = [1.0], [dt], [-self.ki]
@@ -158,7 +222,116 @@ class PID(Displayed):
                     f"pid.filter is {T:g} s, and a step takes {dt:g} s; expected a filter of at least a step"
                 )
             A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, self.kd / T], D - self.kd / T
+        return A, B, C, D
+
+
+@dataclass(frozen=True, repr=False)
+class PIDLoops(Displayed):
+    """Several PID controllers, each from one output of the plant to one input; their commands to an input are added.
+
+    Args:
+        loops: the controllers.
+
+    Raises:
+        ProblemError: there is no controller, or two of them state different disturbances.
+    """
+
+    loops: tuple[PID, ...]
+
+    def __post_init__(self) -> None:
+        """Check that there is a controller, and that at most one states a disturbance."""
+        if not self.loops:
+            raise ProblemError("the list of PID controllers is empty; expected at least one")
+        if sum(loop.disturbance is not None for loop in self.loops) > 1:
+            raise ProblemError(
+                "several PID controllers state a disturbance; expected one of them to do so, for all inputs"
+            )
+
+    def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
+        """Return the controller at a step of ``dt`` seconds.
+
+        Raises:
+            ProblemError: as for a single PID controller, or an input has no controller.
+        """
+        step, D = _stated(dt), np.zeros((inputs, outputs))
+        A, B, C = list[float](), list[Array](), list[Array]()
+        for loop in self.loops:
+            for name, size in (("input", inputs), ("output", outputs)):
+                if getattr(loop, name) > size:
+                    raise ProblemError(
+                        f"pid.{name} is {getattr(loop, name)}; expected a number from 1 to {size}, as the plant has "
+                        f"{size} {name}{'s' if size > 1 else ''}"
+                    )
+            to, read = np.eye(inputs)[loop.input - 1], np.eye(outputs)[loop.output - 1]
+            a, b, c, d = loop.rows(step)
+            A += a
+            B += [value * read for value in b]
+            C += [value * to for value in c]
+            D += d * np.outer(to, read)
+        for free in sorted(set(range(1, inputs + 1)) - {loop.input for loop in self.loops}):
+            raise ProblemError(f"no PID controller has the input {free}; expected one for each input of the plant")
         k = len(A)
-        return Controller(
-            np.diag(A).reshape(k, k), np.reshape(B, (k, 1)), np.reshape(C, (1, k)), [[D]], None, dt, self.disturbance
+        disturbance = next((loop.disturbance for loop in self.loops if loop.disturbance is not None), None)
+        rows = np.diag(A).reshape(k, k), np.reshape(B, (k, outputs)), np.reshape(C, (k, inputs)).T
+        return Controller(*rows, D, None, step, disturbance)
+
+
+Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
+
+
+def controller_from(
+    system: object,
+    sign: Literal["negative", "positive"] = "negative",
+    method: Method | None = None,
+    E: ArrayLike | None = None,
+    disturbance: Disturbance | None = None,
+) -> Kept:
+    """Convert a system of python-control or scipy, a gain matrix, or a list of PID controllers into a controller.
+
+    Args:
+        system: a system from measurements to inputs with attributes A, B, C, D and dt, or with a method ``to_ss``; a
+            gain matrix K, (m, p); or PID controllers, for which no other argument is needed.
+        sign: ``"negative"``: feedback u = −K y; ``"positive"``: u = K y.
+        method: discretisation of a continuous system, ``"tustin"`` (default) or ``"zoh"``.
+        E: effect of the applied input on the state of a discrete system, (k, m).
+        disturbance: as for ``Controller``.
+
+    Returns:
+        The controller.
+
+    Raises:
+        ProblemError: the system is not linear or not proper, or an argument does not apply to it.
+
+    Example:
+        >>> import scipy.signal
+        >>> controller_from(scipy.signal.TransferFunction([2.0, 1.0], [1.0, 0.0])).at(0.1, 1, 1).D.tolist()
+        [[-2.05]]
+    """
+    if isinstance(system, Controller | ContinuousController | PID | PIDLoops):
+        return system
+    if isinstance(system, Sequence) and all(isinstance(one, PID) for one in cast("Sequence[object]", system)):
+        return PIDLoops(tuple(cast("Sequence[PID]", system)))
+    factor = -1.0 if choice("sign", sign, ("negative", "positive")) == "negative" else 1.0
+    if isinstance(system, np.ndarray | Sequence | float | int):
+        K = factor * array("controller", np.atleast_2d(cast("Any", system)), (None, None), "(inputs, outputs)")
+        m, p = K.shape
+        return Controller(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), K, None, None, disturbance)
+    linear, dt = state_space_of("controller", system)
+    A, B, C, D = (np.asarray(getattr(linear, name), dtype=np.float64) for name in "ABCD")
+    if dt == 0:
+        if E is not None:
+            raise ProblemError(
+                "E is given with a continuous controller; expected a discrete controller, whose steps E refers to"
+            )
+        return ContinuousController(A, B, factor * C, factor * D, method or "tustin", disturbance)
+    if method is not None:
+        raise ProblemError(f"method is {method!r} with a discrete controller; expected no method, or dt = 0")
+    return Controller(A, B, factor * C, factor * D, E, dt, disturbance)
+
+
+def _stated(dt: float | None) -> float:
+    if dt is None:
+        raise ProblemError(
+            "plant.dt is missing; expected the seconds per step, in which a PID or continuous controller acts"
         )
+    return dt

@@ -272,35 +272,48 @@ def plant_from(
         >>> plant_from(scipy.signal.dlti([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
         0.1
     """
+    linear, step = state_space_of("system", system)
+    if np.any(np.asarray(linear.D) != 0):
+        raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
+    C = np.asarray(linear.C, dtype=np.float64)
+    if step == 0:
+        return ContinuousPlant(
+            linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit
+        )
+    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit)
+
+
+def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:
+    """Return the state space of a system of python-control or scipy, and its step.
+
+    The step is 0 for continuous time, and None for discrete time without seconds.
+
+    Raises:
+        ProblemError: the system has no state space, or its time base is unspecified.
+    """
     if not isinstance(system, StateSpaceLike):
         to_state_space = getattr(system, "to_ss", None)  # transfer functions and zero-pole-gain systems
         if to_state_space is None:
             raise ProblemError(
-                f"system is a {type(system).__name__}; expected a state-space object with A, B, C, D: "
+                f"{name} is a {type(system).__name__}; expected a state-space object with A, B, C, D: "
                 "convert it first, for example with control.ss"
             )
         try:
             system = cast("StateSpaceLike", to_state_space())
         except (TypeError, ValueError) as error:  # an improper system, or frequency-response data
             raise ProblemError(
-                f"system is a {type(system).__name__} without a state space ({error}); "
+                f"{name} is a {type(system).__name__} without a state space ({error}); "
                 "expected an object with A, B, C, D, or a proper transfer function"
             ) from None
-    if np.any(np.asarray(system.D) != 0):
-        raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
     dt: float | bool | None = getattr(system, "dt", None)
     if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
         raise ProblemError(
             "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
             "create the system again with dt=0 or dt=…"
         )
-    C = np.asarray(system.C, dtype=np.float64)
     if dt is None or (dt is not True and dt == 0):
-        return ContinuousPlant(
-            system.A, system.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit
-        )
-    step = None if dt is True else float(dt)
-    return Plant(system.A, system.B, W, C, V, step, mean, covariance, input_limit)
+        return system, 0.0
+    return system, None if dt is True else float(dt)
 
 
 def _set_linear(

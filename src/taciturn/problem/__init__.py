@@ -32,7 +32,7 @@ from taciturn._pydantic import ValidationError, validate
 from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
-from taciturn.model.controller import PID, Controller
+from taciturn.model.controller import Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
@@ -108,7 +108,7 @@ class Problem(Displayed):
     source: Mapping[str, Any] | None = None
     name: str = ""
     own: Kind | None = None
-    controller: Controller | PID | None = None
+    controller: Kept | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""

@@ -67,16 +67,48 @@ def read_given(path: Path) -> Given:
     foreign = {name: value.kind for name, value in held.items() if isinstance(value, Foreign)}
     systems = [(name, kind) for name, kind in foreign.items() if kind in SYSTEMS]
     if systems and "A" not in found:
-        name, kind = systems[0]
-        raise ProblemError(
-            f"{name} in {path} is an object of the MATLAB class {kind}, which only MATLAB can open; expected its "
-            f"matrices: [A, B, C, D] = ssdata({name}); Ts = {name}.Ts; save('{path.name}', 'A', 'B', 'C', 'D', 'Ts')"
-        )
+        raise ProblemError(_only_matlab(path, *systems[0]))
     if "D" in found and found.pop("D").any():
         raise ProblemError(f"D in {path} is not zero; expected no direct feedthrough from input to measurement")
     known = {name for names in NAMES.values() for name in names}
     dt = found.pop("dt", None)
     return Given(found, None if dt is None else _step(path, dt), tuple(sorted(set(held) - known)))
+
+
+def read_controller(place: str) -> tuple[dict[str, npt.NDArray[Any]], float | None]:
+    """Return the matrices of a controller in a file by name, and its step: 0 in continuous time, None if not stated.
+
+    Args:
+        place: ``file.mat`` with the variables A, B, C, D, perhaps E, and dt or Ts; or ``file.mat:K``, a static gain.
+
+    Raises:
+        ProblemError: if the file cannot be read, or has no such matrices.
+    """
+    path, named = Path(place), ""
+    if ":" in path.name:
+        path, named = Path(place.rpartition(":")[0]), place.rpartition(":")[2]
+    held = read_variables(path)
+    if named:
+        if named not in held:
+            raise ProblemError(f"{path} has no variable {named}; expected one of {', '.join(sorted(held))}")
+        value = held[named]
+        if isinstance(value, Foreign):
+            raise ProblemError(_only_matlab(path, named, value.kind))
+        return {"D": _expect_array(path, named, value)}, None
+    objects = [(name, one.kind) for name, one in held.items() if isinstance(one, Foreign) and one.kind in SYSTEMS]
+    found = {name: _expect_array(path, name, held[name]) for name in "ABCDE" if name in held}
+    if not found:
+        message = _only_matlab(path, *objects[0]) if objects else f"{path} has no A, B, C, D; expected a controller"
+        raise ProblemError(message)
+    steps = [name for name in NAMES["dt"] if name in held]
+    return found, _step(path, _expect_array(path, steps[0], held[steps[0]])) if steps else None
+
+
+def _only_matlab(path: Path, name: str, kind: str) -> str:
+    return (
+        f"{name} in {path} is an object of the MATLAB class {kind}, which only MATLAB can open; expected its "
+        f"matrices: [A, B, C, D] = ssdata({name}); Ts = {name}.Ts; save('{path.name}', 'A', 'B', 'C', 'D', 'Ts')"
+    )
 
 
 def _expect_array(path: Path, name: str, value: Variable) -> npt.NDArray[Any]:

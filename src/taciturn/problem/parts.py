@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -10,12 +11,13 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
-from taciturn.model.controller import PID, Controller
+from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.problem.functions import read_function
+from taciturn.problem.given import read_controller
 from taciturn.problem.tables import (
     IDEAL_LINKS,
     BurstTable,
@@ -25,6 +27,8 @@ from taciturn.problem.tables import (
     NetworkTable,
     PlantTable,
 )
+
+GAINS = ("kp", "ki", "kd")
 
 
 def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
@@ -78,24 +82,45 @@ def actual_of(
     return plant
 
 
-def controller_of(table: ControllerTable) -> Controller | PID:
-    """Return the controller of a table."""
-    sign = 1.0 if table.sign == "positive" else -1.0
+def controller_of(table: ControllerTable) -> Kept:
+    """Return the controller of a table, which states it by gains, by matrices, or by a file of matrices."""
     disturbance = table.disturbance
     if disturbance is not None:
         disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**vars(disturbance))
-    stated = {name: rows for name in "ABCDE" if (rows := getattr(table, name)) is not None}
+    stated: Mapping[str, object] = {name: rows for name in "ABCDE" if (rows := getattr(table, name)) is not None}
+    given = [name for name in ("pid", "file") if getattr(table, name) is not None] + [*stated][:1]
+    if len(given) > 1:
+        raise ProblemError(f"controller.{given[0]} and controller.{given[1]} are given; expected one of the two")
+    sign = 1.0 if table.sign == "positive" else -1.0
     if table.pid is not None:
-        if stated:
-            raise ProblemError(f"controller.pid and controller.{next(iter(stated))} are given; expected one of the two")
-        gains = {name: -sign * getattr(table.pid, name) for name in ("kp", "ki", "kd")}
-        return PID(**gains, filter=table.pid.filter, disturbance=disturbance)
+        if table.method is not None:
+            raise ProblemError(
+                "controller.method is given with pid; expected A, B, C and D in continuous time, or file"
+            )
+        loops = table.pid if isinstance(table.pid, list) else [table.pid]
+        pids = [PID(**{**vars(one), **{name: -sign * getattr(one, name) for name in GAINS}}) for one in loops]
+        pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
+        return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
+    dt = None
+    if table.file is not None:
+        stated, dt = read_controller(table.file)
     if "D" not in stated and not {"A", "B", "C"} <= stated.keys():
-        raise ProblemError("[controller] has no controller; expected pid, or A, B, C and D, or D alone, a static gain")
-    m, p = np.shape(stated["D"]) if "D" in stated else (len(stated["C"]), len(stated["B"][0]))
-    A, B, C = (stated.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
-    D = None if "D" not in stated else sign * np.array(stated["D"])
-    return Controller(A, B, sign * np.array(C), D, stated.get("E"), disturbance=disturbance)
+        raise ProblemError(
+            "[controller] has no controller; expected pid, file, or A, B, C and D, or D alone, a static gain"
+        )
+    found = {name: np.asarray(value, dtype=np.float64) for name, value in stated.items()}
+    m, p = found["D"].shape if "D" in found else (len(found["C"]), found["B"].shape[1])
+    A, B, C = (found.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
+    D, E = sign * found.get("D", np.zeros((m, p))), found.get("E")
+    if dt == 0 or table.method is not None:
+        if dt:
+            raise ProblemError(
+                f"controller.method is given, and {table.file} has steps of {dt:g} s; expected no method"
+            )
+        if E is not None:
+            raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
+        return ContinuousController(A, B, sign * C, D, table.method or "tustin", disturbance)
+    return Controller(A, B, sign * C, D, E, dt, disturbance)
 
 
 def _jumps(table: JumpsTable) -> Jumps:

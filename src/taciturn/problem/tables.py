@@ -111,6 +111,8 @@ class PIDTable(Displayed):
     ki: float = 0.0
     kd: float = 0.0
     filter: float | None = None
+    input: int = 1
+    output: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -125,12 +127,14 @@ class DisturbanceTable(Displayed):
 class ControllerTable(Displayed):
     """The keys of the table ``[controller]``."""
 
-    pid: PIDTable | None = None
+    pid: PIDTable | list[PIDTable] | None = None
+    file: str | None = None
     A: Rows | None = None
     B: Rows | None = None
     C: Rows | None = None
     D: Rows | None = None
     E: Rows | None = None
+    method: Literal["tustin", "zoh"] | None = None
     sign: Literal["negative", "positive"] = "negative"
     disturbance: DisturbanceTable | Literal["none"] | None = None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from taciturn._arrays import instance, number
+from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
@@ -15,7 +15,7 @@ from taciturn.design.given import keep_controller, lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.model.controller import PID, Controller
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import LinkName, Policy
@@ -30,7 +30,7 @@ def excess(
     theta: float | None = None,
     period: float | None = None,
     actuation: Actuation = "hold",
-    controller: Controller | PID | None = None,
+    controller: object = None,
     link: LinkName = "actuator",
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
@@ -52,7 +52,7 @@ def excess(
             and which is 0 for a discrete plant.
         period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
-        controller: a linear controller to keep, which need not be optimal; default: LQG.
+        controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
             measurement (``"hold"``) or the prediction of a model from the last sent estimate (``"model"``).
@@ -78,12 +78,12 @@ def excess(
     if controller is not None or link != "actuator":
         if controller is None:
             controller = lqg_observer("excess", discretise(plant, cost, period))
-        instance("controller", controller, Controller, PID)
+        kept = controller_from(controller)
 
         def price_at(cost_all_time: float) -> float:
             return _price(cost_all_time, delta, theta)
 
-        return keep_controller("excess", plant, cost, period, controller, price_at, actuation, link)
+        return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link)
     problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty.cost_all_time, delta, theta)
