@@ -35,7 +35,7 @@ def problems(kinds: Sequence[Kind]) -> str:
         lambda kind: (
             plants(kind),
             ", ".join(COSTS[word] for word in kind.costs),
-            "yes" if kind.uses_network else "no",
+            "yes" if "network" in kind.tables else "no",
             "yes" if "reference" in kind.arguments else "no",
             kind.refused,
         ),
@@ -47,7 +47,7 @@ def nodes(kinds: Sequence[Kind]) -> str:
     return _grouped(
         ("nodes", "plant", "links", "kinds"),
         kinds,
-        lambda kind: (kind.nodes, plants(kind), "drop packets" if kind.uses_network else "ideal"),
+        lambda kind: (kind.nodes, plants(kind), "drop packets" if "network" in kind.tables else "ideal"),
         last=True,
     )
 

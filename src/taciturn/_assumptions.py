@@ -38,6 +38,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
     exact, designed = network.without_rounding(), policy.network.without_rounding()
+    alike = (designed,) if policy.theory.covers >= BURSTS else (designed, designed.without_bursts())
 
     def lacks(names: frozenset[str]) -> bool:
         return not names.isdisjoint(missing)
@@ -49,8 +50,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "inputs are clipped (input_limit)": lacks(LIMIT),
         "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
         "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
-        "the network is not the one of the design": not lacks(BURSTS)
-        and exact not in (designed, designed.without_bursts()),
+        "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),

@@ -17,6 +17,9 @@ from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
 from taciturn.lqg.riccati import regulate
+from taciturn.model.policy import Decide, Location
+from taciturn.model.theory import Theory
+from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.program.engine import prepare
 from taciturn.program.names import Option, Sent
 from taciturn.program.numpy import run
@@ -251,3 +254,33 @@ def test_nodes_apart_carry_the_bits_of_the_loop() -> None:
         wrong, packets = differing_ticks(loop, records, draws)
         assert wrong == []
         assert 20 < packets < 180
+
+
+def test_the_same_controller_at_a_slower_clock_is_the_comparison() -> None:
+    """Every second, fourth and eighth step, exactly; and as simulated with a packet every fourth step."""
+    for link, silence in (("actuator", "hold"), ("actuator", "model"), ("sensor", "hold"), ("sensor", "model")):
+        policy = design.excess(TANK, WEIGHTS, theta=0.5, controller=KEPT, link=link, actuation=silence)
+        exact, steps = policy.theory.periodic.at_its_step(4), tuple(policy.steps)
+        if (link, silence) == ("actuator", "hold"):
+            found = [policy.theory.periodic.at_its_step(q) / ALL_TIME for q in (1, 2, 4, 8)]
+            assert found == pytest.approx([1.0, 1.1977, 1.6746, 3.0450], abs=5e-5)
+        turns = Scheduled("turn", np.array([-1.0, 1.0, 1.0, 1.0]))
+        timed = Trigger({"silent": Form(), "send": Form(constant=turns)})
+        steps = tuple(replace(one, trigger=timed) if isinstance(one, Decide) and one.decision == "send" else one
+                      for one in steps)  # fmt: skip
+        clocked = replace(policy, steps=steps, locations=(Location("turn", np.array([1, 2, 3, 0])),), theory=Theory(
+            cost=policy.theory.cost, settling=policy.theory.settling, cost_all_time=policy.cost_all_time))  # fmt: skip
+        simulated = average(taciturn.close(TANK, clocked, cost=WEIGHTS), standard_error=2e-6)
+        assert simulated.rates[link].value == pytest.approx(0.25, abs=1e-6)
+        assert simulated.cost.value == pytest.approx(exact, abs=4 * simulated.cost.standard_error)
+    slow, draws, x = KEPT.at(4 * STEP, 1, 1), np.random.default_rng(3), np.zeros((2, 4000))
+    z, total = np.zeros((len(slow.A), 4000)), np.zeros(4000)
+    for step in range(2400):
+        if step % 4 == 0:
+            y = TANK.C @ x + np.sqrt(TANK.V) @ draws.standard_normal((1, 4000))
+            u, z = slow.C @ z + slow.D @ y, slow.A @ z + slow.B @ y
+        if step >= 400:
+            total += np.einsum("ip,ij,jp->p", x, WEIGHTS.Q, x) + WEIGHTS.R.item() * u[0] ** 2
+        x = TANK.A @ x + TANK.B @ u + np.sqrt(TANK.W) @ draws.standard_normal((2, 4000))
+    error = total.std(ddof=1) / 2000 / np.sqrt(4000)
+    assert policy.theory.periodic.discretised(4) == pytest.approx(total.mean() / 2000, abs=4 * error)

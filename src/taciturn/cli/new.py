@@ -101,7 +101,7 @@ class _Interview:
         except TaciturnError as error:
             self.questions.tell(error)
             chosen = None
-        if chosen is not None and chosen.uses_network:
+        if chosen is not None and chosen.for_dropouts:
             self._ask_network("udp", [chosen])
         elif chosen is None and not questions.yes:
             self._ask_network("ideal", over_losses())

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
+from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import mode_text
 from taciturn.errors import UnstableError
@@ -68,27 +68,14 @@ class Advantage(Displayed):
 def advantage(base: Base, remedy: str) -> Advantage:
     """Return the value of a base, and the weights of the additional cost of another choice.
 
-    P is the least solution of P = M + F'PF with F = Φ + ΓK, so a mode that the cost does not depend on may be
-    marginally stable. The horizon is doubled until the value does not change. ``_modes.summed`` also waits until the
-    powers of F are zero, which those of such a mode never are.
-
     Raises:
         UnstableError: the cost of the base is infinite; the message ends with ``remedy``.
     """
     n = len(base.Phi)
     F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(n), base.K])
-    M = symmetrised(closed.T @ base.stage @ closed)
-    P, step = M, F
-    size = float(np.abs(P).max(initial=0.0))
-    for _ in range(DOUBLINGS):
-        added = symmetrised(step.T @ P @ step)
-        P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
-        if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
-            break
-    modes, vectors = np.linalg.eig(F)
-    seen = np.abs(np.einsum("ji,jk,ki->i", vectors.conj(), P, vectors)) > SEEN * size
-    slowest = np.abs(modes)[seen].max(initial=0.0)
-    if size > LARGEST or slowest >= 1:
+    P, slowest = least_value(F, symmetrised(closed.T @ base.stage @ closed))
+    if slowest >= 1:
+        modes = np.linalg.eigvals(F)
         worst = complex(modes[np.argmax(np.abs(modes))])
         raise UnstableError(
             f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
@@ -96,4 +83,33 @@ def advantage(base: Base, remedy: str) -> Advantage:
         )
     gain = base.stage[n:] @ closed + base.Gamma.T @ P @ F
     H = symmetrised(base.stage[n:, n:] + base.Gamma.T @ P @ base.Gamma)
-    return Advantage(P, H, gain, float(np.sum(P * base.noise)), 1 / (1 - float(slowest)))
+    return Advantage(P, H, gain, float(np.sum(P * base.noise)), 1 / (1 - slowest))
+
+
+def least_value(F: Array, M: Array) -> tuple[Array, float]:
+    """Return the least solution of P = M + F'PF, and the modulus of the slowest mode that it depends on, or infinity.
+
+    A mode that the value does not depend on may be marginally stable. The horizon is doubled until the value does not
+    change. ``_modes.summed`` also waits until the powers of F are zero, which those of such a mode never are.
+    """
+    P, step = M, F
+    size = float(np.abs(P).max(initial=0.0))
+    for _ in range(DOUBLINGS):
+        added = symmetrised(step.T @ P @ step)
+        P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
+        if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
+            break
+    if size > LARGEST:
+        return P, np.inf
+    modes, vectors = np.linalg.eig(F)
+    seen = np.abs(np.einsum("ji,jk,ki->i", vectors.conj(), P, vectors)) > SEEN * size
+    return P, float(np.abs(modes)[seen].max(initial=0.0))
+
+
+def held_steps(base: Base) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return dynamics and stage weight of (z, h) with a packet that arrives, and in silence that keeps h."""
+    n, c = base.Gamma.shape
+    closed = np.vstack([np.eye(n), base.K])
+    arrives = np.block([[base.Phi + base.Gamma @ base.K, np.zeros((n, c))], [base.K, np.zeros((c, c))]])
+    silent = np.block([[base.Phi, base.Gamma], [np.zeros((c, n)), np.eye(c)]])
+    return (arrives, block_diagonal(closed.T @ base.stage @ closed, np.zeros((c, c)))), (silent, base.stage)

@@ -7,29 +7,34 @@ uses in silence and the choice, the value that a packet would carry.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from taciturn._arrays import choice
+from taciturn._arrays import Array, choice
+from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
-from taciturn.design.base import Advantage, advantage
+from taciturn.design.base import Base, advantage
 from taciturn.design.certainty import SEND, Actuation, design_certainty, expect_average
 from taciturn.design.estimation import ESTIMATE, FilterSteps, estimate_state
+from taciturn.design.losses import ChannelBelief, lossy_advantage
 from taciturn.design.routes import CANDIDATE, MEASURED, NEXT, REGISTER, over_actuator_link, over_sensor_link
-from taciturn.errors import TaciturnError
+from taciturn.design.same_control import SameControl
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import filter_checked
 from taciturn.model.controller import Controller, Kept
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import GAUSSIAN_THEORY, SIMULATED, THEORY
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
 from taciturn.model.disturbance import Disturbance, padded
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
+from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Trigger
 
-SILENCE = "cost of silence"
+SILENCE, BELIEF = "cost of silence", "belief"
 CONSTANT = (
     "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
     "more than computed"
@@ -46,6 +51,7 @@ def keep_controller(
     price_at: Callable[[float], float],
     actuation: Actuation,
     link: LinkName,
+    network: Network,
 ) -> Policy:
     """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller.
 
@@ -58,6 +64,7 @@ def keep_controller(
         price_at: function that returns δ per step, given the cost of sending every sample per step.
         actuation: in silence, the receiver keeps the last value (``"hold"``) or predicts it (``"model"``).
         link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
+        network: the network; losses of the link must be acknowledged.
 
     Raises:
         ProblemError: the controller does not suit the plant, or the cost is not an average.
@@ -74,28 +81,36 @@ def keep_controller(
     plant = problem.plant
     model = choice("actuation", actuation, ("hold", "model")) == "model"
     choice("link", link, ("actuator", "sensor"))
-    route = (over_actuator_link if link == "actuator" else over_sensor_link)(problem, controller, model)
+    lossy = drops(network, link)
+    if lossy and model:
+        raise ProblemError(
+            "actuation is 'model', and the link drops packets; expected 'hold': the receiver keeps its last value"
+        )
+    route = (over_actuator_link if link == "actuator" else over_sensor_link)(problem, controller, model, lossy)
     at, k, steady = route.node, len(controller.A), filter_checked(plant.A, plant.C, plant.W, plant.V)
-    found, estimation = advantage(route.base, REMEDY), estimate_state(plant, steady, at)
+    estimation = estimate_state(plant, steady, at)
+    found = _over_losses(route.base, network, link, at, k) if lossy else _over_ideal(route.base, k)
     price = price_at(found.cost)
-    silent = _silence(found, k)
-    watch, rule = _watched(estimation, silent, 2 * price + found.cost + 1, at)
+    watch, rule = _watched(estimation, found.silence, 2 * price + found.cost + 1, at)
     output = {"prior": plant.C, "innovation": np.eye(plant.outputs)}
     if estimation.innovations is None:
         output = {ESTIMATE: plant.C}
-    unit = np.eye(len(found.H))
+    unit = np.eye(len(route.base.K))
     steps: tuple[Step, ...] = (
         *estimation.correct,
         Assign(at, MEASURED, output),
         *((Assign(at, REGISTER, {NEXT: np.eye(k)}),) if k else ()),  # the state of this step, which P refers to
         *route.before,
         Assign(at, "error", {CANDIDATE: unit, route.choice: -unit}),
+        *found.before,
         *watch,
         Decide(at, SEND, Trigger({"silent": rule, SEND: Form(constant=price)})),
         *route.after,
+        *found.after,
         *estimation.predict,
     )
-    scaled = None if silent.Psi is None else np.asarray(silent.Psi) / problem.tick
+    every = "an attempt to send every sample" if lossy else "every sample"
+    scaled = np.asarray(found.silence.Psi) / problem.tick
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(found.cost),
@@ -103,15 +118,17 @@ def keep_controller(
         settling=max(found.settling, 1 / (1 - steady.slowest)),
         guarantee=Guarantee(
             problem.per_unit(found.cost + price),
-            "J ≤ J_all + δ(1 − rate), J_all the cost of this controller with every sample, δ the most that silence "
-            "adds on average",
+            f"J ≤ J_all + δ(1 − rate), J_all the cost of this controller with {every}, δ the most that "
+            "silence adds on average",
             "antunes2014rollout",
             problem.per_unit(found.cost),
             price / problem.tick,
         ),
-        identity=Identity(problem.per_unit(found.cost), (Form(silent.signals, scaled), Form()), SEND),
+        identity=Identity(problem.per_unit(found.cost), (Form(found.silence.signals, scaled), Form()), SEND),
         innovations=estimation.innovations,
-        covers=THEORY if plant.full_state else GAUSSIAN_THEORY,
+        covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
+        functions=frozenset({BELIEF}),
+        periodic=None if lossy else SameControl(problem, kept, route.base, steady, model),
     )
     return Policy(
         kind=kind,
@@ -119,9 +136,10 @@ def keep_controller(
         model=plant,
         theory=theory,
         sites=route.sites,
-        initial={**estimation.initial, **route.initial},
+        initial={**estimation.initial, **route.initial, **found.initial},
+        network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*_beside(kind, problem, found.cost), *_assumed(controller, disturbance)),
+        notes=(*(() if lossy else _beside(kind, problem, found.cost)), *_assumed(controller, disturbance)),
         disturbance=disturbance,
     )
 
@@ -137,11 +155,59 @@ def lqg_observer(kind: str, problem: Discrete) -> Controller:
     return Controller(plant.A @ left, plant.A @ gain, L @ left, L @ gain, plant.B, plant.dt, none)
 
 
-def _silence(found: Advantage, registers: int) -> Form:
-    """Return the form e'He + 2 e'(slope) z of the cost of silence."""
+@dataclass(frozen=True, eq=False, repr=False)
+class _Silence(Displayed):
+    """The cost of silence as a form, the steps that it needs, and the cost of the base."""
+
+    silence: Form
+    cost: float
+    settling: float
+    before: tuple[Step, ...] = ()
+    after: tuple[Step, ...] = ()
+    initial: Mapping[str, Array] = field(default_factory=lambda: {})
+
+
+def drops(network: Network, link: LinkName) -> bool:
+    """Return whether a link drops packets and acknowledges those that arrive."""
+    return network.protocol == "tcp" and network.loss(link) > 0
+
+
+def _over_ideal(base: Base, k: int) -> _Silence:
+    """Return the cost of silence e'He + 2e'(slope)z over a link without losses."""
+    found = advantage(base, REMEDY)
     n = found.slope.shape[1]
     square = np.block([[found.H, found.slope], [found.slope.T, np.zeros((n, n))]])
-    return Form(("error", ESTIMATE, *((REGISTER,) if registers else ()), MEASURED), square)
+    return _Silence(Form(("error", *_state(k)), square), found.cost, found.settling)
+
+
+def _over_losses(base: Base, network: Network, link: LinkName, at: NodeName, k: int) -> _Silence:
+    """Return the cost of silence over an acknowledged link; with bursts, it depends on the belief about the channel."""
+    turns, losses = network.chain(link)
+    found = lossy_advantage(base, turns, losses, REMEDY)
+    forms = [Form((*_state(k), CANDIDATE), weight) for weight in found.silence]
+    if len(forms) == 1:
+        return _Silence(forms[0], found.cost, found.settling)
+    names = ("cost if good", "cost if bad")
+    means = np.zeros((4, 4))
+    means[0, 2] = means[2, 0] = means[1, 3] = means[3, 1] = 0.5
+    told = (({ONE: np.zeros((1, 1))}, {ONE: np.ones((1, 1))}),) * 2
+    return _Silence(
+        Form((BELIEF, *names), means),
+        found.cost,
+        found.settling,
+        tuple(Evaluate(at, name, (form,)) for name, form in zip(names, forms, strict=True)),
+        (
+            Assign(at, "attempted", told[0], SEND),
+            Assign(at, "arrived", told[1], Acknowledged(link)),
+            Apply(at, {BELIEF: 2}, ChannelBelief(turns, losses), (BELIEF, "attempted", "arrived")),
+        ),
+        {BELIEF: found.start},
+    )
+
+
+def _state(registers: int) -> tuple[str, ...]:
+    """Return the signals of z, the state of plant, controller and measurement."""
+    return (ESTIMATE, *((REGISTER,) if registers else ()), MEASURED)
 
 
 def _watched(estimation: FilterSteps, silent: Form, forbidden: float, at: NodeName) -> tuple[tuple[Step, ...], Form]:

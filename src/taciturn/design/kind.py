@@ -80,6 +80,7 @@ class Kind(Displayed):
         offered: position among the goals that ``taciturn new`` lists; None if the kind is not listed there.
         requires: the condition on plant and cost as a phrase, for messages.
         check: function that raises a ``ProblemError`` if the kind does not support a plant and a cost.
+        for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
         keeps_controller: whether the argument ``controller`` of the design is a controller that the user has.
 
     Raises:
@@ -105,6 +106,7 @@ class Kind(Displayed):
     requires: str = ""
     check: Callable[[Plant | ContinuousPlant, Cost], object] | None = None
     keeps_controller: bool = False
+    for_dropouts: bool = False
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -202,11 +204,6 @@ class Kind(Displayed):
             if has and name not in (*self.plants, *self.costs):
                 return f"{what}, which {self.name} does not support; expected another problem, or another policy kind"
         return None
-
-    @property
-    def uses_network(self) -> bool:
-        """True if the design takes the losses and the delay of the links into account."""
-        return "network" in self.arguments
 
     @property
     def about(self) -> str:

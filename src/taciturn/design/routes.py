@@ -2,7 +2,7 @@
 
 The *choice* is what a packet carries: the input over the actuator link, the measurement over the sensor link. In
 silence, the receiver uses a *candidate* instead, its last value or the prediction of a model. The node that decides
-knows the receiver's candidate, because every packet arrives.
+knows the receiver's candidate, because every packet arrives or because the network acknowledges those that arrive.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from taciturn.design.certainty import COLLOCATED, SEND
 from taciturn.design.estimation import ESTIMATE, HELD
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.controller import Controller
-from taciturn.model.policy import Assign, NodeName, Received, Send, Step
+from taciturn.model.policy import Acknowledged, Assign, NodeName, Received, Send, Step
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
 CHOICE, CANDIDATE = "choice", "candidate"
@@ -47,13 +47,14 @@ class Route(Displayed):
     initial: dict[str, Array]
 
 
-def over_actuator_link(problem: Discrete, controller: Controller, model: bool) -> Route:
+def over_actuator_link(problem: Discrete, controller: Controller, model: bool, lossy: bool) -> Route:
     """Return the route of inputs; the controller is at the sensor's site.
 
     Args:
         problem: the discrete-time problem.
         controller: the controller.
         model: whether the actuator simulates plant and controller in silence; otherwise it holds the last input.
+        lossy: whether the network acknowledges packets, and the controller uses the acknowledgements.
     """
     base, m, k = actuator_base(problem, controller), problem.plant.inputs, len(controller.A)
     unit, at = np.eye(m), "controller"
@@ -69,7 +70,7 @@ def over_actuator_link(problem: Discrete, controller: Controller, model: bool) -
         Send(at, "actuator", ("command", *(copied.packet if copied else {})), SEND),
         Assign("actuator", "input", (silent, {"command": unit}), Received("actuator")),
         *(copied.receiver if copied else ()),
-        Assign(at, HELD, known, SEND),
+        Assign(at, HELD, known, Acknowledged("actuator") if lossy else SEND),
         *(copied.decider if copied else ()),
     )
     next_state = (Assign(at, NEXT, moved),) if k else ()
@@ -77,7 +78,7 @@ def over_actuator_link(problem: Discrete, controller: Controller, model: bool) -
     return Route(base, at, COLLOCATED, "command", command, (*sent, *next_state), start)
 
 
-def over_sensor_link(problem: Discrete, controller: Controller, model: bool) -> Route:
+def over_sensor_link(problem: Discrete, controller: Controller, model: bool, lossy: bool) -> Route:
     """Return the route of measurements; the controller is at the actuator's site, and the sensor has a copy of it.
 
     Args:
@@ -85,6 +86,7 @@ def over_sensor_link(problem: Discrete, controller: Controller, model: bool) -> 
         controller: the controller.
         model: whether the controller uses C x̃ in silence, with the state x̃ of a model that starts at the last sent
             estimate; otherwise it uses the last measurement.
+        lossy: whether the network acknowledges packets, and the sensor uses the acknowledgements.
     """
     plant, c = problem.plant, controller
     p, state, at = plant.outputs, np.eye(plant.states), "sensor"
@@ -99,7 +101,7 @@ def over_sensor_link(problem: Discrete, controller: Controller, model: bool) -> 
         *((Assign("controller", "state", {"state": c.A, "used": c.B, "command": c.E}),) if len(c.A) else ()),
     )
     copy: tuple[Step, ...] = (
-        Assign(at, "known", known, SEND),
+        Assign(at, "known", known, Acknowledged("sensor") if lossy else SEND),
         Assign(at, HELD, nonempty({REGISTER: c.C, "known": c.D})),
         *((Assign(at, NEXT, {REGISTER: c.A, "known": c.B, HELD: c.E}),) if len(c.A) else ()),
     )

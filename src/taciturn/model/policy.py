@@ -97,7 +97,7 @@ class Policy(Displayed):
         """Check that all parts of the policy are consistent."""
         number("tick", self.tick, 0.0)
         computed = [name for step in self.steps if isinstance(step, Apply) for name in step.signals]
-        self.theory.check(self.kind, computed[0] if computed else None)
+        self.theory.check(self.kind, computed)
         sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
         for step in self.steps:
             for name, size in assigned(step).items():

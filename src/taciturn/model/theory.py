@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -140,6 +140,9 @@ class Theory(Displayed):
         fixed_rates: rates by link that the design fixes, in sends per step.
         covers: names of the properties that the theory takes into account (``taciturn.model.coverage``); any other
             property that is given makes the theory inapplicable; default: a linear loop with Gaussian noise.
+        functions: signals that the policy computes by a function and that the theory takes into account.
+        periodic: function of the steps between packets that returns the exact cost of the same control at periodic
+            sends, in the units of the cost; it raises an error if this is unstable. None: LQG is the comparison.
     """
 
     cost: Cost | None = None
@@ -153,13 +156,15 @@ class Theory(Displayed):
     reset: Reset | None = None
     fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
     covers: frozenset[str] = GAUSSIAN_THEORY
+    functions: frozenset[str] = frozenset()
+    periodic: Callable[[int], float] | None = None
 
-    def check(self, kind: str, nonlinear: str | None) -> None:
+    def check(self, kind: str, computed: Sequence[str]) -> None:
         """Check this theory for a policy of a given kind.
 
         Args:
             kind: name of the policy kind.
-            nonlinear: a signal that the policy computes by a function, or None if all its steps are linear.
+            computed: the signals that the policy computes by functions.
 
         Raises:
             ProblemError: a cost is not finite, the cost of the design is missing, or the policy is not linear.
@@ -183,8 +188,9 @@ class Theory(Displayed):
             )
         names = ("innovations", "identity", "reset", "closed_form", "guarantee")
         claims = [name for name in names if getattr(self, name) is not None]
-        if claims and nonlinear is not None:
+        others = [name for name in computed if name not in self.functions]
+        if claims and others:
             raise ProblemError(
-                f"{kind} computes {nonlinear} by a function and has {claims[0]}, which holds for linear steps only; "
+                f"{kind} computes {others[0]} by a function and has {claims[0]}, which holds for linear steps only; "
                 f"expected no {claims[0]}"
             )

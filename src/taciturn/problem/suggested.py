@@ -49,8 +49,8 @@ def offered_kinds() -> tuple[list[Kind], list[str]]:
 
 
 def over_losses() -> list[Kind]:
-    """Return the offered kinds whose design takes the losses of the links into account."""
-    return [kind for kind in offered_kinds()[0] if kind.uses_network]
+    """Return the offered kinds for links that drop packets."""
+    return [kind for kind in offered_kinds()[0] if kind.for_dropouts]
 
 
 def suggest_value(

@@ -14,6 +14,7 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
+from taciturn.loop import Loop
 from taciturn.lqg._cache import kept
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
@@ -60,8 +61,6 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
         return sampling_clock(problem, "model")
-    if problem.controller is not None:
-        raise NoClockError("the policy keeps a given controller, but periodic control is computed for LQG only")
     continuous = isinstance(problem.plant, ContinuousPlant)
     period = nodes.tick if continuous else None
     if problem.cost.mission:
@@ -72,6 +71,11 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the links drop packets, but periodic control is computed for links that deliver every packet"
         )
+    if nodes.theory.periodic is not None and problem.controller is not None:
+        loop = problem.close(nodes)
+        if not loop.nominal:
+            raise NoClockError(f"the loop differs from the design: {loop.violated_assumptions[0]}")
+        return _kept(loop, nodes.theory.periodic, actuation_of(nodes))
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
         differences = problem.close(all_time(problem.plant, problem.cost, period=period)).violated_assumptions
@@ -171,6 +175,12 @@ def _ticked(certainty: CertaintyEquivalentDesign, words: ClockKind, per_tick: Ca
     """Return periodic control whose cycles of several intervals are no better than the chord between single ones."""
     problem = certainty.problem
     return Ticked(words, problem.tick, lambda cycle: problem.per_unit(per_tick(cycle)))
+
+
+def _kept(loop: Loop, cost_of: Callable[[int], float], words: ClockKind) -> Ticked:
+    """Return periodic sends of a given controller."""
+    problem = loop.problem
+    return Ticked(words, problem.tick, lambda cycle: problem.per_unit(cost_of(*cycle)))
 
 
 @kept

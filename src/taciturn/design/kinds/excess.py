@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from taciturn._arrays import number
+from taciturn._arrays import instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
@@ -11,12 +11,14 @@ from taciturn.design.certainty import (
     control_steps,
     design_certainty,
 )
-from taciturn.design.given import keep_controller, lqg_observer
+from taciturn.design.given import drops, keep_controller, lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import LinkName, Policy
 from taciturn.model.trigger import Form, Trigger
@@ -32,6 +34,7 @@ def excess(
     actuation: Actuation = "hold",
     controller: object = None,
     link: LinkName = "actuator",
+    network: Network | None = None,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -56,6 +59,9 @@ def excess(
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
             measurement (``"hold"``) or the prediction of a model from the last sent estimate (``"model"``).
+        network: the network; default ideal links. If the link drops packets and acknowledges those that arrive
+            (``"tcp"``), J_all is the cost of an attempt to send every sample, and the rate is that of attempts. Losses
+            without acknowledgement are not taken into account.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -75,7 +81,12 @@ def excess(
     if (delta is None) == (theta is None):
         got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
         raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
-    if controller is not None or link != "actuator":
+    network = Network() if network is None else network
+    instance("network", network, Network)
+    SIMULATED.check(network)
+    if network.delay:
+        raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
+    if controller is not None or link != "actuator" or drops(network, link):
         if controller is None:
             controller = lqg_observer("excess", discretise(plant, cost, period))
         kept = controller_from(controller)
@@ -83,7 +94,7 @@ def excess(
         def price_at(cost_all_time: float) -> float:
             return _price(cost_all_time, delta, theta)
 
-        return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link)
+        return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network)
     problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty.cost_all_time, delta, theta)

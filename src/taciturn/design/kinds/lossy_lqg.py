@@ -242,6 +242,7 @@ KIND = Kind(
         "under tcp. With a delay: estimate := prior first, and S sends after A"
     ),
     offered=7,
+    for_dropouts=True,
     requires="a discrete-time model, a measurement of the full state, and N = 0",
     check=refuse_what_is_not_covered,
 )

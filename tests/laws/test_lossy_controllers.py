@@ -1,0 +1,182 @@
+"""Event-triggered control over links that drop packets and acknowledge them: value, identity, bound, critical loss."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from laws.test_given_controllers import random_loop
+from runtime.loops import differing_ticks, record
+
+import taciturn
+from taciturn import PID, Burst, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
+from taciturn.design.given import lqg_observer
+from taciturn.design.losses import critical_scale, lossy_advantage, stationary
+from taciturn.design.routes import actuator_base, sensor_base
+from taciturn.lqg.discrete import discretise
+from taciturn.program.engine import prepare
+from taciturn.program.names import Sent
+from taciturn.study.disturbed import sends_every_sample
+
+PLANT = Plant([[1.02, 0.1], [0, 0.98]], [[0.005], [0.1]], np.diag([0.001, 0.01]), [[1, 0]], [[0.05]])
+WEIGHTS = Cost(np.diag([1.0, 0.1]), [[0.1]])
+INDEPENDENT = Network("tcp", actuator_loss=0.3)
+BURSTS = Network("tcp", actuator_burst=Burst(0.05, 0.3, 0.02, 0.8))
+TABLE = [(INDEPENDENT, 0.576, 1.0109, 0.0004, 1.0424), (BURSTS, 0.551, 1.0121, 0.0005, 1.0449)]
+
+
+def random_network(seed: int, link: str) -> Network:
+    """Return independent losses, or bursts, of one link."""
+    draws = np.random.default_rng([seed, 7])
+    if draws.integers(2):
+        return Network("tcp", **{f"{link}_loss": float(draws.uniform(0.02, 0.3))})
+    burst = Burst(*draws.uniform(0.05, 0.3, 2), draws.uniform(0, 0.1), draws.uniform(0.3, 0.9))
+    return Network("tcp", **{f"{link}_burst": burst})
+
+
+def forward_cost(base: object, turns: np.ndarray, losses: np.ndarray) -> float:
+    """Return the stationary cost by the second moments of (z, h) in each channel state, one linear system."""
+    n, c = base.Gamma.shape
+    closed = np.vstack([np.eye(n), base.K])
+    arrives = np.block([[base.Phi + base.Gamma @ base.K, np.zeros((n, c))], [base.K, np.zeros((c, c))]])
+    silent = np.block([[base.Phi, base.Gamma], [np.zeros((c, n)), np.eye(c)]])
+    stage = np.zeros((n + c, n + c))
+    stage[:n, :n] = closed.T @ base.stage @ closed
+    share, size = stationary(turns), (n + c) ** 2
+    noise = np.zeros((n + c, n + c))
+    noise[:n, :n] = base.noise
+    moved = [p * np.kron(silent, silent) + (1 - p) * np.kron(arrives, arrives) for p in losses]
+    s = len(losses)
+    step = np.block([[turns[m, other] * moved[m] for m in range(s)] for other in range(s)])
+    added = np.concatenate([sum(share[m] * turns[m, other] for m in range(s)) * noise.ravel() for other in range(s)])
+    moments = np.linalg.solve(np.eye(s * size) - step, added).reshape(s, n + c, n + c)
+    return float(sum(np.sum(S * (p * base.stage + (1 - p) * stage)) for S, p in zip(moments, losses, strict=True)))
+
+
+@pytest.mark.parametrize(("network", "attempts", "cost", "error", "bound"), TABLE)
+def test_losses_are_those_of_the_reference(
+    network: Network, attempts: float, cost: float, error: float, bound: float
+) -> None:
+    """LQG gains with a held input, θ = 0.1; the same controller may be given."""
+    policy = design.excess(PLANT, WEIGHTS, theta=0.1, network=network)
+    kept = lqg_observer("excess", discretise(PLANT, WEIGHTS, None))
+    assert design.excess(PLANT, WEIGHTS, theta=0.1, network=network, controller=kept).cost_all_time == pytest.approx(
+        policy.cost_all_time, rel=1e-12
+    )
+    found = taciturn.evaluate(policy, standard_error=1e-4 * policy.cost_all_time)
+    assert found.rates["actuator"].value == pytest.approx(attempts, abs=0.002)
+    assert found.cost.value / policy.cost_all_time == pytest.approx(cost, abs=4 * (error + 1e-4))
+    assert found.cost_bound_at_rate / policy.cost_all_time == pytest.approx(bound, abs=2e-4)
+    assert found.cost.value < found.cost_bound_at_rate
+
+
+@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(100), marks=pytest.mark.evidence)])
+def test_two_computations_of_the_value_agree(seeds: range) -> None:
+    """Weights backwards, and second moments forwards."""
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        for link, choose in (("actuator", actuator_base), ("sensor", sensor_base)):
+            base, chain = choose(discretise(plant, cost, None), kept), random_network(seed, link).chain(link)
+            scale = critical_scale(base, *chain)
+            if scale < 1.2:
+                chain = chain[0], chain[1] * scale / 1.2
+            if len(base.Phi) < 9:
+                found = lossy_advantage(base, *chain, "").cost
+                assert found == pytest.approx(forward_cost(base, *chain), rel=1e-9)
+
+
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(100), marks=pytest.mark.evidence)])
+def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
+    """Plain average and completed squares of the same loop; errors from loops whose fourth moments exist."""
+    off = []
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        link = ("actuator", "sensor")[seed % 2]
+        network = random_network(seed, link)
+        choose = actuator_base if link == "actuator" else sensor_base
+        if critical_scale(choose(discretise(plant, cost, None), kept), *network.chain(link)) < 2:
+            continue
+        theta = (0.0, 0.2, 1.0)[seed % 3]
+        policy = design.excess(plant, cost, theta=theta, controller=kept, link=link, network=network)
+        loop, paths = taciturn.close(plant, policy), 400
+        assert loop.nominal
+        program = loop.program()
+        prepared = prepare(program)
+        states = prepared(loop.start(program, paths, seed), 2000, None).states
+        sums = prepared(states, 4000, None).sums
+        plain, squares = sums["cost"] / 4000, policy.cost_all_time + sums["excess"] / 4000
+        error = (plain - squares).std(ddof=1) / np.sqrt(paths)
+        off.append(float((plain - squares).mean() / error))
+        rate = float(sums[Sent(link)].mean()) / 4000
+        assert plain.mean() < policy.guarantee.at_rate(rate) + 4 * plain.std(ddof=1) / np.sqrt(paths)
+    assert off
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1 + 6 / np.sqrt(len(off))
+
+
+def test_above_the_critical_loss_the_mean_square_grows() -> None:
+    """In a simulation of attempts at every step, and not below; the design refuses the first with the limit."""
+    plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])
+    base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
+    critical = 0.1 * critical_scale(base, np.ones((1, 1)), np.array([0.1]))
+    usual = sends_every_sample(design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=0.01)))
+    growth = {}
+    for factor in (0.8, 1.25):
+        loop = taciturn.close(plant, usual, Network("tcp", actuator_loss=factor * critical))
+        program = loop.program()
+        prepared = prepare(program)
+        early = prepared(loop.start(program, 60_000, 1), 20, None)
+        late = prepared(prepared(early.states, 20, None).states, 20, None)
+        growth[factor] = late.sums["cost"].mean() / early.sums["cost"].mean()
+    assert growth[0.8] < 1.6
+    assert growth[1.25] > 4
+    with pytest.raises(UnstableError, match=f"expected a loss below {critical:.4g}"):
+        design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=1.01 * critical))
+
+
+def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:
+    """With the slow disturbance of its integrator, whose slow mode the cost hardly sees."""
+    tank = Plant([[1, 0.1], [0, 0.9]], [[0], [0.1]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=0.1)
+    pid, weights = PID(1.2, 0.15, 1.0, 0.5, Disturbance(20.0, 0.1)), Cost(np.diag([1.0, 0.0]), [[0.05]])
+    policy = design.excess(tank, weights, theta=0.5, controller=pid, network=Network("tcp", actuator_loss=0.2))
+    found = taciturn.evaluate(policy, standard_error=1e-3 * policy.cost_all_time)
+    assert found.rates["actuator"].value < 0.5
+    assert found.cost.value < found.cost_bound_at_rate
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"network": INDEPENDENT, "actuation": "model"}, "actuation is 'model', and the link drops packets"),
+        ({"network": Network("tcp", delay=1)}, "network.delay is 1; expected 0 with excess"),
+        ({"network": Network("tcp", actuator_loss=1.0)}, "expected a loss below 0.69"),
+        ({"network": Network("tcp", actuator_burst=Burst(0.1, 0.1, 0.8, 0.99))}, "times as much"),
+    ],
+)
+def test_what_has_no_theory_is_refused(change: dict[str, object], words: str) -> None:
+    """In one sentence."""
+    with pytest.raises((ProblemError, UnstableError)) as told:
+        design.excess(PLANT, WEIGHTS, theta=0.1, **change)
+    assert words in str(told.value)
+
+
+def test_losses_without_acknowledgement_are_simulated_without_a_claim() -> None:
+    """The same policy as for ideal links."""
+    policy = design.excess(PLANT, WEIGHTS, theta=0.1, network=Network("udp", actuator_loss=0.3))
+    loop = taciturn.close(PLANT, policy, Network("udp", actuator_loss=0.3))
+    assert not loop.nominal
+    for network in (INDEPENDENT, BURSTS):
+        lossy = design.excess(PLANT, WEIGHTS, theta=0.1, network=network)
+        assert taciturn.close(PLANT, lossy, network).nominal
+        assert not taciturn.close(PLANT, lossy, network.without_bursts() if network is BURSTS else BURSTS).nominal
+
+
+@pytest.mark.parametrize(("network", "link"), [(INDEPENDENT, "actuator"), (BURSTS, "actuator"), (BURSTS, "sensor")])
+def test_nodes_apart_carry_the_bits_of_the_loop(network: Network, link: str) -> None:
+    """With lost packets, acknowledgements, and the belief about the channel."""
+    if link == "sensor":
+        network = Network("tcp", sensor_burst=network.actuator_burst)
+    loop = taciturn.close(PLANT, design.excess(PLANT, WEIGHTS, theta=0.1, network=network, link=link))
+    records, draws = record(loop, 200, 1)
+    wrong, packets = differing_ticks(loop, records, draws)
+    assert wrong == []
+    assert 20 < packets < 180
