@@ -15,13 +15,21 @@ import numpy as np
 from taciturn._arrays import Array, choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
-from taciturn.design.base import Base, advantage
+from taciturn.design.base import Base, advantage, least_value
 from taciturn.design.certainty import SEND, Actuation, design_certainty, expect_average
 from taciturn.design.estimation import ESTIMATE, FilterSteps, estimate_state
 from taciturn.design.losses import ChannelBelief, lossy_advantage
-from taciturn.design.routes import CANDIDATE, MEASURED, NEXT, REGISTER, over_actuator_link, over_sensor_link
+from taciturn.design.routes import (
+    CANDIDATE,
+    MEASURED,
+    NEXT,
+    REGISTER,
+    actuator_base,
+    over_actuator_link,
+    over_sensor_link,
+)
 from taciturn.design.same_control import SameControl
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import filter_checked
 from taciturn.model.controller import Controller, Kept
@@ -71,13 +79,7 @@ def keep_controller(
         UnstableError: the loop that sends every sample is unstable.
     """
     expect_average(kind, cost)
-    problem = discretise(plant, cost, period)
-    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.outputs)
-    SIMULATED.check(controller)
-    disturbance = controller.expected
-    if disturbance is not None:
-        disturbance = disturbance.completed(plant, period)
-        problem = discretise(disturbance.added_to(plant), padded(cost, problem.plant.inputs), period)
+    problem, controller, disturbance = _disturbed(plant, cost, period, kept)
     plant = problem.plant
     model = choice("actuation", actuation, ("hold", "model")) == "model"
     choice("link", link, ("actuator", "sensor"))
@@ -142,6 +144,54 @@ def keep_controller(
         notes=(*(() if lossy else _beside(kind, problem, found.cost)), *_assumed(controller, disturbance)),
         disturbance=disturbance,
     )
+
+
+def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | None = None) -> Cost:
+    """Return the cost for which the present variances of all outputs and inputs count equally, with every sample.
+
+    Args:
+        plant: the plant, without the slow disturbance that the controller compensates.
+        kept: the controller.
+        period: seconds between steps; only with a continuous plant.
+
+    Raises:
+        UnstableError: the loop is unstable, or a variance is infinite.
+        ProblemError: an output or an input does not move.
+    """
+    usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
+    problem, controller, _ = _disturbed(plant, usual, period, kept)
+    base = actuator_base(problem, controller)
+    F, n = base.Phi + base.Gamma @ base.K, plant.states
+    rows = {"output_variance": np.pad(plant.C, ((0, 0), (0, len(F) - n))), "input_variance": base.K}
+    found: dict[str, list[float]] = {}
+    for name, signals in rows.items():
+        found[name] = []
+        for number, row in enumerate(signals, 1):
+            P, slowest = least_value(F, row[:, None] * row)
+            variance = float(np.sum(P * base.noise))
+            if slowest >= 1:
+                raise UnstableError(f"the loop that sends every sample is not stable; expected a stable loop: {REMEDY}")
+            if variance <= 0:
+                raise ProblemError(
+                    f"{name.partition('_')[0]} {number} has no variance in the loop with every sample; expected noise "
+                    "that moves it, or output_variance and input_variance in place of weights"
+                )
+            found[name].append(variance)
+    return Cost.of_variances(plant.C, **found)
+
+
+def _disturbed(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept
+) -> tuple[Discrete, Controller, Disturbance | None]:
+    """Return the discrete-time problem with the slow disturbance, the controller at its step, and the disturbance."""
+    problem = discretise(plant, cost, period)
+    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.outputs)
+    SIMULATED.check(controller)
+    disturbance = controller.expected
+    if disturbance is not None:
+        disturbance = disturbance.completed(plant, period)
+        problem = discretise(disturbance.added_to(plant), padded(cost, problem.plant.inputs), period)
+    return problem, controller, disturbance
 
 
 def lqg_observer(kind: str, problem: Discrete) -> Controller:

@@ -80,6 +80,32 @@ class Cost(Displayed):
         ):
             object.__setattr__(self, key, value)
 
+    @classmethod
+    def of_variances(cls, C: ArrayLike, output_variance: ArrayLike, input_variance: ArrayLike) -> Cost:
+        """Return the average cost Σ y_i²/(variance of y_i) + Σ u_j²/(variance of u_j), with y = C x (Bryson's rule).
+
+        Args:
+            C: output matrix of the plant, (p, n).
+            output_variance: variance of each output that counts as much as the others, (p,).
+            input_variance: variance of each input that counts as much, (m,).
+
+        Raises:
+            ProblemError: a variance is not positive, or their number is not that of the outputs.
+
+        Source: bryson1975
+
+        Example:
+            >>> Cost.of_variances([[1.0, 0.0]], [0.01], [4.0]).Q.tolist()
+            [[100.0, 0.0], [0.0, 0.0]]
+        """
+        C = array("C", C, (None, None), "(outputs, states)")
+        outputs = array("output_variance", output_variance, (len(C),), "(outputs,)")
+        inputs = array("input_variance", input_variance, (None,), "(inputs,)")
+        for name, values in (("output_variance", outputs), ("input_variance", inputs)):
+            if (values <= 0).any():
+                raise ProblemError(f"{name} contains {values.min():g}; expected positive variances")
+        return cls(C.T @ (C / outputs[:, None]), np.diag(1 / inputs))
+
     def summary(self) -> Mapping[str, str | Array | None]:
         """Return the type and the weights of the cost by name."""
         N = self.N if self.N.any() else None

@@ -14,6 +14,7 @@ from taciturn.model.trigger import Matrix, Scheduled
 
 BLUR = 1e-6  # relative difference below which poles are considered equal
 WIDEST = 12  # largest number of columns of a matrix that is printed in full
+NARROW = 6  # most columns of four digits that fit a line
 NamedRows = dict[str, str | Array | None]
 
 
@@ -108,9 +109,14 @@ def matrix_lines(name: str, value: Matrix) -> Lines:
         return [(name, f"{factor}I ({rows}×{rows})" if same else f"diag({', '.join(f'{d:.4g}' for d in diagonal)})")]
     if columns > WIDEST:
         return [(name, f"{rows}×{columns}, entries from {value.min():.4g} to {value.max():.4g}")]
-    return [(name if i == 0 else "", vector_text(row)) for i, row in enumerate(value)]
+    digits = 4 if columns <= NARROW else 2
+    return [(name if i == 0 else "", vector_text(row, digits)) for i, row in enumerate(value)]
 
 
-def vector_text(values: Array) -> str:
+def vector_text(values: Array, digits: int = 4) -> str:
     """Return the entries of a vector in columns of equal width."""
-    return f"[{' '.join(f'{value:10.4g}' for value in values)}]" if len(values) > 1 else f"[{values[0]:.6g}]"
+    return (
+        f"[{' '.join(f'{value:{digits + 6}.{digits}g}' for value in values)}]"
+        if len(values) > 1
+        else f"[{values[0]:.6g}]"
+    )

@@ -46,7 +46,7 @@ from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, refuse_functions
 from taciturn.problem.functions import read_function as read_function
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
-from taciturn.problem.parts import actual_of, controller_of, expect_argument, network_of, plant_of
+from taciturn.problem.parts import actual_of, controller_of, cost_of, expect_argument, network_of, plant_of
 from taciturn.problem.tables import (
     IDEAL_LINKS,
     File,
@@ -305,11 +305,11 @@ def parse(
         record = own if own is not None and own.name == kind else find_kind(kind)
         for part in (part for part in ("reference", "controller") if getattr(file, part) is not None):
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
-        cost = Cost(**{key: value for key, value in vars(file.cost).items() if value is not None})
         plant = plant_of(file.plant, known or {})
         actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
         reference = None if file.reference is None else Reference(**vars(file.reference))
         controller = None if file.controller is None else controller_of(file.controller)
+        cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file.network, record)
         return Problem(
             plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller

@@ -9,9 +9,11 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.design.given import cost_as_kept
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
+from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Burst, Network
@@ -22,6 +24,7 @@ from taciturn.problem.tables import (
     IDEAL_LINKS,
     BurstTable,
     ControllerTable,
+    CostTable,
     InitialTable,
     JumpsTable,
     NetworkTable,
@@ -80,6 +83,34 @@ def actual_of(
             size = {"A": "states", "B": "inputs", "C": "outputs"}[name]
             raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected}, as in [plant]")
     return plant
+
+
+def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept | None, period: object) -> Cost:
+    """Return the cost of a table, which states weights, variances, or weights by the present loop of a controller."""
+    stated = {name: value for name, value in vars(table).items() if value is not None}
+    short = [name for name in ("output_variance", "input_variance", "weights") if name in stated]
+    if not short:
+        for name in (name for name in "QR" if name not in stated):
+            raise ProblemError(
+                f"the key cost.{name} is missing; expected it in [cost], or output_variance and input_variance"
+            )
+        return Cost(**stated)
+    allowed = {"weights"} if "weights" in stated else {"output_variance", "input_variance"}
+    ending = {name: stated.pop(name) for name in ("horizon", "terminal", "discount") if name in stated}
+    for name in (name for name in stated if name not in allowed):
+        raise ProblemError(f"cost.{short[-1]} and cost.{name} are given; expected one of the two")
+    if table.weights is not None:
+        if controller is None:
+            raise ProblemError(
+                f"cost.weights is {table.weights!r} without a controller; expected [controller], or Q and R"
+            )
+        seconds = float(period) if isinstance(period, int | float) else None
+        found = cost_as_kept(plant, controller, seconds)
+        return Cost(found.Q, found.R, **ending)
+    for name in (name for name in ("output_variance", "input_variance") if name not in stated):
+        raise ProblemError(f"the key cost.{name} is missing; expected it in [cost], with cost.{short[0]}")
+    found = Cost.of_variances(plant.C, stated["output_variance"], stated["input_variance"])
+    return Cost(found.Q, found.R, **ending)
 
 
 def controller_of(table: ControllerTable) -> Kept:

@@ -62,9 +62,12 @@ class NominalPlantTable(PlantTable):
 class CostTable(Displayed):
     """The keys of the table ``[cost]``."""
 
-    Q: Rows
-    R: Rows
+    Q: Rows | None = None
+    R: Rows | None = None
     N: Rows | None = None
+    output_variance: list[float] | None = None
+    input_variance: list[float] | None = None
+    weights: Literal["as the controller"] | None = None
     horizon: int | None = None
     terminal: Rows | None = None
     discount: float | None = None

@@ -12,10 +12,11 @@ from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
 from taciturn._text import Lines, per_unit
 from taciturn.design.kind import AnyPolicy
+from taciturn.model.controller import Controller
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import matrix_lines, vector_text
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Policy
+from taciturn.model.policy import Assign, Evaluate, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
@@ -54,6 +55,14 @@ class Description(Displayed):
         return None if self.nodes is None else self.nodes.diagram()
 
     @property
+    def controller(self) -> Controller | None:
+        """The given controller in the steps of the policy, or None."""
+        if self.problem.controller is None or self.nodes is None:
+            return None
+        plant = self.nodes.model
+        return self.problem.controller.at(plant.dt, plant.inputs, plant.outputs)
+
+    @property
     def gains(self) -> dict[str, Matrix]:
         """Feedback gain L and estimator gain, if the policy has them."""
         return {} if self.nodes is None else _gains(self.nodes)
@@ -77,6 +86,7 @@ class Description(Displayed):
             "cost_all_time": self.policy.cost_all_time,
             "guarantee": self._guarantee(),
             "gains": {name: _plain(value) for name, value in self.gains.items()},
+            **({} if self.controller is None else {"controller": _controller_document(self.controller)}),
             "decisions": {
                 name: {label: _form_document(form) for label, form in trigger.options.items()}
                 for name, trigger in self._decisions.items()
@@ -101,6 +111,8 @@ class Description(Displayed):
             lines += [(f"actual {name}".strip(), text) for name, text in _plant_lines(problem.actual)]
         lines += _cost_lines(problem)
         lines.append(("every sample", f"J_all = {self.policy.cost_all_time:.6g} {per_unit(per)}"))
+        if self.controller is not None:
+            lines += _controller_lines(self.controller)
         for name, value in self.gains.items():
             lines.append(GAINS[name])
             lines += matrix_lines("", value)
@@ -109,6 +121,7 @@ class Description(Displayed):
         lines += self._guarantee_lines()
         for name, trigger in self._decisions.items():
             lines += _decision_lines(name, trigger.options)
+            lines += self._computed_lines(trigger)
         lines.append(("network", problem.network.short()))
         if self.diagram is not None:
             for link in self.diagram.links:
@@ -116,6 +129,17 @@ class Description(Displayed):
                 lines.append((f"link, {link.name}", f"{link.packet}: {link.condition}{told}"))
         lines += self._fault_lines()
         return [*lines, *(("note", note) for note in self.notes)]
+
+    def _computed_lines(self, trigger: Trigger) -> Lines:
+        """Return the quadratic forms of the signals that a decision compares."""
+        named = {name for form in trigger.options.values() for name in form.plus}
+        steps = self.policy.steps if isinstance(self.policy, Policy) else ()
+        return [
+            line
+            for step in steps
+            if isinstance(step, Evaluate) and step.signal in named and step.forms[0].Psi is not None
+            for line in _form_lines(step.signal, step.forms[0])
+        ]
 
     def _fault_lines(self) -> Lines:
         """Return how long a fault has an effect, if it is not until the end of a run."""
@@ -250,28 +274,46 @@ def _decision_lines(name: str, options: Mapping[str, Form]) -> Lines:
     """Return the printed lines of a decision, which chooses the option with the least value."""
     lines: Lines = [(f"decision {name}", "the option with the least value; in a tie, the first")]
     for label, form in list(options.items())[:SHOWN_OPTIONS]:
-        terms: list[str] = []
-        if form.Psi is not None:
-            terms.append(f"η'Ψη, η = [{'; '.join(form.signals)}]")
-        if form.bell is not None:
-            terms.append(f"{form.bell.height:.6g} exp(−½ η'Πη)")
-        terms += [f"{weight:g} {signal}" for signal, weight in form.plus.items()]
-        constant = form.constant
-        if isinstance(constant, Scheduled) and len(constant.values) == 1:
-            constant = float(constant.values[0])
-        if isinstance(constant, Scheduled):
-            terms.append(
-                f"a constant indexed by {constant.by}, {constant.values.min():.6g} to {constant.values.max():.6g}"
-            )
-        elif constant or not terms:
-            terms.append(f"{constant:.6g}")
-        lines.append((f"  {label}", " + ".join(terms)))
-        if form.Psi is not None:
-            lines += matrix_lines("    Ψ", form.Psi)
-        if form.bell is not None:
-            lines += matrix_lines("    Π", form.bell.Pi)
+        lines += _form_lines(f"  {label}", form)
     left = len(options) - SHOWN_OPTIONS
     return [*lines, ("", f"and {left} more, which --json lists")] if left > 0 else lines
+
+
+def _form_lines(name: str, form: Form) -> Lines:
+    """Return the printed lines of a quadratic form."""
+    terms: list[str] = []
+    if form.Psi is not None:
+        terms.append(f"η'Ψη, η = [{'; '.join(form.signals)}]")
+    if form.bell is not None:
+        terms.append(f"{form.bell.height:.6g} exp(−½ η'Πη)")
+    terms += [f"{weight:g} {signal}" for signal, weight in form.plus.items()]
+    constant = form.constant
+    if isinstance(constant, Scheduled) and len(constant.values) == 1:
+        constant = float(constant.values[0])
+    if isinstance(constant, Scheduled):
+        terms.append(f"a constant indexed by {constant.by}, {constant.values.min():.6g} to {constant.values.max():.6g}")
+    elif constant or not terms:
+        terms.append(f"{constant:.6g}")
+    lines: Lines = [(name, " + ".join(terms))]
+    if form.Psi is not None:
+        lines += matrix_lines("    Ψ", form.Psi)
+    if form.bell is not None:
+        lines += matrix_lines("    Π", form.bell.Pi)
+    return lines
+
+
+def _controller_lines(controller: Controller) -> Lines:
+    """Return the printed lines of a controller."""
+    parts = [name for name in "ABCDE" if getattr(controller, name).size and (name != "E" or controller.E.any())]
+    state = f"z⁺ = A z + B y{' + E u' if 'E' in parts else ''}, " if len(controller.A) else ""
+    lines: Lines = [("controller", f"{state}u = {'C z + ' if len(controller.A) else ''}D y in each step")]
+    for name in parts:
+        lines += matrix_lines(f"  {name}", getattr(controller, name))
+    return lines
+
+
+def _controller_document(controller: Controller) -> dict[str, Any]:
+    return {name: getattr(controller, name).tolist() for name in "ABCDE"}
 
 
 def _form_document(form: Form) -> dict[str, Any]:
