@@ -284,3 +284,24 @@ def test_the_same_controller_at_a_slower_clock_is_the_comparison() -> None:
         x = TANK.A @ x + TANK.B @ u + np.sqrt(TANK.W) @ draws.standard_normal((2, 4000))
     error = total.std(ddof=1) / 2000 / np.sqrt(4000)
     assert policy.theory.periodic.discretised(4) == pytest.approx(total.mean() / 2000, abs=4 * error)
+
+
+@pytest.mark.parametrize(
+    ("link", "delta", "packets", "cost"),
+    [
+        pytest.param(*row, marks=() if row[1] in (0.15, 0.04) else pytest.mark.evidence)
+        for row in (
+            ("actuator", 0.1, 0.523, 1.026), ("actuator", 0.15, 0.343, 1.088), ("actuator", 0.2, 0.217, 1.227),
+            ("sensor", 0.02, 0.665, 1.001), ("sensor", 0.04, 0.392, 1.026), ("sensor", 0.06, 0.215, 1.098),
+            ("sensor", 0.1, 0.080, 1.491),
+        )
+    ],
+)  # fmt: skip
+def test_send_on_delta_keeps_a_controller(link: str, delta: float, packets: float, cost: float) -> None:
+    """Of its command or of the measurement; the excess trigger costs less at the same rate."""
+    policy = design.send_on_delta(TANK, WEIGHTS, delta=delta, controller=KEPT, link=link)
+    assert policy.guarantee is None
+    assert policy.cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
+    found = taciturn.evaluate(policy, standard_error=3e-6)
+    assert found.rates[link].value == pytest.approx(packets, abs=0.002)
+    assert found.cost.value / ALL_TIME == pytest.approx(cost, abs=0.008)  # 4 standard errors of the reference

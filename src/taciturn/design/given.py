@@ -79,7 +79,7 @@ def keep_controller(
         UnstableError: the loop that sends every sample is unstable.
     """
     expect_average(kind, cost)
-    problem, controller, disturbance = _disturbed(plant, cost, period, kept)
+    problem, controller, disturbance = disturbed(plant, cost, period, kept)
     plant = problem.plant
     model = choice("actuation", actuation, ("hold", "model")) == "model"
     choice("link", link, ("actuator", "sensor"))
@@ -130,7 +130,7 @@ def keep_controller(
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
         functions=frozenset({BELIEF}),
-        periodic=None if lossy else SameControl(problem, kept, route.base, steady, model),
+        periodic=None if lossy else SameControl(problem, kept, route.base, steady if model else None),
     )
     return Policy(
         kind=kind,
@@ -159,7 +159,7 @@ def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | Non
         ProblemError: an output or an input does not move.
     """
     usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
-    problem, controller, _ = _disturbed(plant, usual, period, kept)
+    problem, controller, _ = disturbed(plant, usual, period, kept)
     base = actuator_base(problem, controller)
     F, n = base.Phi + base.Gamma @ base.K, plant.states
     rows = {"output_variance": np.pad(plant.C, ((0, 0), (0, len(F) - n))), "input_variance": base.K}
@@ -180,7 +180,7 @@ def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | Non
     return Cost.of_variances(plant.C, **found)
 
 
-def _disturbed(
+def disturbed(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept
 ) -> tuple[Discrete, Controller, Disturbance | None]:
     """Return the discrete-time problem with the slow disturbance, the controller at its step, and the disturbance."""

@@ -33,15 +33,13 @@ class SameControl(Displayed):
         problem: the discrete-time problem.
         kept: the controller, which may depend on the step.
         base: the loop that sends every sample.
-        filter: the filter of the policy, whose estimate starts a prediction.
-        model: whether the receiver predicts; otherwise it keeps its last value.
+        filter: the filter whose estimate starts the receiver's prediction; None if the receiver keeps its last value.
     """
 
     problem: Discrete
     kept: Kept
     base: Base
-    filter: Filter
-    model: bool
+    filter: Filter | None
 
     def __call__(self, steps: int) -> float:
         """Return the cost.
@@ -60,7 +58,7 @@ class SameControl(Displayed):
         n, c = base.Gamma.shape
         noise = block_diagonal(base.noise, np.zeros((c, c)))
         (send, M_send), (silent, M_silent) = held_steps(base)
-        if self.model:  # (ẑ, z̃): the estimate of z, and its prediction from the last packet
+        if self.filter is not None:  # (ẑ, z̃): the estimate of z, and its prediction from the last packet
             closed, none = base.Phi + base.Gamma @ base.K, np.zeros((n, n))
             used, first = np.vstack([np.eye(n), base.K]), block_diagonal(np.eye(n), base.K)
             send, M_send = np.block([[closed, none], [closed, none]]), block_diagonal(used.T @ base.stage @ used, none)

@@ -21,7 +21,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.clock import ClockMix
-from taciturn.study.disturbed import after_step
+from taciturn.study.disturbed import averages_after_step
 from taciturn.study.effects import forgotten_start, without_effect
 from taciturn.study.evaluation import Consistency, Evaluation
 from taciturn.study.fair import periodic_at
@@ -44,6 +44,7 @@ def evaluate(
     precision: Precision = "float64",
     confidence: float | None = None,
     time_limit: float | None = None,
+    after_step: bool = True,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Return cost, rates and bounds of a problem's policy.
@@ -70,6 +71,7 @@ def evaluate(
         time_limit: time limit in seconds after the design of the policy; default: none. When it has passed, the best
             answer so far is returned, with its actual error and ``reached`` False. A lower bound that is not yet found
             is omitted, with a note.
+        after_step: whether to simulate also a step of the slow disturbance that the policy assumes, if it assumes one.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -97,10 +99,10 @@ def evaluate(
     began = time.perf_counter()
     told = Stages(limited(in_notebook(progress), time_limit))
     try:
-        return replace(
-            _evaluated(problem, Request(seed, standard_error, steps, method, time_limit), precision, confidence, told),
-            seconds=time.perf_counter() - began,
-        )
+        request = Request(seed, standard_error, steps, method, time_limit)
+        found = _evaluated(problem, request, precision, confidence, told)
+        stepped = averages_after_step(problem, seed) if after_step else None
+        return replace(found, after_step=stepped, seconds=time.perf_counter() - began)
     except OutOfTime:
         raise ProblemError(
             f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "
@@ -176,7 +178,6 @@ def _evaluated(
         settled=found.settled,
         trusted=found.trusted,
         bound_error=0.0 if guarantee is None else abs(guarantee.per_silence) * per_tick.standard_error,
-        after_step=after_step(problem, policy, request.seed),
         method=measured.method,
         reason=measured.reason,
     )

@@ -21,11 +21,13 @@ from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
 from taciturn.study.clock import ClockMix, ClockPoint
+from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
 
 KIND = "kind of data"  # key for the class of the data in a mapping
 RECORDED = {
-    known.__name__: known for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint)
+    known.__name__: known
+    for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint, AfterStep)
 }
 
 

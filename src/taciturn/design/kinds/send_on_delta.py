@@ -4,33 +4,50 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import number
+from taciturn._arrays import choice, number
+from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.certainty import SEND, design_certainty, sensor_policy
+from taciturn.design.certainty import SEND, design_certainty, expect_average, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.given import REMEDY, disturbed, lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.routes import CANDIDATE, MEASURED, NEXT, REGISTER, over_actuator_link, over_sensor_link
+from taciturn.design.same_control import SameControl
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Policy, Received, Send
+from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, Policy, Received, Send, Step
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
-LAST, HEARD = "last", "heard"
+LAST, HEARD, WHICH = "last", "heard", "changed"
 
 
-def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, period: float | None = None) -> Policy:
+def send_on_delta(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    delta: float,
+    period: float | None = None,
+    controller: object = None,
+    link: LinkName = "sensor",
+) -> Policy:
     """Design LQG control whose sensor sends if and only if an output has changed by more than Δ since the last send.
 
     The controller, at the actuator, filters the last outputs sent as if they were measured at the current step. The
     filter models the change since the send as an additional error, uniform in ±Δ: it is the steady-state Kalman filter
-    for the measurement noise V + (Δ²/3) I [suh2007].
+    for the measurement noise V + (Δ²/3) I [suh2007]. A given ``controller`` uses the last outputs sent. With ``link =
+    "actuator"``, the controller sends its command when an input has changed by more than Δ.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        delta: threshold Δ ≥ 0, in the units of the outputs.
+        delta: threshold Δ ≥ 0, in the units of the outputs, or of the inputs.
         period: seconds between steps; only with a continuous plant.
+        controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
+        link: ``"sensor"``: measurements are sent; ``"actuator"``: commands of a controller at the sensor's site.
 
     Returns:
         The policy; no bound on its cost is known.
@@ -47,12 +64,60 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
         ('sensor',)
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    if controller is not None or link != "sensor":
+        return _keep("send-on-delta", plant, cost, period, controller, delta, link)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)
     steady = steady_filter(plant.A, plant.C, plant.W, taken)
     settling = 1 / (1 - max(certainty.regulator.slowest, steady.slowest))
     return sensor_policy("send-on-delta", certainty, _heard(plant, steady, delta), settling)
+
+
+def _keep(
+    kind: str,
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    controller: object,
+    delta: float,
+    link: LinkName,
+) -> Policy:
+    """Return the policy that sends when the value that a given controller needs, or its command, has changed by Δ."""
+    expect_average(kind, cost)
+    kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
+    problem, at_step, disturbance = disturbed(plant, cost, period, kept)
+    choice("link", link, ("actuator", "sensor"))
+    route = (over_actuator_link if link == "actuator" else over_sensor_link)(problem, at_step, False, False)
+    found, node, k = advantage(route.base, REMEDY), route.node, len(at_step.A)
+    unit = np.eye(len(route.base.K))
+    moved = {f"entry {i}": Form(("moved",), -np.diag(row), delta**2) for i, row in enumerate(unit)}
+    steps: tuple[Step, ...] = (
+        Assign(node, MEASURED, {"y": np.eye(problem.plant.outputs)}),
+        *((Assign(node, REGISTER, {NEXT: np.eye(k)}),) if k else ()),
+        *route.before,
+        Assign(node, "moved", {CANDIDATE: unit, route.choice: -unit}),
+        Decide(node, WHICH, Trigger({"none": Form(), **moved})),
+        Evaluate(node, "any", tuple(Form(constant=float(i > 0)) for i in range(len(unit) + 1)), WHICH),
+        Decide(node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
+        *route.after,
+    )
+    return Policy(
+        kind=kind,
+        steps=steps,
+        model=problem.plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(found.cost),
+            noise_cost=problem.noise_cost,
+            settling=found.settling,
+            periodic=SameControl(problem, kept, route.base, None),
+        ),
+        sites=route.sites,
+        initial=route.initial,
+        tick=problem.tick,
+        disturbance=disturbance,
+    )
 
 
 def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:
@@ -86,4 +151,5 @@ KIND = Kind(
     data="memories `last` at S and `heard` at C; one label per output",
     order="compare y with the last sent value, decide, send y, filter, input",
     offered=6,
+    keeps_controller=True,
 )

@@ -295,6 +295,7 @@ def _answer(problem: Problem, cell: Cell, effort: Effort, progress: Progress | N
             standard_error=effort.standard_error,
             steps=effort.steps,
             confidence=sought,
+            after_step=False,
             progress=progress,
         )
     except TaciturnError as error:

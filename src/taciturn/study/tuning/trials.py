@@ -31,14 +31,16 @@ def look_at(
     if isinstance(policy, OptimalPolicy) or (isinstance(policy, Policy) and _serves(problem, policy)):
         wanted = standard_error if steps is None else ROUGHLY * abs(policy.cost_all_time) or None
         try:
-            found = evaluate(problem, seed=seed, method="exact", standard_error=wanted, progress=progress)
+            found = evaluate(
+                problem, seed=seed, method="exact", standard_error=wanted, after_step=False, progress=progress
+            )
         except ProblemError:
             if isinstance(policy, OptimalPolicy):
                 raise
         else:
             if found.reached or isinstance(policy, OptimalPolicy):
                 return found
-    return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, progress=progress)
+    return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, after_step=False, progress=progress)
 
 
 def _serves(problem: Problem, policy: Policy) -> bool:
