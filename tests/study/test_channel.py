@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import taciturn
-from taciturn import Cost, Estimate, Plant, Problem, ProblemError, UnstableError
+from taciturn import PID, Cost, Estimate, Plant, Problem, ProblemError, UnstableError
 from taciturn.analyse.limits import solve_optimum
 from taciturn.model.network import Network
 from taciturn.model.trigger import Form
@@ -242,10 +242,11 @@ def test_loops_without_noise_send_at_no_price() -> None:
         ({"network": Network(payload="int16", actuator_range=(1.0,))}, "the shared channel replaces the network"),
         ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], function=lambda x, u, w: np.sin(x) + u + w)}, "a linear plant"),
         ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], input_limit=[1.0])}, "on a shared channel"),
+        ({"controller": PID(1.0)}, r"expected no \[controller\]"),
     ],
 )
 def test_what_loops_on_a_channel_cannot_have_is_refused(changed: dict[str, object], told: str) -> None:
-    """Rounded packets, plants that are not linear, and inputs that are clipped."""
+    """Rounded packets, plants that are not linear, inputs that are clipped, and controllers that are kept."""
     with pytest.raises(ProblemError, match=told):
         share_channel({"a": replace(WALK, **changed)}, copies=3, capacity=1)  # pyright: ignore[reportArgumentType]
 

@@ -101,6 +101,10 @@ def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
         if problem.network != Network():
             raise ProblemError("[network] is given, but the shared channel replaces the network; expected no [network]")
+        if problem.controller is not None:
+            raise ProblemError(
+                "[controller] is given, but the loops of a shared channel have LQG control; expected no [controller]"
+            )
         if problem.nonlinear:
             raise ProblemError("the plant is nonlinear; expected a linear plant in loops that share a channel")
         period = problem.parameters.get("period")
