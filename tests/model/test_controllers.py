@@ -217,3 +217,23 @@ def test_what_is_wrong_is_refused(build: object, words: str) -> None:
     with pytest.raises((ProblemError, UnstableError)) as told:
         build()  # type: ignore[operator]
     assert words in str(told.value)
+
+
+def test_the_energy_of_packets_gives_power_and_battery_life(tmp_path: Path) -> None:
+    """Rate times energy; the same per step and per second; a link without packets is refused."""
+    table = MATRICES + '\ndisturbance = "none"' + "\n\n[network]\nactuator_energy = 0.002\nactuator_battery = 9000.0"
+    problem = read(tmp_path, table)
+    found = taciturn.evaluate(problem, standard_error=1e-4)
+    rate = found.rates["actuator"].value / STEP
+    assert found.power["actuator"].value == pytest.approx(0.002 * rate)
+    assert found.life["actuator"].value == pytest.approx(9000.0 / (0.002 * rate))
+    assert found.document()["power_watts"]["actuator"]["standard_error"] > 0
+    assert "mW for packets; the battery lasts" in str(found)
+    assert problem.changed({"theta": 0.3}).energy == problem.energy
+    for change, words in (
+        ({"network.sensor_energy": 1.0}, "decides on no packet of the sensor link"),
+        ({"network.actuator_energy": None}, "network.actuator_battery is given without network.actuator_energy"),
+        ({"network.actuator_energy": -1.0}, "network.actuator_energy is -1"),
+    ):
+        with pytest.raises(ProblemError, match=words):
+            problem.changed(change).design()

@@ -36,21 +36,21 @@ from taciturn.model.controller import Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
+from taciturn.model.energy import PacketEnergy
 from taciturn.model.information import check_network
 from taciturn.model.network import Burst as Burst
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
-from taciturn.model.policy import Policy
+from taciturn.model.policy import LinkName, Policy
 from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, refuse_functions
 from taciturn.problem.functions import read_function as read_function
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
-from taciturn.problem.parts import actual_of, controller_of, cost_of, expect_argument, network_of, plant_of
+from taciturn.problem.parts import actual_of, controller_of, cost_of, energy_of, expect_argument, network_of, plant_of
 from taciturn.problem.tables import (
     IDEAL_LINKS,
     File,
-    NetworkTable,
     first_mistake,
     suggest,
 )
@@ -67,12 +67,16 @@ from taciturn.problem.tables import (
     JumpsTable as JumpsTable,
 )
 from taciturn.problem.tables import (
+    NetworkTable as NetworkTable,
+)
+from taciturn.problem.tables import (
     PlantTable as PlantTable,
 )
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 # attributes that a problem reads from each table of its file; attributes of unchanged tables are not read again
-PARTS = {"plant": ("plant", "actual"), **{name: (name,) for name in ("cost", "network", "reference", "controller")}}
+PARTS = {"plant": ("plant", "actual"), **{name: (name,) for name in ("cost", "reference", "controller")}}
+PARTS["network"] = ("network", "energy")
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -93,6 +97,7 @@ class Problem(Displayed):
         source: tables of the problem file, needed to change single keys.
         name: name of the problem file, for messages.
         own: the policy kind, if the catalogue does not contain it.
+        energy: energy per packet and of batteries, for ``evaluate``, or None.
 
     Raises:
         ProblemError: if ``network`` is not a Network, or the policy kind is unknown.
@@ -109,6 +114,7 @@ class Problem(Displayed):
     name: str = ""
     own: Kind | None = None
     controller: Kept | None = None
+    energy: PacketEnergy | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
@@ -176,6 +182,8 @@ class Problem(Displayed):
         parameters = check_parameters(kind, self.parameters)
         used = _used(kind, self.network, {"reference": self.reference, "controller": self.controller})
         policy = kind.make(self.plant, self.cost, {**used, **parameters})
+        if self.energy is not None:
+            _expect_packets(policy, self.energy)
         if isinstance(policy, Policy):
             check_network(policy, self.network)
         else:
@@ -312,8 +320,9 @@ def parse(
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file.network, record)
         return Problem(
-            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller
-        )
+            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller,
+            energy_of(file.network, plant),
+        )  # fmt: skip
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 
@@ -325,12 +334,23 @@ def _used(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[st
         ProblemError: if the kind does not use the given network, reference or controller.
     """
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
-    unusual = [key for key in NetworkTable.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
+    unusual = [key for key in Network.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
     if unusual:
         expect_argument(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
     return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
+
+
+def _expect_packets(policy: AnyPolicy, energy: PacketEnergy) -> None:
+    """Raise a ``ProblemError`` if an energy is given for a link on which the policy decides on no packet."""
+    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
+    carrying: tuple[LinkName, ...] = nodes.scheduled if isinstance(nodes, Policy) else ("sensor",)
+    for link in (link for link in energy.links() if link not in carrying):
+        raise ProblemError(
+            f"network.{link}_energy is given, but {policy.kind} decides on no packet of the {link} link; "
+            f"expected the energy of the {' and '.join(carrying)} link"
+        )
 
 
 def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from taciturn.model.controller import PID, ContinuousController, Controller, Kep
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
+from taciturn.model.energy import PacketEnergy
 from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.problem.functions import read_function
@@ -176,6 +177,18 @@ def network_of(table: NetworkTable | None, kind: Kind) -> Network:
         cast("Any", table.actuator_range),
         cast("Any", table.sensor_range),
     )
+
+
+def energy_of(table: NetworkTable | None, plant: Plant | ContinuousPlant) -> PacketEnergy | None:
+    """Return the energies of a table, or None if it states none."""
+    names = ("sensor", "actuator")
+    given = {} if table is None else {name: getattr(table, f"{name}_energy") for name in names}
+    given |= {} if table is None else {f"{name}_battery": getattr(table, f"{name}_battery") for name in names}
+    if all(value is None for value in given.values()):
+        return None
+    if isinstance(plant, Plant) and plant.dt is None:
+        raise ProblemError("an energy is given in [network] without plant.dt; expected the seconds per step")
+    return PacketEnergy(**given)
 
 
 def _burst(link: str, table: BurstTable | None) -> Burst | None:

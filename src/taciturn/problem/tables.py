@@ -96,6 +96,10 @@ class NetworkTable(Displayed):
     payload: str = "float64"
     actuator_range: float | list[float] | None = None
     sensor_range: float | list[float] | None = None
+    actuator_energy: float | None = None
+    sensor_energy: float | None = None
+    actuator_battery: float | None = None
+    sensor_battery: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

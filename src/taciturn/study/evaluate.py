@@ -12,6 +12,7 @@ from taciturn.analyse.limits import resets
 from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
@@ -102,7 +103,8 @@ def evaluate(
         request = Request(seed, standard_error, steps, method, time_limit)
         found = _evaluated(problem, request, precision, confidence, told)
         stepped = averages_after_step(problem, seed) if after_step else None
-        return replace(found, after_step=stepped, seconds=time.perf_counter() - began)
+        power, life = _energy(problem, found)
+        return replace(found, after_step=stepped, power=power, life=life, seconds=time.perf_counter() - began)
     except OutOfTime:
         raise ProblemError(
             f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "
@@ -218,6 +220,22 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         notes=policy.notes,
         bound_error=policy.bound_error(interval),
     )
+
+
+def _energy(problem: Problem, found: Evaluation) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
+    """Return the power of the packets in watts, and the life of the batteries in seconds, by link."""
+    power, life = dict[str, Estimate](), dict[str, Estimate]()
+    energy, plant = problem.energy, problem.plant
+    if energy is None:
+        return power, life
+    seconds = plant.dt if isinstance(plant, Plant) else problem.parameters.get("period")
+    per_second = 1.0 if found.rate_unit == "second" else 1 / float(seconds or 1.0)
+    for link in energy.links():
+        rate = found.rates[link].scaled(per_second)
+        power[link] = energy.power(link, rate)
+        lasting = energy.life(link, rate)
+        life |= {} if lasting is None else {link: lasting}
+    return power, life
 
 
 def _linearisation(policy: Policy) -> Linearisation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar, Literal, cast
 
 from taciturn._text import Lines, magnitude, negligible, pairs_text, per_unit, percent, table_text
@@ -21,6 +21,7 @@ from taciturn.study.units import TimeUnit, Unit, rate_unit
 Consistency = Literal["guaranteed", "verified", "not verified"]
 ZERO = 1e-11  # relative difference of two costs that is a rounding error
 THERE = "the bound at this rate"
+DAY = 86400.0  # seconds
 DIRECTION = {"guarantee": 1, "guarantee, this rate": 1, "no schedule below": -1}
 """Direction in which a bound is rounded, so that it still holds."""
 
@@ -66,6 +67,8 @@ class Evaluation(Tabular):
         trusted: whether the variance of a simulated cost is finite, as far as is known; if not, a note gives the
             reason.
         bound_error: standard error of ``cost_bound_at_rate`` that is due to the standard error of the measured rate.
+        power: mean power in watts of the packets of each link whose energy is given.
+        life: seconds until the battery of each link's sender is empty, where it is given.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
     """
 
@@ -100,6 +103,8 @@ class Evaluation(Tabular):
     trusted: bool = True
     bound_error: float = 0.0
     after_step: AfterStep | None = None
+    power: Mapping[str, Estimate] = field(default_factory=lambda: {})
+    life: Mapping[str, Estimate] = field(default_factory=lambda: {})
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -173,6 +178,9 @@ class Evaluation(Tabular):
             result["linearisation"] = asdict(self.linearisation)
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
+        for name, found in (("power_watts", self.power), ("battery_seconds", self.life)):
+            if found:
+                result[name] = {link: one.document("value", "standard_error") for link, one in found.items()}
         if self.after_step is not None:
             result["after_step"] = self.after_step.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
@@ -252,6 +260,10 @@ def _details(found: Evaluation) -> Lines:
         lines.append(("consistent", found.consistency))
     if found.schedule is not None:
         lines.append(("sensor queries", _queries(found.schedule)))
+    for link, power in found.power.items():
+        life = found.life.get(link)
+        lasting = "" if life is None else f"; the battery lasts {life.scaled(1 / DAY)} days"
+        lines.append((f"power, {link}", f"{power.scaled(1e3)} mW for packets{lasting}"))
     if found.after_step is not None:
         lines.append(("after a step", found.after_step.text(f"per {found.rate_unit}")))
     lines += [("verdict", text) for text in _verdict(found)]
