@@ -10,7 +10,7 @@ from catalogue import outputs
 from runtime.loops import differing_ticks, record
 
 import taciturn
-from taciturn import PID, Controller, Cost, Disturbance, Network, Plant, UnstableError, design
+from taciturn import PID, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import advantage
 from taciturn.design.given import REMEDY, lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
@@ -305,3 +305,42 @@ def test_send_on_delta_keeps_a_controller(link: str, delta: float, packets: floa
     found = taciturn.evaluate(policy, standard_error=3e-6)
     assert found.rates[link].value == pytest.approx(packets, abs=0.002)
     assert found.cost.value / ALL_TIME == pytest.approx(cost, abs=0.008)  # 4 standard errors of the reference
+
+
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(60), marks=pytest.mark.evidence)])
+def test_a_base_that_sends_periodically(seeds: range) -> None:
+    """Its cost by two computations, the identity, and J + δ·rate ≤ J_q + δ/q, for given controllers and for LQG."""
+    off = []
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        every, link = 2 + seed % 3, ("actuator", "sensor")[seed // 2 % 2]
+        controller = kept if seed % 4 else None
+        try:
+            policy = design.excess(plant, cost, theta=0.3, controller=controller, every=every, link=link)
+        except UnstableError:  # with so few packets
+            continue
+        found = policy.guarantee.base + policy.guarantee.per_silence * (1 - 1 / every)
+        assert policy.theory.periodic.at_its_step(every) == pytest.approx(found, rel=1e-9)
+        loop, paths = taciturn.close(plant, policy), 400
+        program = loop.program()
+        prepared = prepare(program)
+        states = prepared(loop.start(program, paths, seed), 2000 // every * every, None).states
+        sums = prepared(states, 4000 // every * every, None).sums
+        steps = 4000 // every * every
+        plain, squares = sums["cost"] / steps, found + sums["excess"] / steps
+        off.append(float((plain - squares).mean() / ((plain - squares).std(ddof=1) / np.sqrt(paths))))
+        rate = float(sums[Sent(link)].mean()) / steps
+        assert plain.mean() < policy.guarantee.at_rate(rate) + 4 * plain.std(ddof=1) / np.sqrt(paths)
+    assert off
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1 + 6 / np.sqrt(len(off))
+
+
+def test_at_its_own_rate_a_periodic_base_is_improved() -> None:
+    """For LQG with optimal gains and a held input, relative to ``periodic`` itself."""
+    policy = design.excess(TANK, WEIGHTS, theta=0.2, every=3)
+    clocked = design.periodic(TANK, WEIGHTS, every=3).theory.closed_form.cost
+    bound = policy.guarantee
+    assert bound.base + bound.per_silence * (1 - 1 / 3) == pytest.approx(clocked, rel=1e-9)
+    with pytest.raises(ProblemError, match="actuation is 'model', and every is 3; expected 'hold'"):
+        design.excess(TANK, WEIGHTS, theta=0.2, every=3, actuation="model")

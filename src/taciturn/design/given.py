@@ -16,9 +16,10 @@ from taciturn._arrays import Array, choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import Base, advantage, least_value
-from taciturn.design.certainty import SEND, Actuation, design_certainty, expect_average
+from taciturn.design.certainty import CLOCK, SEND, Actuation, count_ticks, design_certainty, expect_average
 from taciturn.design.estimation import ESTIMATE, FilterSteps, estimate_state
 from taciturn.design.losses import ChannelBelief, lossy_advantage
+from taciturn.design.periodic_base import periodic_advantage
 from taciturn.design.routes import (
     CANDIDATE,
     MEASURED,
@@ -40,8 +41,12 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
 from taciturn.model.theory import Guarantee, Identity, Theory
-from taciturn.model.trigger import Form, Trigger
+from taciturn.model.trigger import Form, Scheduled, Trigger
 
+WITH_EVERY, WITH_ATTEMPTS = (
+    f"J ≤ J_all + δ(1 − rate), J_all the cost of this controller with {every}, δ the most that silence adds on average"
+    for every in ("every sample", "an attempt to send every sample")
+)
 SILENCE, BELIEF = "cost of silence", "belief"
 CONSTANT = (
     "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
@@ -60,6 +65,7 @@ def keep_controller(
     actuation: Actuation,
     link: LinkName,
     network: Network,
+    every: int,
 ) -> Policy:
     """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller.
 
@@ -73,6 +79,7 @@ def keep_controller(
         actuation: in silence, the receiver keeps the last value (``"hold"``) or predicts it (``"model"``).
         link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
         network: the network; losses of the link must be acknowledged.
+        every: q, the number of steps between packets of the base.
 
     Raises:
         ProblemError: the controller does not suit the plant, or the cost is not an average.
@@ -84,16 +91,21 @@ def keep_controller(
     model = choice("actuation", actuation, ("hold", "model")) == "model"
     choice("link", link, ("actuator", "sensor"))
     lossy = drops(network, link)
-    if lossy and model:
-        raise ProblemError(
-            "actuation is 'model', and the link drops packets; expected 'hold': the receiver keeps its last value"
-        )
+    if model and (lossy or every > 1):
+        why = "the link drops packets" if lossy else f"every is {every}"
+        raise ProblemError(f"actuation is 'model', and {why}; expected 'hold': the receiver keeps its last value")
+    if lossy and every > 1:
+        raise ProblemError(f"every is {every}, and the link drops packets; expected every = 1, or no losses")
     route = (over_actuator_link if link == "actuator" else over_sensor_link)(problem, controller, model, lossy)
     at, k, steady = route.node, len(controller.A), filter_checked(plant.A, plant.C, plant.W, plant.V)
     estimation = estimate_state(plant, steady, at)
-    found = _over_losses(route.base, network, link, at, k) if lossy else _over_ideal(route.base, k)
+    if every > 1:
+        found = _at_sends(route.base, every, k)
+    else:
+        found = _over_losses(route.base, network, link, at, k) if lossy else _over_ideal(route.base, k)
     price = price_at(found.cost)
-    watch, rule = _watched(estimation, found.silence, 2 * price + found.cost + 1, at)
+    # a packet during an alarm is one of the base only if the base sends every sample
+    watch, rule = _watched(estimation if every == 1 else None, found.silence, 2 * price + found.cost + 1, at)
     output = {"prior": plant.C, "innovation": np.eye(plant.outputs)}
     if estimation.innovations is None:
         output = {ESTIMATE: plant.C}
@@ -111,22 +123,21 @@ def keep_controller(
         *found.after,
         *estimation.predict,
     )
-    every = "an attempt to send every sample" if lossy else "every sample"
-    scaled = np.asarray(found.silence.Psi) / problem.tick
     theory = Theory(
         cost=problem.cost,
-        cost_all_time=problem.per_unit(found.cost),
+        cost_all_time=problem.per_unit(found.all_time),
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)),
         guarantee=Guarantee(
-            problem.per_unit(found.cost + price),
-            f"J ≤ J_all + δ(1 − rate), J_all the cost of this controller with {every}, δ the most that "
-            "silence adds on average",
+            problem.per_unit(found.cost + price / every),
+            found.statement,
             "antunes2014rollout",
-            problem.per_unit(found.cost),
+            problem.per_unit(found.cost + price * (1 / every - 1)),
             price / problem.tick,
         ),
-        identity=Identity(problem.per_unit(found.cost), (Form(found.silence.signals, scaled), Form()), SEND),
+        identity=Identity(
+            problem.per_unit(found.cost), tuple(_scaled(form, 1 / problem.tick) for form in found.forms), SEND
+        ),
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
         functions=frozenset({BELIEF}),
@@ -138,10 +149,11 @@ def keep_controller(
         model=plant,
         theory=theory,
         sites=route.sites,
+        locations=() if every == 1 else (count_ticks(every, 0),),
         initial={**estimation.initial, **route.initial, **found.initial},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*(() if lossy else _beside(kind, problem, found.cost)), *_assumed(controller, disturbance)),
+        notes=(*(() if lossy else _beside(kind, problem, found.all_time)), *_assumed(controller, disturbance)),
         disturbance=disturbance,
     )
 
@@ -194,10 +206,14 @@ def disturbed(
     return problem, controller, disturbance
 
 
-def lqg_observer(kind: str, problem: Discrete) -> Controller:
-    """Return LQG control as a controller, whose observer uses the input that was applied."""
+def lqg_observer(kind: str, problem: Discrete, every: int = 1) -> Controller:
+    """Return LQG control as a controller, whose observer uses the input that was applied.
+
+    Its gain is optimal for a packet at every q-th step, and a held input.
+    """
     certainty, plant = design_certainty(kind, problem), problem.plant
-    L, gain, none = certainty.regulator.L, certainty.filter.gain, Disturbance(deviation=0.0)
+    L = certainty.regulator.L if every == 1 else certainty.held.solve((every,)).gains[0]
+    gain, none = certainty.filter.gain, Disturbance(deviation=0.0)
     if plant.full_state:
         n, m = plant.B.shape
         return Controller(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), L, None, plant.dt, none)
@@ -207,14 +223,27 @@ def lqg_observer(kind: str, problem: Discrete) -> Controller:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Silence(Displayed):
-    """The cost of silence as a form, the steps that it needs, and the cost of the base."""
+    """The cost of silence as a form, the steps that it needs, and the cost of the base.
+
+    ``all_time`` is the cost with every sample. The identity has the form ``silent`` in silence (default: ``silence``),
+    and ``more`` at a packet.
+    """
 
     silence: Form
     cost: float
     settling: float
+    all_time: float
+    statement: str
+    silent: Form | None = None
+    more: Form | None = None
     before: tuple[Step, ...] = ()
     after: tuple[Step, ...] = ()
     initial: Mapping[str, Array] = field(default_factory=lambda: {})
+
+    @property
+    def forms(self) -> tuple[Form, Form]:
+        """The forms of the identity, in silence and at a packet."""
+        return self.silent or self.silence, self.more or Form()
 
 
 def drops(network: Network, link: LinkName) -> bool:
@@ -227,7 +256,7 @@ def _over_ideal(base: Base, k: int) -> _Silence:
     found = advantage(base, REMEDY)
     n = found.slope.shape[1]
     square = np.block([[found.H, found.slope], [found.slope.T, np.zeros((n, n))]])
-    return _Silence(Form(("error", *_state(k)), square), found.cost, found.settling)
+    return _Silence(Form(("error", *_state(k)), square), found.cost, found.settling, found.cost, WITH_EVERY)
 
 
 def _over_losses(base: Base, network: Network, link: LinkName, at: NodeName, k: int) -> _Silence:
@@ -236,7 +265,7 @@ def _over_losses(base: Base, network: Network, link: LinkName, at: NodeName, k: 
     found = lossy_advantage(base, turns, losses, REMEDY)
     forms = [Form((*_state(k), CANDIDATE), weight) for weight in found.silence]
     if len(forms) == 1:
-        return _Silence(forms[0], found.cost, found.settling)
+        return _Silence(forms[0], found.cost, found.settling, found.cost, WITH_ATTEMPTS)
     names = ("cost if good", "cost if bad")
     means = np.zeros((4, 4))
     means[0, 2] = means[2, 0] = means[1, 3] = means[3, 1] = 0.5
@@ -245,14 +274,41 @@ def _over_losses(base: Base, network: Network, link: LinkName, at: NodeName, k: 
         Form((BELIEF, *names), means),
         found.cost,
         found.settling,
-        tuple(Evaluate(at, name, (form,)) for name, form in zip(names, forms, strict=True)),
-        (
+        found.cost,
+        WITH_ATTEMPTS,
+        before=tuple(Evaluate(at, name, (form,)) for name, form in zip(names, forms, strict=True)),
+        after=(
             Assign(at, "attempted", told[0], SEND),
             Assign(at, "arrived", told[1], Acknowledged(link)),
             Apply(at, {BELIEF: 2}, ChannelBelief(turns, losses), (BELIEF, "attempted", "arrived")),
         ),
-        {BELIEF: found.start},
+        initial={BELIEF: found.start},
     )
+
+
+def _at_sends(base: Base, every: int, k: int) -> _Silence:
+    """Return the cost of silence for a base that sends at every q-th step."""
+    found, signals = periodic_advantage(base, every, REMEDY), (*_state(k), CANDIDATE)
+    first = (np.arange(every) == 0)[:, None, None]
+    return _Silence(
+        Form(signals, Scheduled(CLOCK, found.silence)),
+        found.cost,
+        found.settling,
+        advantage(base, REMEDY).cost,
+        "J ≤ J_q + δ(1/q − rate), J_q the cost of this controller with a packet at every q-th step, and the rate per "
+        "step",
+        Form(signals, Scheduled(CLOCK, np.where(first, found.silence, 0.0))),
+        Form(signals, Scheduled(CLOCK, np.where(first, 0.0, -found.silence))),
+    )
+
+
+def _scaled(form: Form, factor: float) -> Form:
+    """Return a form times a factor."""
+    if form.Psi is None:
+        return form
+    Psi = form.Psi
+    scaled = Scheduled(Psi.by, factor * Psi.values) if isinstance(Psi, Scheduled) else factor * np.asarray(Psi)
+    return Form(form.signals, scaled)
 
 
 def _state(registers: int) -> tuple[str, ...]:
@@ -260,9 +316,11 @@ def _state(registers: int) -> tuple[str, ...]:
     return (ESTIMATE, *((REGISTER,) if registers else ()), MEASURED)
 
 
-def _watched(estimation: FilterSteps, silent: Form, forbidden: float, at: NodeName) -> tuple[tuple[Step, ...], Form]:
+def _watched(
+    estimation: FilterSteps | None, silent: Form, forbidden: float, at: NodeName
+) -> tuple[tuple[Step, ...], Form]:
     """Return the steps of the alarm, and the cost of silence, which is ``forbidden`` during an alarm."""
-    if estimation.innovations is None:  # a measured state needs no model
+    if estimation is None or estimation.innovations is None:  # a measured state needs no model
         return (), silent
     steps = watch_innovations(estimation.innovations, at)
     return (

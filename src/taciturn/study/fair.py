@@ -86,7 +86,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     if nodes.tracking is not None:
         raise NoClockError("the policy follows a stored reference")
     always = certainty.problem.per_unit(certainty.cost_all_time)
-    if abs(always - nodes.cost_all_time) > ALIKE * abs(always):
+    if nodes.theory.periodic is None and abs(always - nodes.cost_all_time) > ALIKE * abs(always):
         if problem.own is None:
             raise NoClockError("the policy uses its measurements later than periodic control would")
         more = nodes.cost_all_time / always

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from taciturn._arrays import instance, number
+from taciturn._arrays import count, instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
@@ -35,6 +35,7 @@ def excess(
     controller: object = None,
     link: LinkName = "actuator",
     network: Network | None = None,
+    every: int = 1,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -62,6 +63,8 @@ def excess(
         network: the network; default ideal links. If the link drops packets and acknowledges those that arrive
             (``"tcp"``), J_all is the cost of an attempt to send every sample, and the rate is that of attempts. Losses
             without acknowledgement are not taken into account.
+        every: q, steps between packets of the base that δ refers to; J + δ·rate ≤ J_q + δ/q with the cost J_q of
+            packets at every q-th step, so at the rate 1/q the policy costs no more than J_q. Default: every sample.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -86,15 +89,16 @@ def excess(
     SIMULATED.check(network)
     if network.delay:
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
-    if controller is not None or link != "actuator" or drops(network, link):
+    every = count("every", every)
+    if controller is not None or link != "actuator" or drops(network, link) or every > 1:
         if controller is None:
-            controller = lqg_observer("excess", discretise(plant, cost, period))
+            controller = lqg_observer("excess", discretise(plant, cost, period), every)
         kept = controller_from(controller)
 
         def price_at(cost_all_time: float) -> float:
             return _price(cost_all_time, delta, theta)
 
-        return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network)
+        return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every)
     problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty.cost_all_time, delta, theta)
