@@ -2,7 +2,7 @@
 
 Let j = 0, …, q − 1 be the phase of the step, w = (z, h), and F_a and F_s the dynamics of a step with and without a
 packet. The value of the base is w'P_j w with P_0 = X_a(P_1), P_j = X_s(P_{j+1}), P_q = P_0, X_f(P) = M_f + F_f'PF_f.
-In phase j, silence costs w'[X_s(P_{j+1}) − X_a(P_{j+1})]w more than a packet, if the base goes on afterwards. Silence
+In phase j, silence costs w'[X_s(P_{j+1}) − X_a(P_{j+1})]w more than a packet, if the base follows. Silence
 while this is at most δ, in each phase, minimises the cost of the step plus δ per packet. So for the rate a per step,
 
     J + δ a ≤ J_q + δ/q.
