@@ -9,6 +9,7 @@ from runtime.loops import differing_ticks, record
 
 import taciturn
 from taciturn import PID, Burst, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
+from taciturn.design.base import held_steps
 from taciturn.design.given import lqg_observer
 from taciturn.design.losses import critical_scale, lossy_advantage, stationary
 from taciturn.design.routes import actuator_base, sensor_base
@@ -99,6 +100,8 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
         policy = design.excess(plant, cost, theta=theta, controller=kept, link=link, network=network)
         loop, paths = taciturn.close(plant, policy), 400
         assert loop.nominal
+        if policy.guarantee is None:
+            continue
         program = loop.program()
         prepared = prepare(program)
         states = prepared(loop.start(program, paths, seed), 2000, None).states
@@ -131,6 +134,22 @@ def test_above_the_critical_loss_the_mean_square_grows() -> None:
     assert growth[1.25] > 4
     with pytest.raises(UnstableError, match=f"expected a loss below {critical:.4g}"):
         design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=1.01 * critical))
+
+
+def test_a_guarantee_needs_finite_fourth_moments() -> None:
+    """Near the critical loss the variance of the cost is infinite: identity and simulation remain, with a warning."""
+    plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])
+    for loss, finite in ((0.05, True), (0.2, False)):
+        policy = design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=loss))
+        found = taciturn.evaluate(policy, standard_error=0.05 * policy.cost_all_time)
+        assert (policy.theory.fourth < 1) == finite == found.trusted == (policy.guarantee is not None)
+        assert ("the variance of the cost is infinite" in str(found.notes)) != finite
+    base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
+    (arrives, _), (silent, _) = held_steps(base)
+    whole = 0.8 * np.kron(np.kron(arrives, arrives), np.kron(arrives, arrives))
+    whole += 0.2 * np.kron(np.kron(silent, silent), np.kron(silent, silent))
+    radius = float(np.abs(np.linalg.eigvals(whole)).max())
+    assert policy.theory.fourth == pytest.approx(radius, rel=1e-6)
 
 
 def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:

@@ -128,7 +128,9 @@ def keep_controller(
         cost_all_time=problem.per_unit(found.all_time),
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)),
-        guarantee=Guarantee(
+        guarantee=None
+        if found.fourth is not None and found.fourth >= 1
+        else Guarantee(
             problem.per_unit(found.cost + price / every),
             found.statement,
             "antunes2014rollout",
@@ -141,6 +143,7 @@ def keep_controller(
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
         functions=frozenset({BELIEF}),
+        fourth=found.fourth,
         periodic=None if lossy else SameControl(problem, kept, route.base, steady if model else None),
     )
     return Policy(
@@ -236,6 +239,7 @@ class _Silence(Displayed):
     statement: str
     silent: Form | None = None
     more: Form | None = None
+    fourth: float | None = None
     before: tuple[Step, ...] = ()
     after: tuple[Step, ...] = ()
     initial: Mapping[str, Array] = field(default_factory=lambda: {})
@@ -265,7 +269,7 @@ def _over_losses(base: Base, network: Network, link: LinkName, at: NodeName, k: 
     found = lossy_advantage(base, turns, losses, REMEDY)
     forms = [Form((*_state(k), CANDIDATE), weight) for weight in found.silence]
     if len(forms) == 1:
-        return _Silence(forms[0], found.cost, found.settling, found.cost, WITH_ATTEMPTS)
+        return _Silence(forms[0], found.cost, found.settling, found.cost, WITH_ATTEMPTS, fourth=found.fourth)
     names = ("cost if good", "cost if bad")
     means = np.zeros((4, 4))
     means[0, 2] = means[2, 0] = means[1, 3] = means[3, 1] = 0.5
@@ -276,6 +280,7 @@ def _over_losses(base: Base, network: Network, link: LinkName, at: NodeName, k: 
         found.settling,
         found.cost,
         WITH_ATTEMPTS,
+        fourth=found.fourth,
         before=tuple(Evaluate(at, name, (form,)) for name, form in zip(names, forms, strict=True)),
         after=(
             Assign(at, "attempted", told[0], SEND),

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._display import Displayed
-from taciturn.design.base import CONVERGED, DOUBLINGS, LARGEST, Base, held_steps
+from taciturn.design.base import CONVERGED, DOUBLINGS, LARGEST, SEEN, Base, held_steps
 from taciturn.errors import ProblemError, UnstableError
 
 MOST_UNKNOWNS = 2500  # entries of all P_m
@@ -36,12 +37,15 @@ class LossyAdvantage(Displayed):
         cost: average cost of the base per step.
         settling: time constant of the loop in steps.
         start: stationary distribution of the channel state, (s,).
+        fourth: growth per step of the fourth moments of the base, as far as the cost depends on them; at 1 or more, the
+            variance of the cost is infinite.
     """
 
     silence: Array
     cost: float
     settling: float
     start: Array
+    fourth: float
 
 
 def lossy_advantage(base: Base, turns: Array, losses: Array, remedy: str) -> LossyAdvantage:
@@ -85,7 +89,7 @@ def lossy_advantage(base: Base, turns: Array, losses: Array, remedy: str) -> Los
     start = stationary(turns)
     noise = block_diagonal(base.noise, np.zeros((c, c)))
     cost = float(sum(share * np.sum(q * noise) for share, q in zip(start, Q, strict=True)))
-    return LossyAdvantage(np.array(gap), cost, settling, start)
+    return LossyAdvantage(np.array(gap), cost, settling, start, _fourth(P, (arrives, silent), turns, losses))
 
 
 def critical_scale(base: Base, turns: Array, losses: Array) -> float:
@@ -123,6 +127,27 @@ class ChannelBelief(Displayed):
         total = sum(weights[i] for i in range(len(p)))
         known = weights / np.where(total > 0.0, total, 1.0)
         return self.turns.T @ known
+
+
+def _fourth(P: Array, maps: tuple[Array, Array], turns: Array, losses: Array) -> float:
+    """Return the growth of the fourth moments of the states on which the value depends."""
+    size, vectors = np.linalg.eigh(P.sum(axis=0))
+    seen = vectors[:, size > SEEN * size.max(initial=0.0)]
+    arrives, silent = (seen.T @ F @ seen for F in maps)
+    shape = (len(losses), *[seen.shape[1]] * 4)
+
+    def moved(entries: Array) -> Array:
+        moments: Array = entries.reshape(shape)
+        each = [(1 - p) * _pushed(arrives, moments[m]) + p * _pushed(silent, moments[m]) for m, p in enumerate(losses)]
+        return np.tensordot(turns.T, np.stack(each), 1).ravel()
+
+    return _scipy.spectral_radius(moved, int(np.prod(shape)))
+
+
+def _pushed(F: Array, X: Array) -> Array:
+    for axis in range(4):
+        X = np.moveaxis(np.tensordot(X, F, (axis, 1)), -1, axis)
+    return X
 
 
 def _value(base: Base, turns: Array, losses: Array) -> tuple[Array, float] | None:

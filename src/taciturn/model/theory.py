@@ -141,6 +141,8 @@ class Theory(Displayed):
         covers: names of the properties that the theory takes into account (``taciturn.model.coverage``); any other
             property that is given makes the theory inapplicable; default: a linear loop with Gaussian noise.
         functions: signals that the policy computes by a function and that the theory takes into account.
+        fourth: growth per step of the fourth moments with a packet in every step; at 1 or more, the variance of the
+            cost is infinite, and no guarantee is stated. None: not computed by the design.
         periodic: function of the steps between packets that returns the exact cost of the same control at periodic
             sends, in the units of the cost; it raises an error if this is unstable. None: LQG is the comparison.
     """
@@ -158,6 +160,7 @@ class Theory(Displayed):
     covers: frozenset[str] = GAUSSIAN_THEORY
     functions: frozenset[str] = frozenset()
     periodic: Callable[[int], float] | None = None
+    fourth: float | None = None
 
     def check(self, kind: str, computed: Sequence[str]) -> None:
         """Check this theory for a policy of a given kind.

@@ -321,7 +321,7 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
         notes = doubt_tail(found.tail)
         return replace(found, notes=notes, trusted=not notes)
     notes = (
-        doubt_moments(loop) if parts[0].estimator.sum == COST else ()
+        doubt_moments(loop) if parts[0].estimator.sum == COST or (loop.policy.theory.fourth or 0.0) >= 1 else ()
     )  # completed squares are bounded, or no packet is dropped
     notes = notes or doubt_tail(found.tail)
     more = find_doubts(loop, found.cost, found.rates, found.steps, found.settled)

@@ -93,7 +93,9 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
                 f"probability {outage:.4g}, and in this step the squared cost grows by a factor of {growth**4:.4g}. So "
                 "the standard error is meaningless, and the average is probably too small",
             )
-    found = outcomes(loop)
+    found, known = outcomes(loop), loop.policy.theory.fourth
+    if found is None and known is not None and known >= 1 and loop.nominal:
+        return (_infinite(known, " if every packet is sent"),)
     if found is None or (growth := found.growth(4)) < 1:
         return ()
     if found.decides and (square := found.growth(2)) >= 1:
@@ -102,9 +104,13 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
             "sent: the cost is probably infinite, and this average depends on the simulated time",
         )
     sent = " if every packet is sent" if found.decides else ""
+    return (_infinite(growth, sent),)
+
+
+def _infinite(growth: float, sent: str) -> str:
     return (
         f"the variance of the cost is infinite: with these losses the squared cost grows by a factor of {growth:.4g} "
-        f"per step{sent}. So the standard error is meaningless, and the average is probably too small",
+        f"per step{sent}. So the standard error is meaningless, and the average is probably too small"
     )
 
 
