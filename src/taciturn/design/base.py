@@ -12,6 +12,7 @@ the mean of this over the silent steps. LQG minimises its own value, so its slop
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,6 +105,15 @@ def least_value(F: Array, M: Array) -> tuple[Array, float]:
     modes, vectors = np.linalg.eig(F)
     seen = np.abs(np.einsum("ji,jk,ki->i", vectors.conj(), P, vectors)) > SEEN * size
     return P, float(np.abs(modes)[seen].max(initial=0.0))
+
+
+def cycle_value(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, float]:
+    """Return the least value at the start of a cycle of steps with dynamics and stage weight, and its slowest mode."""
+    F, M = np.eye(len(parts[0][0])), np.zeros_like(parts[0][1])
+    for step, stage in parts:
+        M = M + F.T @ stage @ F
+        F = step @ F
+    return least_value(F, symmetrised(M)) if np.isfinite(F).all() else (M, np.inf)
 
 
 def held_steps(base: Base) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._display import Displayed
-from taciturn.design.base import Base, held_steps, least_value
+from taciturn.design.base import Base, cycle_value, held_steps
 from taciturn.errors import UnstableError
 
 
@@ -41,21 +41,15 @@ def periodic_advantage(base: Base, every: int, remedy: str) -> PeriodicAdvantage
     Raises:
         UnstableError: the base is unstable with these sends.
     """
-    n, c = base.Gamma.shape
+    c = len(base.K)
     (send, M_send), (silent, M_silent) = held_steps(base)
-    F, M = np.eye(n + c), np.zeros((n + c, n + c))
-    for j in range(every):
-        step, stage = (send, M_send) if j == 0 else (silent, M_silent)
-        M = M + F.T @ stage @ F
-        F = step @ F
-    first, slowest = least_value(F, symmetrised(M))
+    value, slowest = cycle_value([(send, M_send), *[(silent, M_silent)] * (every - 1)])
     if slowest >= 1:
         raise UnstableError(
             f"the loop that sends at every {every}th step is not stable; expected a smaller every: {remedy}"
         )
     noise, cost = block_diagonal(base.noise, np.zeros((c, c))), 0.0
     found: list[Array] = []
-    value = first
     for j in reversed(range(every)):
         cost += float(np.sum(value * noise)) / every
         with_packet, without = (

@@ -21,7 +21,7 @@ from taciturn.model.controller import Controller
 from taciturn.model.policy import Acknowledged, Assign, NodeName, Received, Send, Step
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
-CHOICE, CANDIDATE = "choice", "candidate"
+CANDIDATE = "candidate"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._display import Displayed
-from taciturn.design.base import Base, advantage, held_steps, least_value
+from taciturn.design.base import Base, advantage, cycle_value, held_steps
 from taciturn.design.routes import actuator_base
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete
@@ -92,14 +92,7 @@ class SameControl(Displayed):
 
 def _cycle_cost(parts: list[tuple[Array, Array]], noise: Array) -> float | None:
     """Return the average cost per step of a cycle of linear steps with white noise; None if it is unstable."""
-    size = len(noise)
-    F, M = np.eye(size), np.zeros((size, size))
-    for step, stage in parts:
-        M = M + F.T @ stage @ F
-        F = step @ F
-    if not np.isfinite(F).all():
-        return None
-    value, slowest = least_value(F, symmetrised(M))
+    value, slowest = cycle_value(parts)
     if slowest >= 1:
         return None
     total = 0.0

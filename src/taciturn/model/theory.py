@@ -144,7 +144,7 @@ class Theory(Displayed):
         fourth: growth per step of the fourth moments with a packet in every step; at 1 or more, the variance of the
             cost is infinite, and no guarantee is stated. None: not computed by the design.
         periodic: function of the steps between packets that returns the exact cost of the same control at periodic
-            sends, in the units of the cost; it raises an error if this is unstable. None: LQG is the comparison.
+            sends, per step and without ``noise_cost``; it raises an error if this is unstable. None: LQG is compared.
     """
 
     cost: Cost | None = None

@@ -52,11 +52,10 @@ class AfterStep(Displayed):
         return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {rates}"
 
 
-def averages_after_step(problem: Problem, seed: int) -> AfterStep | None:
+def averages_after_step(problem: Problem, policy: Policy, seed: int) -> AfterStep | None:
     """Return the averages after a step of the disturbance that the policy assumes, or None if it assumes none."""
-    policy = problem.designed()
-    assumed = policy.disturbance if isinstance(policy, Policy) else None
-    if not isinstance(policy, Policy) or assumed is None or assumed.deviation is None:
+    assumed = policy.disturbance
+    if assumed is None or assumed.deviation is None:
         return None
     plant, cost = problem.actual or problem.plant, problem.cost
     if isinstance(plant, Plant) and plant.states == policy.model.states:  # a policy without a problem: its own model

@@ -101,10 +101,9 @@ def evaluate(
     told = Stages(limited(in_notebook(progress), time_limit))
     try:
         request = Request(seed, standard_error, steps, method, time_limit)
-        found = _evaluated(problem, request, precision, confidence, told)
-        stepped = averages_after_step(problem, seed) if after_step else None
+        found = _evaluated(problem, request, precision, confidence, after_step, told)
         power, life = _energy(problem, found)
-        return replace(found, after_step=stepped, power=power, life=life, seconds=time.perf_counter() - began)
+        return replace(found, power=power, life=life, seconds=time.perf_counter() - began)
     except OutOfTime:
         raise ProblemError(
             f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "
@@ -113,7 +112,12 @@ def evaluate(
 
 
 def _evaluated(
-    problem: Problem, request: Request, precision: Precision, confidence: float | None, told: Stages
+    problem: Problem,
+    request: Request,
+    precision: Precision,
+    confidence: float | None,
+    after_step: bool,
+    told: Stages,
 ) -> Evaluation:
     """Return the evaluation; the caller adds the time that it took.
 
@@ -182,6 +186,7 @@ def _evaluated(
         bound_error=0.0 if guarantee is None else abs(guarantee.per_silence) * per_tick.standard_error,
         method=measured.method,
         reason=measured.reason,
+        after_step=averages_after_step(problem, policy, request.seed) if after_step else None,
     )
 
 
