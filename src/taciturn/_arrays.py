@@ -263,3 +263,10 @@ def _named(matrix: Array, smallest: float) -> str:
 def _shape_text(shape: Sequence[int | None], meaning: str) -> str:
     sizes = ", ".join("any" if size is None else str(size) for size in shape)
     return f"({sizes}{',' if len(shape) == 1 else ''})" + (f" = {meaning}" if meaning else "")
+
+
+def pushed(F: Array, X: Array, power: int) -> Array:
+    """Return the moment F⊗…⊗F X of F z, given the moment X of z as an array of ``power`` indices, the last ones."""
+    for axis in range(X.ndim - power, X.ndim):
+        X = np.moveaxis(np.tensordot(X, F, (axis, 1)), -1, axis)
+    return X

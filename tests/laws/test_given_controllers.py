@@ -12,7 +12,7 @@ from runtime.loops import differing_ticks, record
 import taciturn
 from taciturn import PID, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import advantage
-from taciturn.design.given import REMEDY, lqg_observer
+from taciturn.design.kept import REMEDY, lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
@@ -342,5 +342,6 @@ def test_at_its_own_rate_a_periodic_base_is_improved() -> None:
     clocked = design.periodic(TANK, WEIGHTS, every=3).theory.closed_form.cost
     bound = policy.guarantee
     assert bound.base + bound.per_silence * (1 - 1 / 3) == pytest.approx(clocked, rel=1e-9)
-    with pytest.raises(ProblemError, match="actuation is 'model', and every is 3; expected 'hold'"):
-        design.excess(TANK, WEIGHTS, theta=0.2, every=3, actuation="model")
+    total = Cost(WEIGHTS.Q, WEIGHTS.R, discount=0.9)
+    with pytest.raises(ProblemError, match="actuation is 'model', every is 3, and the cost is a total; expected"):
+        design.excess(TANK, total, theta=0.2, every=3, actuation="model")

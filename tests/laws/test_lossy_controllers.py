@@ -9,9 +9,8 @@ from runtime.loops import differing_ticks, record
 
 import taciturn
 from taciturn import PID, Burst, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
-from taciturn.design.base import held_steps
-from taciturn.design.given import lqg_observer
-from taciturn.design.losses import critical_scale, lossy_advantage, stationary
+from taciturn.design.base import Attempts, Base, advantage, critical_scale
+from taciturn.design.kept import lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.program.engine import prepare
@@ -34,23 +33,24 @@ def random_network(seed: int, link: str) -> Network:
     return Network("tcp", **{f"{link}_burst": burst})
 
 
-def forward_cost(base: object, turns: np.ndarray, losses: np.ndarray) -> float:
-    """Return the stationary cost by the second moments of (z, h) in each channel state, one linear system."""
-    n, c = base.Gamma.shape
-    closed = np.vstack([np.eye(n), base.K])
-    arrives = np.block([[base.Phi + base.Gamma @ base.K, np.zeros((n, c))], [base.K, np.zeros((c, c))]])
-    silent = np.block([[base.Phi, base.Gamma], [np.zeros((c, n)), np.eye(c)]])
-    stage = np.zeros((n + c, n + c))
-    stage[:n, :n] = closed.T @ base.stage @ closed
-    share, size = stationary(turns), (n + c) ** 2
-    noise = np.zeros((n + c, n + c))
-    noise[:n, :n] = base.noise
-    moved = [p * np.kron(silent, silent) + (1 - p) * np.kron(arrives, arrives) for p in losses]
-    s = len(losses)
-    step = np.block([[turns[m, other] * moved[m] for m in range(s)] for other in range(s)])
-    added = np.concatenate([sum(share[m] * turns[m, other] for m in range(s)) * noise.ravel() for other in range(s)])
-    moments = np.linalg.solve(np.eye(s * size) - step, added).reshape(s, n + c, n + c)
-    return float(sum(np.sum(S * (p * base.stage + (1 - p) * stage)) for S, p in zip(moments, losses, strict=True)))
+def forward_cost(base: Base, attempts: Attempts) -> float:
+    """Return the stationary cost by the second moments of (z, h) in each phase and channel state, one linear system."""
+    silent, heard, stage = base.silent, base.silent @ base.replaced, base.stage
+    sent, s, q, size = base.replaced.T @ stage @ base.replaced, len(attempts.losses), len(attempts.pattern), len(stage)
+    noise = np.zeros((size, size))
+    noise[: len(base.noise), : len(base.noise)] = base.noise
+    step, added, weights = np.zeros((q * s * size**2,) * 2), np.zeros((q, s, size**2)), []
+    for j, attempt in enumerate(attempts.pattern):
+        for m, p in enumerate(attempts.losses):
+            p, later = p if attempt else 1.0, (j + 1) % q
+            moved = p * np.kron(silent, silent) + (1 - p) * np.kron(heard, heard)
+            weights.append(p * stage + (1 - p) * sent)
+            for other in range(s):
+                to, here = (np.arange(size**2) + (k * s + o) * size**2 for k, o in ((later, other), (j, m)))
+                step[np.ix_(to, here)] = attempts.turns[m, other] * moved
+                added[later, other] += attempts.start[m] * attempts.turns[m, other] * noise.ravel()
+    moments = np.linalg.solve(np.eye(len(step)) - step, added.ravel()).reshape(q * s, size, size)
+    return float(sum(np.sum(S * M) for S, M in zip(moments, weights, strict=True))) / q + base.unseen
 
 
 @pytest.mark.parametrize(("network", "attempts", "cost", "error", "bound"), TABLE)
@@ -77,12 +77,12 @@ def test_two_computations_of_the_value_agree(seeds: range) -> None:
         plant, cost, kept = random_loop(seed)
         for link, choose in (("actuator", actuator_base), ("sensor", sensor_base)):
             base, chain = choose(discretise(plant, cost, None), kept), random_network(seed, link).chain(link)
-            scale = critical_scale(base, *chain)
+            scale = critical_scale(base, Attempts((True,), *chain))
             if scale < 1.2:
                 chain = chain[0], chain[1] * scale / 1.2
             if len(base.Phi) < 9:
-                found = lossy_advantage(base, *chain, "").cost
-                assert found == pytest.approx(forward_cost(base, *chain), rel=1e-9)
+                attempts = Attempts((True,), *chain)
+                assert advantage(base, "", attempts).cost == pytest.approx(forward_cost(base, attempts), rel=1e-9)
 
 
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(100), marks=pytest.mark.evidence)])
@@ -94,7 +94,7 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
         link = ("actuator", "sensor")[seed % 2]
         network = random_network(seed, link)
         choose = actuator_base if link == "actuator" else sensor_base
-        if critical_scale(choose(discretise(plant, cost, None), kept), *network.chain(link)) < 2:
+        if critical_scale(choose(discretise(plant, cost, None), kept), Attempts((True,), *network.chain(link))) < 2:
             continue
         theta = (0.0, 0.2, 1.0)[seed % 3]
         policy = design.excess(plant, cost, theta=theta, controller=kept, link=link, network=network)
@@ -120,7 +120,7 @@ def test_above_the_critical_loss_the_mean_square_grows() -> None:
     """In a simulation of attempts at every step, and not below; the design refuses the first with the limit."""
     plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])
     base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
-    critical = 0.1 * critical_scale(base, np.ones((1, 1)), np.array([0.1]))
+    critical = 0.1 * critical_scale(base, Attempts(losses=np.array([0.1])))
     usual = sends_every_sample(design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=0.01)))
     growth = {}
     for factor in (0.8, 1.25):
@@ -145,7 +145,7 @@ def test_a_guarantee_needs_finite_fourth_moments() -> None:
         assert (policy.theory.fourth < 1) == finite == found.trusted == (policy.guarantee is not None)
         assert ("the variance of the cost is infinite" in str(found.notes)) != finite
     base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
-    (arrives, _), (silent, _) = held_steps(base)
+    arrives, silent = base.silent @ base.replaced, base.silent
     whole = 0.8 * np.kron(np.kron(arrives, arrives), np.kron(arrives, arrives))
     whole += 0.2 * np.kron(np.kron(silent, silent), np.kron(silent, silent))
     radius = float(np.abs(np.linalg.eigvals(whole)).max())
@@ -165,7 +165,7 @@ def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"network": INDEPENDENT, "actuation": "model"}, "actuation is 'model', and the link drops packets"),
+        ({"link": "sensor", "actuation": "zero"}, "actuation is 'zero', and the link is that of the sensor"),
         ({"network": Network("tcp", delay=1)}, "network.delay is 1; expected 0 with excess"),
         ({"network": Network("tcp", actuator_loss=1.0)}, "expected a loss below 0.69"),
         ({"network": Network("tcp", actuator_burst=Burst(0.1, 0.1, 0.8, 0.99))}, "times as much"),

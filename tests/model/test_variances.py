@@ -9,7 +9,7 @@ import pytest
 
 import taciturn
 from taciturn import PID, Cost, Disturbance, Plant, ProblemError, design
-from taciturn.design.given import cost_as_kept
+from taciturn.design.kept import cost_as_kept
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.disturbed import sends_every_sample
 

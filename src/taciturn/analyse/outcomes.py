@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array
+from taciturn._arrays import Array, pushed
 from taciturn._display import Displayed
 from taciturn._modes import radius
 from taciturn.analyse.reduction import relevant
@@ -66,17 +66,11 @@ class Outcomes(Displayed):
         shape = (states, *[r] * power)
 
         def moved(entries: Array) -> Array:
-            each = [self._pushed(F, entries.reshape(shape), power) for F in self.F]
+            each = [pushed(F, entries.reshape(shape), power) for F in self.F]
             before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
             return np.tensordot(self.turns.T, np.stack(before), 1).ravel()
 
         return _scipy.spectral_radius(moved, states * r**power)
-
-    @staticmethod
-    def _pushed(F: Array, X: Array, power: int) -> Array:
-        for axis in range(1, power + 1):
-            X = np.moveaxis(np.tensordot(X, F, (axis, 1)), -1, axis)
-        return X
 
 
 def outcomes(loop: Loop) -> Outcomes | None:

@@ -1,36 +1,37 @@
-"""Cost of silence in a loop with a given controller, relative to the base, the loop that always sends.
+"""A base, the loop whose sends the cost of silence refers to, and the value of its states.
 
-In each step of the loop, a packet carries the choice c = K z, where z contains everything that the loop uses. With the
-choice, the loop moves by z⁺ = Φ z + Γ c + noise at the stage cost [z; c]'S[z; c]. The base makes the choice in every
-step, and has the value z'P z. A step with the choice c = K z + e instead costs
+In each step of the loop, a packet carries the choice c = K z, where z contains everything that the loop uses. In
+silence, the receiver uses a value h of its own. With the value c or h, the loop moves by z⁺ = Φ z + Γ c + noise at the
+stage cost [z; c]'S[z; c], and the receiver's own value in the next step is M (z, c): the last value, M = (0, I), or the
+prediction of a model.
 
-    e'He + 2 e'(slope) z,    H = S_cc + Γ'PΓ,    slope = S_cz + S_cc K + Γ'P(Φ + ΓK)
+The base attempts to send at given steps, and the link drops a packet with the probability p_m in channel state m. A
+dropout acts as silence. The value w'P_m w of w = (z, h) is computed backwards, with P' for the next step:
 
-more than the base, now and later. For every policy that decides when to be silent, the cost exceeds that of the base by
-the mean of this over the silent steps. LQG minimises its own value, so its slope is zero.
+    Y_m = S + [Φ Γ; M]' α Σ_m' T_mm' P'_m' [Φ Γ; M],    P_m = p_m Y_m + (1 − p_m) R'Y_m R,    R = [I 0; K 0],
+
+or P_m = Y_m in a step in which the base is silent. T contains the transition probabilities of the channel, and α is the
+discount. Silence with h = K z + e costs (1 − p_m)[e'He + 2e'(slope) z] more than an attempt, now and later, with the
+blocks H = Y_hh and slope = Y_hz + Y_hh K. For every policy that decides when to be silent, the cost exceeds that of the
+base by the mean of this over its silent steps, where the base attempts. LQG minimises its own value: its slope is zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from taciturn._arrays import Array, block_diagonal, symmetrised
+from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import mode_text
+from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
-
-DOUBLINGS = 64
-CONVERGED = 1e-14  # relative change of the value within a doubling of the horizon
-LARGEST = 1e100  # a larger value has diverged
-SEEN = 1e-9  # share of a mode in the value below which the cost does not depend on it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Base(Displayed):
-    """A loop that sends in every step, as a linear system.
+    """A loop whose packets carry a linear choice, as a linear system.
 
     Args:
         Phi: dynamics without the choice, (n, n).
@@ -38,6 +39,8 @@ class Base(Displayed):
         stage: weight of the stage cost, (n + c, n + c).
         K: the choice of the base, (c, n).
         noise: covariance of the noise, (n, n).
+        candidate: the receiver's own value in the next step, (c, n + c); default: the value that it uses now.
+        unseen: cost per step that depends on no choice.
     """
 
     Phi: Array
@@ -45,18 +48,68 @@ class Base(Displayed):
     stage: Array
     K: Array
     noise: Array
+    candidate: Array | None = None
+    unseen: float = 0.0
+
+    @property
+    def silent(self) -> Array:
+        """Dynamics of (z, h) in a silent step, (n + c, n + c)."""
+        n, c = self.Gamma.shape
+        held = np.hstack([np.zeros((c, n)), np.eye(c)]) if self.candidate is None else self.candidate
+        return np.vstack([np.hstack([self.Phi, self.Gamma]), held])
+
+    @property
+    def replaced(self) -> Array:
+        """The map R from (z, h) to (z, K z), as a packet replaces the receiver's value, (n + c, n + c)."""
+        n, c = self.Gamma.shape
+        return np.hstack([np.vstack([np.eye(n), self.K]), np.zeros((n + c, c))])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attempts(Displayed):
+    """The steps at which a base attempts to send, the link that drops its packets, and the sum that its cost is.
+
+    Args:
+        pattern: whether the base attempts in each step of a cycle, or of a finite horizon.
+        turns: transition probabilities of the channel state, (s, s).
+        losses: probability of a dropout in each channel state, (s,).
+        discount: factor α of the cost per step.
+        terminal: weight of z after a finite horizon, (n, n); None if the pattern repeats for ever.
+    """
+
+    pattern: tuple[bool, ...] = (True,)
+    turns: Array = field(default_factory=lambda: np.ones((1, 1)))
+    losses: Array = field(default_factory=lambda: np.zeros(1))
+    discount: float = 1.0
+    terminal: Array | None = None
+
+    @property
+    def start(self) -> Array:
+        """Stationary distribution of the channel state, (s,)."""
+        s = len(self.turns)
+        equations = np.vstack([self.turns.T - np.eye(s), np.ones((1, s))])
+        return np.asarray(np.linalg.lstsq(equations, np.append(np.zeros(s), 1.0), rcond=None)[0], dtype=np.float64)
+
+    def scaled(self, factor: float) -> Attempts:
+        """Return the same attempts over a link with ``factor`` times the losses."""
+        return Attempts(self.pattern, self.turns, factor * self.losses, self.discount, self.terminal)
+
+
+EVERY_SAMPLE = Attempts()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Advantage(Displayed):
-    """The value of a base, and the weights of the additional cost of another choice.
+    """The value of a base, and the cost of silence in each step of its pattern and each channel state.
 
     Args:
-        P: the value z'P z of the base beyond its average cost, (n, n).
-        H: quadratic weight of the deviation of the choice, (c, c).
-        slope: linear weight of this deviation, (c, n).
-        cost: average cost of the base per step.
-        settling: time constant in steps of the slowest mode that the cost depends on.
+        P: value z'P z at the start of the pattern, the mean over the channel states, (n, n).
+        H: quadratic weight of the deviation of the choice, (steps, s, c, c).
+        slope: linear weight of this deviation, (steps, s, c, n).
+        cost: cost per step; of a total, the part that the noise causes.
+        settling: time constant in steps of the slowest mode that the cost depends on; 0 for a finite horizon.
+        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them;
+            at 1 or more, the variance of the cost is infinite. None without losses, and for a total.
     """
 
     P: Array
@@ -64,62 +117,111 @@ class Advantage(Displayed):
     slope: Array
     cost: float
     settling: float
+    fourth: float | None = None
 
 
-def advantage(base: Base, remedy: str) -> Advantage:
-    """Return the value of a base, and the weights of the additional cost of another choice.
+def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Advantage:
+    """Return the value of a base, and the cost of silence.
 
     Raises:
-        UnstableError: the cost of the base is infinite; the message ends with ``remedy``.
+        UnstableError: the cost of the base is infinite; the message ends with ``remedy``, or states the critical loss.
+        ProblemError: the loop has too many states for the value over a lossy link.
     """
-    n = len(base.Phi)
-    F, closed = base.Phi + base.Gamma @ base.K, np.vstack([np.eye(n), base.K])
-    P, slowest = least_value(F, symmetrised(closed.T @ base.stage @ closed))
-    if slowest >= 1:
-        modes = np.linalg.eigvals(F)
-        worst = complex(modes[np.argmax(np.abs(modes))])
+    n, alpha, losses = len(base.Phi), attempts.discount, attempts.losses
+    value, settling = _last(base, attempts, remedy)
+    closed, silent, start = base.replaced[:, :n], base.silent, attempts.start
+    H, slope, weights = list[Array](), list[Array](), alpha ** np.arange(len(attempts.pattern))
+    cost, seen = base.unseen * float(weights.sum()), np.zeros_like(base.stage)
+    for attempt, weight in zip(reversed(attempts.pattern), reversed(weights), strict=True):
+        ahead = alpha * np.tensordot(attempts.turns, value, 1)
+        cost += weight * float(np.einsum("m,mij,ij", start, ahead[:, :n, :n], base.noise))
+        Y = base.stage + silent.T @ ahead @ silent
+        Y = (Y + Y.swapaxes(1, 2)) / 2
+        reached = (1 - losses)[:, None, None]
+        H.insert(0, reached * Y[:, n:, n:])
+        slope.insert(0, reached * (Y[:, n:] @ closed))
+        value = Y
+        if attempt:
+            value = losses[:, None, None] * Y
+            value[:, :n, :n] += reached * (closed.T @ Y @ closed)
+        seen = seen + value.sum(axis=0)
+    total = attempts.terminal is not None or alpha < 1
+    if not total:
+        cost /= len(weights)
+    elif attempts.terminal is None:
+        cost /= 1 - alpha ** len(weights)
+    P = symmetrised(np.tensordot(start, value[:, :n, :n], 1))
+    fourth = None
+    if not total and losses.any():
+        fourth = _fixed_point.fourth(seen, _cycle(base, attempts), attempts.turns)
+    return Advantage(P, np.array(H), np.array(slope), cost, settling, fourth)
+
+
+def critical_scale(base: Base, attempts: Attempts) -> float:
+    """Return the largest factor of the losses with which the mean square of the base does not grow; 0 for none."""
+    low, high = 0.0, 1 / float(attempts.losses.max())
+    if _value(base, attempts.scaled(0.0)) is None:
+        return 0.0
+    if _value(base, attempts.scaled(high)) is not None:
+        return high
+    while high - low > _fixed_point.WIDTH * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if _value(base, attempts.scaled(middle)) is not None else (low, middle)
+    return low
+
+
+def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
+    """Return the value after the pattern in each channel state, (s, n + c, n + c), and the time constant in steps."""
+    c, states = len(base.K), len(attempts.losses)
+    if attempts.terminal is not None:
+        return np.array([np.pad(attempts.terminal, (0, c))] * states), 0.0
+    if attempts.losses.any():
+        _fixed_point.expect_few_states(len(base.Phi) + c, states)
+    found = _value(base, attempts)
+    if found is not None:
+        return found
+    if attempts.losses.any():
+        scale = critical_scale(base, attempts)
+        stated = " and ".join(f"{p:.4g}" for p in attempts.losses)
+        limit = f"below {scale * attempts.losses[0]:.4g}" if states == 1 else f"below {scale:.4g} times as much"
+        reason = f"a loss {limit}" if scale else f"a stable loop: {remedy}"
         raise UnstableError(
-            f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
-            f"eigenvalues inside the unit circle: {remedy}"
+            f"with loss probability {stated}, the mean square of the loop that attempts to send every sample grows; "
+            f"expected {reason}"
         )
-    gain = base.stage[n:] @ closed + base.Gamma.T @ P @ F
-    H = symmetrised(base.stage[n:, n:] + base.Gamma.T @ P @ base.Gamma)
-    return Advantage(P, H, gain, float(np.sum(P * base.noise)), 1 / (1 - slowest))
+    if len(attempts.pattern) > 1:
+        raise UnstableError(
+            f"the loop that sends at every {len(attempts.pattern)}th step is not stable; expected a smaller every: "
+            f"{remedy}"
+        )
+    modes = np.linalg.eigvals(base.Phi + base.Gamma @ base.K)
+    worst = complex(modes[np.argmax(np.abs(modes))])
+    raise UnstableError(
+        f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
+        f"eigenvalues inside the unit circle: {remedy}"
+    )
 
 
-def least_value(F: Array, M: Array) -> tuple[Array, float]:
-    """Return the least solution of P = M + F'PF, and the modulus of the slowest mode that it depends on, or infinity.
-
-    A mode that the value does not depend on may be marginally stable. The horizon is doubled until the value does not
-    change. ``_modes.summed`` also waits until the powers of F are zero, which those of such a mode never are.
-    """
-    P, step = M, F
-    size = float(np.abs(P).max(initial=0.0))
-    for _ in range(DOUBLINGS):
-        added = symmetrised(step.T @ P @ step)
-        P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
-        if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
-            break
-    if size > LARGEST:
-        return P, np.inf
-    modes, vectors = np.linalg.eig(F)
-    seen = np.abs(np.einsum("ji,jk,ki->i", vectors.conj(), P, vectors)) > SEEN * size
-    return P, float(np.abs(modes)[seen].max(initial=0.0))
+def _value(base: Base, attempts: Attempts) -> tuple[Array, float] | None:
+    """Return the least value of a repeated pattern, and its time constant in steps; None if it is infinite."""
+    cycle = _cycle(base, attempts)
+    if attempts.losses.any():
+        return _fixed_point.lossy(cycle, attempts.turns)
+    F, M = np.eye(len(base.silent)), np.zeros_like(base.stage)
+    for fates in cycle:
+        _, step, stage = fates[0][0]
+        M, F = M + F.T @ stage @ F, step @ F
+    if not np.isfinite(F).all():
+        return None
+    P, slowest = _fixed_point.least_value(F, symmetrised(M))
+    return None if slowest >= 1 else (np.array([P] * len(attempts.losses)), len(cycle) / (1 - slowest))
 
 
-def cycle_value(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, float]:
-    """Return the least value at the start of a cycle of steps with dynamics and stage weight, and its slowest mode."""
-    F, M = np.eye(len(parts[0][0])), np.zeros_like(parts[0][1])
-    for step, stage in parts:
-        M = M + F.T @ stage @ F
-        F = step @ F
-    return least_value(F, symmetrised(M)) if np.isfinite(F).all() else (M, np.inf)
-
-
-def held_steps(base: Base) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return dynamics and stage weight of (z, h) with a packet that arrives, and in silence that keeps h."""
-    n, c = base.Gamma.shape
-    closed = np.vstack([np.eye(n), base.K])
-    arrives = np.block([[base.Phi + base.Gamma @ base.K, np.zeros((n, c))], [base.K, np.zeros((c, c))]])
-    silent = np.block([[base.Phi, base.Gamma], [np.zeros((c, n)), np.eye(c)]])
-    return (arrives, block_diagonal(closed.T @ base.stage @ closed, np.zeros((c, c)))), (silent, base.stage)
+def _cycle(base: Base, attempts: Attempts) -> _fixed_point.Cycle:
+    """Return the fates of each step and channel state: probability, dynamics of (z, h), and stage weight."""
+    R, silent = base.replaced, np.sqrt(attempts.discount) * base.silent
+    quiet, heard = (silent, base.stage), (silent @ R, symmetrised(R.T @ base.stage @ R))
+    return [
+        [[(1 - p, *heard), *([(p, *quiet)] if p else [])] if attempt else [(1.0, *quiet)] for p in attempts.losses]
+        for attempt in attempts.pattern
+    ]

@@ -90,3 +90,31 @@ def bound_by_state(
         per_silence / problem.tick,
     )
     return guarantee, ()
+
+
+def bound_by_attempts(problem: Discrete, base: float, price: float, every: int, lossy: bool) -> Guarantee:
+    """Return the bound J ≤ J_b + δ(a_b − a) for attempts a of the policy and a_b of the base, both per step.
+
+    Args:
+        problem: the discrete-time problem.
+        base: cost of the base.
+        price: δ per step.
+        every: steps between attempts of the base.
+        lossy: whether the link drops packets.
+    """
+    cost, word = problem.cost, "an attempt to send" if lossy else "a packet"
+    name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {every}th step")
+    base_of = f"{name} the cost of this controller with {word} at {at}"
+    if cost.discount < 1:
+        power = "α" if every == 1 else f"α^{every}"
+        most = price / (1 - cost.discount**every)
+        return Guarantee(
+            problem.per_unit(base + most), f"J ≤ {name} + δ/(1 − {power}), {base_of}", "antunes2014rollout"
+        )
+    share, ticks, times = 1.0 / every, problem.ticks, ""
+    if cost.horizon is not None:
+        share, times = -(-cost.horizon // every) / cost.horizon, f"·{cost.horizon}"
+    whole = "1" if every == 1 else "1/q" if cost.horizon is None else f"{share:.4g}"
+    statement = f"J ≤ {name} + δ{times}({whole} − rate), {base_of}, δ the most that silence adds on average"
+    low, high = (problem.per_unit(base + price * ticks * part) for part in (share - 1, share))
+    return Guarantee(high, statement, "antunes2014rollout", low, price * ticks / problem.unit)

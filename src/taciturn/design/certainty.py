@@ -148,7 +148,7 @@ def control_steps(
         plant: the discrete-time plant.
         estimation: the policy steps of the estimator.
         L: the feedback gain.
-        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃, L constant.
+        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃.
         trigger: trigger over ``estimate``, ``candidate``, ``error`` and ``deviation``; None to send at every step.
         before: further policy steps before the decision.
         after: further policy steps after the decision.
@@ -366,8 +366,8 @@ def hold_steps(plant: Plant, L: Matrix | None, on: str | None) -> ActuationSteps
 
 
 def _model(plant: Plant, L: Matrix, on: str | None) -> ActuationSteps:
-    assert not isinstance(L, Scheduled)
-    unit, closed = np.eye(plant.states), plant.A + plant.B @ L
+    unit = np.eye(plant.states)
+    closed = Scheduled(L.by, plant.A + plant.B @ L.values) if isinstance(L, Scheduled) else plant.A + plant.B @ L
     copied = ({"prediction": unit}, {ESTIMATE: unit})
     known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
     return ActuationSteps(

@@ -1,4 +1,4 @@
-"""State estimation in the controller of a policy: a steady-state Kalman filter, or the measured state itself."""
+"""State estimation in the node that decides: a steady or a time-varying Kalman filter, or the measured state itself."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.lqg.kalman import Filter
+from taciturn.lqg.queries import Predictor, follow_every_query
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, NodeName, Step
 from taciturn.model.theory import Innovations
+from taciturn.model.trigger import Matrix
 
-ESTIMATE, HELD = "estimate", "held"
+ESTIMATE, HELD, INNOVATION = "estimate", "held", "innovation"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -33,20 +35,58 @@ class FilterSteps(Displayed):
     innovations: Innovations | None
 
 
-def estimate_state(plant: Plant, steady: Filter, at: NodeName = "controller") -> FilterSteps:
-    """Return the policy steps that compute the steady-state filtered estimate x̂_k = E[x_k | y_0, …, y_k].
+def estimate_state(
+    plant: Plant, steady: Filter | None, at: NodeName = "controller", gain: Matrix | None = None
+) -> FilterSteps:
+    """Return the policy steps that compute the filtered estimate x̂_k = E[x_k | y_0, …, y_k].
 
     If the full state is measured, x̂ = x, Σ = 0 and Σ̃ = W.
+
+    Args:
+        plant: the plant.
+        steady: the steady-state filter; it may be None with gains of a time-varying filter, or a measured state.
+        at: the node that filters.
+        gain: gains of a time-varying filter, or None for the steady-state filter.
 
     Source: anderson1990optimal
     """
     if plant.full_state:
         measured = Assign(at, ESTIMATE, {"y": np.eye(plant.states)})
         return FilterSteps((measured,), (), {}, None)
+    gain = steady.gain if gain is None and steady is not None else gain
+    assert gain is not None
     correct = (
-        Assign(at, "innovation", {"y": np.eye(plant.outputs), "prior": -plant.C}),
-        Assign(at, ESTIMATE, {"prior": np.eye(plant.states), "innovation": steady.gain}),
+        Assign(at, INNOVATION, {"y": np.eye(plant.outputs), "prior": -plant.C}),
+        Assign(at, ESTIMATE, {"prior": np.eye(plant.states), INNOVATION: gain}),
     )
     predict = (Assign(at, "prior", {ESTIMATE: plant.A, HELD: plant.B}),)
-    innovations = Innovations("innovation", steady.innovation, ESTIMATE, steady.posterior)
+    innovations = None
+    if steady is not None and gain is steady.gain:
+        innovations = Innovations(INNOVATION, steady.innovation, ESTIMATE, steady.posterior)
     return FilterSteps(correct, predict, {"prior": plant.mean}, innovations)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Transient(Displayed):
+    """The Kalman filter from the initial state on.
+
+    Args:
+        gains: gains of the innovations, (steps, n, p).
+        innovation: covariances of the innovations, (steps, p, p).
+        posterior: covariances of the estimation error, (steps, n, n).
+        start: step from which all repeat, or None with a horizon.
+    """
+
+    gains: Array
+    innovation: Array
+    posterior: Array
+    start: int | None
+
+
+def filter_from_the_start(plant: Plant, horizon: int | None) -> Transient:
+    """Return the Kalman filter over a horizon, or until its gains repeat."""
+    prior, start = follow_every_query(plant, plant.covariance, horizon)
+    gains = Predictor(plant).correction(prior)
+    left = np.eye(plant.states) - gains @ plant.C
+    posterior = left @ prior @ left.swapaxes(1, 2) + gains @ plant.V @ gains.swapaxes(1, 2)
+    return Transient(gains, plant.C @ prior @ plant.C.T + plant.V, posterior, start)

@@ -42,21 +42,9 @@ class Prices(Displayed):
         """Whether the cost is a long-run average, and not a finite-horizon or discounted total."""
         return not self.problem.cost.mission
 
-    @property
-    def ticks(self) -> float:
-        """Total weight of the steps in the cost: 1 for an average, N for a horizon, 1/(1−α) for a discounted sum."""
-        cost = self.problem.cost
-        if cost.horizon is not None:
-            return float(cost.horizon)
-        return 1.0 if self.average else 1 / (1 - cost.discount)
-
-    def in_units(self, cost: float) -> float:
-        """Return a cost per step (or a total) in the user's units, including the inter-sample noise cost."""
-        return self.problem.per_unit(cost) if self.average else cost + self.problem.noise_cost * self.ticks
-
     def square(self) -> Matrix:
         """Return the weight H of the completed square in the user's units of the cost."""
-        return by_clock(self.H / self.problem.tick if self.average else self.H)
+        return by_clock(self.H / self.problem.unit)
 
     def total(self, covariance: Array, start: int | None) -> float:
         """Return the cost of applying the input Lx̂ at every step: per step for an average cost, otherwise in total.

@@ -7,21 +7,25 @@ knows the receiver's candidate, because every packet arrives or because the netw
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, block_diagonal
+from taciturn._arrays import Array, block_diagonal, choice
 from taciturn._display import Displayed
 from taciturn.design.base import Base
 from taciturn.design.certainty import COLLOCATED, SEND
 from taciturn.design.estimation import ESTIMATE, HELD
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.kalman import Filter
 from taciturn.model.controller import Controller
-from taciturn.model.policy import Acknowledged, Assign, NodeName, Received, Send, Step
+from taciturn.model.policy import Acknowledged, Assign, Condition, LinkName, NodeName, Received, Send, Step
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
 CANDIDATE = "candidate"
+Actuation: TypeAlias = Literal["hold", "model", "zero"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,65 +36,128 @@ class Route(Displayed):
         base: the loop that sends every sample.
         node: the node that decides; it has the measurement.
         sites: groups of nodes at the same site.
-        choice: name of the signal of the choice.
+        error: terms of the receiver's value in silence, minus the choice.
         before: policy steps that compute choice and candidate.
         after: policy steps that send, receive, and store the input and the controller's next state.
         initial: initial values of the memories.
+        registers: number of states of the controller.
     """
 
     base: Base
     node: NodeName
     sites: tuple[frozenset[NodeName], ...]
-    choice: str
+    error: dict[str, Array]
     before: tuple[Step, ...]
     after: tuple[Step, ...]
     initial: dict[str, Array]
+    registers: int
+
+    @property
+    def state(self) -> tuple[str, ...]:
+        """The signals of z: the state of the plant, that of the controller, and the measurement."""
+        return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
+
+    def steps(self, measured: dict[str, Array], decide: tuple[Step, ...], after: tuple[Step, ...]) -> tuple[Step, ...]:
+        """Return the policy steps with those that decide on ``error``, and those that follow the packet.
+
+        Args:
+            measured: terms of the measurement.
+            decide: policy steps that decide.
+            after: policy steps after the packet.
+        """
+        unit = np.eye(self.registers)
+        return (
+            Assign(self.node, MEASURED, measured),
+            *((Assign(self.node, REGISTER, {NEXT: unit}),) if self.registers else ()),
+            *self.before,
+            Assign(self.node, "error", self.error),
+            *decide,
+            *self.after,
+            *after,
+        )
 
 
-def over_actuator_link(problem: Discrete, controller: Controller, model: bool, lossy: bool) -> Route:
-    """Return the route of inputs; the controller is at the sensor's site.
+def route_over(
+    link: LinkName,
+    problem: Discrete,
+    controller: Controller,
+    actuation: Actuation,
+    lossy: bool,
+    copied: Filter | None = None,
+) -> Route:
+    """Return the route of a given controller's packets.
 
     Args:
+        link: ``"actuator"``: packets carry inputs, and the controller is at the sensor's site; ``"sensor"``: packets
+            carry measurements, and the controller is at the actuator's site.
         problem: the discrete-time problem.
         controller: the controller.
-        model: whether the actuator simulates plant and controller in silence; otherwise it holds the last input.
-        lossy: whether the network acknowledges packets, and the controller uses the acknowledgements.
+        actuation: in silence, the receiver keeps its last value (``"hold"``), predicts it (``"model"``), or the
+            actuator applies 0 (``"zero"``).
+        lossy: whether the network acknowledges packets, and the node that decides uses the acknowledgements.
+        copied: the filter whose estimates a receiver that predicts gets, if its prediction enters the value: over links
+            that drop packets, and for a base that is silent in some steps.
     """
+    choice("actuation", actuation, ("hold", "model", "zero"))
+    if choice("link", link, ("actuator", "sensor")) == "actuator":
+        return _over_actuator_link(problem, controller, actuation, lossy, copied)
+    if actuation == "zero":
+        raise ProblemError("actuation is 'zero', and the link is that of the sensor; expected 'hold' or 'model'")
+    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied)
+
+
+def _over_actuator_link(
+    problem: Discrete, controller: Controller, actuation: Actuation, lossy: bool, copied: Filter | None
+) -> Route:
+    """Return the route of inputs; an actuator that predicts simulates plant and controller in silence."""
     base, m, k = actuator_base(problem, controller), problem.plant.inputs, len(controller.A)
     unit, at = np.eye(m), "controller"
     known = ({CANDIDATE: unit}, {"command": unit})
-    moved = {REGISTER: controller.A, MEASURED: controller.B, HELD: controller.E}
-    copied = _copies(problem, base, k) if model else None
+    on = Acknowledged("actuator") if lossy else SEND
+    copies = _copies(problem, base, k, on) if actuation == "model" else None
+    own = np.zeros((m, m)) if actuation == "zero" else unit  # in silence, from the last input
     command: tuple[Step, ...] = (
         Assign(at, "command", nonempty({REGISTER: controller.C, MEASURED: controller.D})),
-        Assign(at, CANDIDATE, {"prediction": base.K} if copied else {HELD: unit}),
+        Assign(at, CANDIDATE, {"prediction": base.K} if copies else {HELD: own}),
     )
-    silent = {"forecast": base.K} if copied else {"input": unit}
+    silent = {"forecast": base.K} if copies else {"input": own}
     sent: tuple[Step, ...] = (
-        Send(at, "actuator", ("command", *(copied.packet if copied else {})), SEND),
+        Send(at, "actuator", ("command", *(copies.packet if copies else {})), SEND),
         Assign("actuator", "input", (silent, {"command": unit}), Received("actuator")),
-        *(copied.receiver if copied else ()),
-        Assign(at, HELD, known, Acknowledged("actuator") if lossy else SEND),
-        *(copied.decider if copied else ()),
+        *(copies.receiver if copies else ()),
+        Assign(at, HELD, known, on),
+        *(copies.decider if copies else ()),
     )
-    next_state = (Assign(at, NEXT, moved),) if k else ()
-    start = copied.initial if copied else {}
-    return Route(base, at, COLLOCATED, "command", command, (*sent, *next_state), start)
+    moved = {REGISTER: controller.A, MEASURED: controller.B, HELD: controller.E}
+    error = {CANDIDATE: unit, "command": -unit}
+    if actuation == "zero":
+        base = replace(base, candidate=np.zeros((m, m + len(base.Phi))))
+    if copies and copied is not None:
+        error = {"prediction": np.eye(len(base.Phi)), **{name: -matrix for name, matrix in copies.packet.items()}}
+        base = predicting_actuator(problem, base, copied)
+    return Route(
+        base,
+        at,
+        COLLOCATED,
+        error,
+        command,
+        (*sent, *((Assign(at, NEXT, moved),) if k else ())),
+        copies.initial if copies else {},
+        k,
+    )
 
 
-def over_sensor_link(problem: Discrete, controller: Controller, model: bool, lossy: bool) -> Route:
-    """Return the route of measurements; the controller is at the actuator's site, and the sensor has a copy of it.
+def _over_sensor_link(
+    problem: Discrete, controller: Controller, model: bool, lossy: bool, copied: Filter | None
+) -> Route:
+    """Return the route of measurements; the sensor has a copy of the controller.
 
-    Args:
-        problem: the discrete-time problem.
-        controller: the controller.
-        model: whether the controller uses C x̃ in silence, with the state x̃ of a model that starts at the last sent
-            estimate; otherwise it uses the last measurement.
-        lossy: whether the network acknowledges packets, and the sensor uses the acknowledgements.
+    In silence, a controller that predicts uses C x̃, with the state x̃ of a model that starts at the last sent estimate.
     """
     plant, c = problem.plant, controller
     p, state, at = plant.outputs, np.eye(plant.states), "sensor"
     unit = np.eye(p)
+    on = Acknowledged("sensor") if lossy else SEND
     known = ({CANDIDATE: unit}, {MEASURED: unit})
     silent = {"forecast": plant.C} if model else {"used": unit}
     packet = {MEASURED: unit, **({ESTIMATE: state} if model else {})}
@@ -101,10 +168,11 @@ def over_sensor_link(problem: Discrete, controller: Controller, model: bool, los
         *((Assign("controller", "state", {"state": c.A, "used": c.B, "command": c.E}),) if len(c.A) else ()),
     )
     copy: tuple[Step, ...] = (
-        Assign(at, "known", known, Acknowledged("sensor") if lossy else SEND),
+        Assign(at, "known", known, on),
         Assign(at, HELD, nonempty({REGISTER: c.C, "known": c.D})),
         *((Assign(at, NEXT, {REGISTER: c.A, "known": c.B, HELD: c.E}),) if len(c.A) else ()),
     )
+    base, error = sensor_base(problem, controller), {CANDIDATE: unit, MEASURED: -unit}
     if model:
         followed = ({"forecast": state}, {ESTIMATE: state})
         receiver += (
@@ -112,17 +180,22 @@ def over_sensor_link(problem: Discrete, controller: Controller, model: bool, los
             Assign("controller", "forecast", {"model": plant.A, "command": plant.B}),
         )
         copy += (
-            Assign(at, "copy", ({"prediction": state}, {ESTIMATE: state}), SEND),
+            Assign(at, "copy", ({"prediction": state}, {ESTIMATE: state}), on),
             Assign(at, "prediction", {"copy": plant.A, HELD: plant.B}),
         )
+        if copied is not None:
+            above, below = np.eye(p + plant.states, p), np.eye(p + plant.states)[:, p:]
+            error = {CANDIDATE: above, MEASURED: -above, "prediction": below, ESTIMATE: -below}
+            base = predicting_controller(problem, controller, copied)
     return Route(
-        sensor_base(problem, controller),
+        base,
         at,
         (frozenset({"controller", "actuator"}),),
-        MEASURED,
+        error,
         (Assign(at, CANDIDATE, {"prediction": plant.C} if model else {"known": unit}),),
         (Send(at, "sensor", tuple(packet), SEND), *receiver, *copy),
         {"prediction": plant.mean, "forecast": plant.mean} if model else {},
+        len(c.A),
     )
 
 
@@ -154,6 +227,41 @@ def sensor_base(problem: Discrete, controller: Controller) -> Base:
     return Base(Phi, Gamma, _stage(problem, used), K, _noise(problem, k))
 
 
+def predicting_actuator(problem: Discrete, base: Base, steady: Filter) -> Base:
+    """Return the base whose packets carry the estimate ẑ, from which the actuator simulates plant and controller."""
+    n, size = problem.plant.states, base.K.shape[1]
+    used = block_diagonal(np.eye(size), base.K)
+    moved = np.hstack([np.zeros((size, size)), base.Phi + base.Gamma @ base.K])
+    noise, unseen = _corrections(problem, steady, size - n - problem.plant.outputs)
+    return Base(base.Phi, base.Gamma @ base.K, used.T @ base.stage @ used, np.eye(size), noise, moved, unseen)
+
+
+def predicting_controller(problem: Discrete, controller: Controller, steady: Filter) -> Base:
+    """Return the base whose packets carry measurement and estimate, from which the controller predicts both."""
+    plant, base, k = problem.plant, sensor_base(problem, controller), len(controller.A)
+    (n, m), p = plant.B.shape, plant.outputs
+    size = n + k + p
+    state = np.hstack([np.zeros((n, size + p)), plant.A])  # from (z, (value that the controller uses, x̃))
+    state += plant.B @ np.hstack([np.zeros((m, n)), controller.C, np.zeros((m, p)), controller.D, np.zeros((m, n))])
+    K = np.vstack([base.K, np.eye(n, size)])
+    noise, unseen = _corrections(problem, steady, k)
+    return Base(
+        base.Phi,
+        np.hstack([base.Gamma, np.zeros((size, n))]),
+        block_diagonal(base.stage, np.zeros((n, n))),
+        K,
+        noise,
+        np.vstack([plant.C @ state, state]),
+        unseen,
+    )
+
+
+def _corrections(problem: Discrete, steady: Filter, registers: int) -> tuple[Array, float]:
+    """Return the noise of ẑ, which consists of the filter's innovations, and the cost of the error of ẑ."""
+    moved = np.vstack([steady.gain, np.zeros((registers, problem.plant.outputs)), np.eye(problem.plant.outputs)])
+    return moved @ steady.innovation @ moved.T, float(np.sum(problem.Q * steady.posterior))
+
+
 def nonempty(terms: dict[str, Array]) -> dict[str, Array]:
     """Return the terms without those of signals that have no entries."""
     return {name: matrix for name, matrix in terms.items() if matrix.size}
@@ -183,7 +291,7 @@ class _Copies(Displayed):
     initial: dict[str, Array]
 
 
-def _copies(problem: Discrete, base: Base, k: int) -> _Copies:
+def _copies(problem: Discrete, base: Base, k: int, on: Condition) -> _Copies:
     plant = problem.plant
     n, p = plant.states, plant.outputs
     unit = np.eye(n + k + p)
@@ -196,7 +304,7 @@ def _copies(problem: Discrete, base: Base, k: int) -> _Copies:
             Assign("actuator", "forecast", {"model": base.Phi, "input": base.Gamma}),
         ),
         (
-            Assign("controller", "copy", ({"prediction": unit}, packet), SEND),
+            Assign("controller", "copy", ({"prediction": unit}, packet), on),
             Assign("controller", "prediction", {"copy": base.Phi, HELD: base.Gamma}),
         ),
         {"prediction": start, "forecast": start},

@@ -9,15 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._display import Displayed
-from taciturn.design.base import Base, advantage, cycle_value, held_steps
+from taciturn.design.base import Attempts, Base, advantage
 from taciturn.design.routes import actuator_base
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import lift
 from taciturn.model.controller import Controller, Kept
 from taciturn.model.plant import Plant
@@ -32,14 +28,12 @@ class SameControl(Displayed):
     Args:
         problem: the discrete-time problem.
         kept: the controller, which may depend on the step.
-        base: the loop that sends every sample.
-        filter: the filter whose estimate starts the receiver's prediction; None if the receiver keeps its last value.
+        base: the loop that sends every sample, with the receiver's own value in silence.
     """
 
     problem: Discrete
     kept: Kept
     base: Base
-    filter: Filter | None
 
     def __call__(self, steps: int) -> float:
         """Return the cost.
@@ -54,24 +48,10 @@ class SameControl(Displayed):
 
     def at_its_step(self, steps: int) -> float | None:
         """Return the cost of the controller that computes at every step; None if the loop is unstable."""
-        base, unseen = self.base, 0.0
-        n, c = base.Gamma.shape
-        noise = block_diagonal(base.noise, np.zeros((c, c)))
-        (send, M_send), (silent, M_silent) = held_steps(base)
-        if self.filter is not None:  # (ẑ, z̃): the estimate of z, and its prediction from the last packet
-            closed, none = base.Phi + base.Gamma @ base.K, np.zeros((n, n))
-            used, first = np.vstack([np.eye(n), base.K]), block_diagonal(np.eye(n), base.K)
-            send, M_send = np.block([[closed, none], [closed, none]]), block_diagonal(used.T @ base.stage @ used, none)
-            silent = np.block([[base.Phi, base.Gamma @ base.K], [none, closed]])
-            M_silent = first.T @ base.stage @ first
-            gain = np.zeros((n, len(self.filter.innovation)))
-            gain[: len(self.filter.gain)] = self.filter.gain
-            gain[n - len(self.filter.innovation) :] = np.eye(len(self.filter.innovation))
-            noise = block_diagonal(gain @ self.filter.innovation @ gain.T, none)
-            unseen = float(np.sum(self.problem.Q * self.filter.posterior))
-        parts = [(send, M_send), *[(silent, M_silent)] * (steps - 1)]
-        found = _cycle_cost(parts, noise)
-        return None if found is None else found + unseen
+        try:
+            return advantage(self.base, UNSTABLE, Attempts(tuple(k == 0 for k in range(steps)))).cost
+        except UnstableError:
+            return None
 
     def discretised(self, steps: int) -> float | None:
         """Return the cost of the controller at its discretisation for several steps; None if there is none."""
@@ -88,15 +68,3 @@ class SameControl(Displayed):
             return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps
         except (ProblemError, UnstableError):  # such as a filter that is faster than these steps
             return None
-
-
-def _cycle_cost(parts: list[tuple[Array, Array]], noise: Array) -> float | None:
-    """Return the average cost per step of a cycle of linear steps with white noise; None if it is unstable."""
-    value, slowest = cycle_value(parts)
-    if slowest >= 1:
-        return None
-    total = 0.0
-    for step, stage in reversed(parts):
-        total += float(np.sum(value * noise))
-        value = symmetrised(stage + step.T @ value @ step)
-    return total / len(parts)

@@ -74,9 +74,21 @@ class Discrete(Displayed):
         """Return the modulus of the slowest mode of a closed loop, restricted to the states that ``moving`` selects."""
         return radius(closed[np.ix_(self.moving, self.moving)])
 
+    @property
+    def ticks(self) -> float:
+        """Total weight of the steps in the cost: 1 for an average, N for a horizon, 1/(1−α) for a discounted sum."""
+        if self.cost.horizon is not None:
+            return float(self.cost.horizon)
+        return 1 / (1 - self.cost.discount) if self.cost.mission else 1.0
+
+    @property
+    def unit(self) -> float:
+        """Seconds to which an average cost refers, by which a cost per step is divided; 1 for a total."""
+        return 1.0 if self.cost.mission else self.tick
+
     def per_unit(self, cost: float) -> float:
-        """Convert a cost per step to the user's units: add the inter-sample noise cost, and divide by the period."""
-        return (cost + self.noise_cost) / self.tick
+        """Convert a cost per step, or a total, to the user's units, and add the inter-sample noise cost."""
+        return (cost + self.noise_cost * self.ticks) / self.unit
 
 
 def discretise(

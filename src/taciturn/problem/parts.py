@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.design.given import cost_as_kept
+from taciturn.design.kept import cost_as_kept
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from taciturn._arrays import count, instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
-    Actuation,
     certainty_policy,
     control_steps,
     design_certainty,
 )
-from taciturn.design.given import drops, keep_controller, lqg_observer
+from taciturn.design.certainty import Actuation as LQGActuation
+from taciturn.design.given import drops, keep_controller
+from taciturn.design.kept import lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.routes import Actuation
+from taciturn.design.totals import total_excess
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import discretise
+from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -50,7 +55,7 @@ def excess(
 
     Args:
         plant: the plant.
-        cost: the average cost.
+        cost: the cost: an average, a total over a horizon, or a discounted sum.
         delta: threshold δ ≥ 0, a cost per step (for a continuous plant, cost per second times seconds); or
         theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
             and which is 0 for a discrete plant.
@@ -90,18 +95,24 @@ def excess(
     if network.delay:
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
     every = count("every", every)
-    if controller is not None or link != "actuator" or drops(network, link) or every > 1:
-        if controller is None:
-            controller = lqg_observer("excess", discretise(plant, cost, period), every)
-        kept = controller_from(controller)
 
-        def price_at(cost_all_time: float) -> float:
-            return _price(cost_all_time, delta, theta)
+    def price_at(cost_all_time: float) -> float:
+        return _price(cost_all_time, delta, theta)
 
-        return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every)
-    problem = discretise(plant, cost, period)
+    if controller is None and link == "actuator" and actuation != "zero" and every == 1 and not drops(network, link):
+        return _lqg(discretise(plant, cost, period), actuation, price_at)
+    if controller is None:
+        controller = lqg_observer("excess", discretise(plant, cost, period), every)
+    kept = controller_from(controller)
+    return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every)
+
+
+def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float]) -> Policy:
+    """Return the policy with the gains of LQG, over the actuator link, relative to a packet at every step."""
+    if problem.cost.mission:
+        return total_excess("excess", problem, actuation, price_at)
     certainty = design_certainty("excess", problem)
-    price = _price(certainty.cost_all_time, delta, theta)
+    price = price_at(certainty.cost_all_time)
     rule = Trigger({"silent": Form(("error",), certainty.regulator.H), SEND: Form(constant=price)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
     return certainty_policy(
@@ -135,4 +146,5 @@ KIND = Kind(
     asked=("theta",),
     offered=1,
     keeps_controller=True,
+    costs=("average", "horizon", "discount"),
 )

@@ -95,7 +95,7 @@ def remote_lqg(
     prices = price_control(problem)
     all_time, watch = _watch(prices, None), _watch(prices, None if controller == "sensor" else zeta)
     cost_all_time = prices.total(all_time.covariance, all_time.start)
-    cost_of_watch = prices.in_units(prices.total(watch.covariance, watch.start))
+    cost_of_watch = problem.per_unit(prices.total(watch.covariance, watch.start))
     estimation = _estimate(problem.plant, watch)
     if controller == "actuator":
         steps, initial = steps_at_the_actuator(problem.plant, estimation, by_clock(prices.L)), estimation.initial
@@ -103,7 +103,7 @@ def remote_lqg(
         threshold = theta * (problem.Q * watch.covariance).sum(axis=(1, 2))
         rule = {"silent": silence_form(problem, prices.H, theta), SEND: Form(constant=Scheduled(CLOCK, threshold))}
         steps, initial = control_steps(problem.plant, estimation, by_clock(prices.L), "hold", Trigger(rule))
-    queries = prices.ticks - 1 if cost.horizon is not None else prices.ticks  # the last measurement is not used
+    queries = problem.ticks - 1 if cost.horizon is not None else problem.ticks  # the last measurement is not used
     closed_form = None
     if controller == "actuator" and watch.schedule is not None:  # no decision depends on the state
         closed_form = ClosedForm(cost_of_watch, {"sensor": watch.schedule.rate})
@@ -113,11 +113,11 @@ def remote_lqg(
         model=problem.plant,
         theory=Theory(
             cost=cost,
-            cost_all_time=prices.in_units(cost_all_time),
+            cost_all_time=problem.per_unit(cost_all_time),
             noise_cost=problem.noise_cost,
             settling=_settling(prices, watch) if prices.average else 0.0,
             guarantee=Guarantee(
-                prices.in_units((1 + theta) * (cost_all_time + zeta * queries)),
+                problem.per_unit((1 + theta) * (cost_all_time + zeta * queries)),
                 _statement(prices, controller),
                 "khashooei2017",
             ),

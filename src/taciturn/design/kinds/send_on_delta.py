@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import choice, number
+from taciturn._arrays import number
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, design_certainty, expect_average, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
-from taciturn.design.given import REMEDY, disturbed, lqg_observer
+from taciturn.design.kept import REMEDY, disturbed, lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.routes import CANDIDATE, MEASURED, NEXT, REGISTER, over_actuator_link, over_sensor_link
+from taciturn.design.routes import route_over
 from taciturn.design.same_control import SameControl
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, Policy, Received, Send, Step
+from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, Policy, Received, Send
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
@@ -87,31 +87,24 @@ def _keep(
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
     problem, at_step, disturbance = disturbed(plant, cost, period, kept)
-    choice("link", link, ("actuator", "sensor"))
-    route = (over_actuator_link if link == "actuator" else over_sensor_link)(problem, at_step, False, False)
-    found, node, k = advantage(route.base, REMEDY), route.node, len(at_step.A)
-    unit = np.eye(len(route.base.K))
-    moved = {f"entry {i}": Form(("moved",), -np.diag(row), delta**2) for i, row in enumerate(unit)}
-    steps: tuple[Step, ...] = (
-        Assign(node, MEASURED, {"y": np.eye(problem.plant.outputs)}),
-        *((Assign(node, REGISTER, {NEXT: np.eye(k)}),) if k else ()),
-        *route.before,
-        Assign(node, "moved", {CANDIDATE: unit, route.choice: -unit}),
-        Decide(node, WHICH, Trigger({"none": Form(), **moved})),
-        Evaluate(node, "any", tuple(Form(constant=float(i > 0)) for i in range(len(unit) + 1)), WHICH),
-        Decide(node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
-        *route.after,
+    route = route_over(link, problem, at_step, "hold", False)
+    found, size = advantage(route.base, REMEDY), len(route.base.K)
+    moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
+    decide = (
+        Decide(route.node, WHICH, Trigger({"none": Form(), **moved})),
+        Evaluate(route.node, "any", tuple(Form(constant=float(i > 0)) for i in range(size + 1)), WHICH),
+        Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
     return Policy(
         kind=kind,
-        steps=steps,
+        steps=route.steps({"y": np.eye(problem.plant.outputs)}, decide, ()),
         model=problem.plant,
         theory=Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(found.cost),
             noise_cost=problem.noise_cost,
             settling=found.settling,
-            periodic=SameControl(problem, kept, route.base, None),
+            periodic=SameControl(problem, kept, route.base),
         ),
         sites=route.sites,
         initial=route.initial,

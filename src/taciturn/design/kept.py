@@ -1,0 +1,105 @@
+"""Controllers that a user has, together with the plant: the slow disturbance, LQG as a controller, usual weights."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.design._fixed_point import least_value
+from taciturn.design.certainty import design_certainty
+from taciturn.design.prices import price_control
+from taciturn.design.routes import actuator_base
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.kalman import Filter, filter_checked
+from taciturn.lqg.periodic import Held
+from taciturn.model.controller import Controller, Kept
+from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED
+from taciturn.model.disturbance import Disturbance, padded
+from taciturn.model.plant import ContinuousPlant, Plant
+
+REMEDY = "check the sign of the controller (feedback is u = −K y), its gains and its step"
+
+
+def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | None = None) -> Cost:
+    """Return the cost for which the present variances of all outputs and inputs count equally, with every sample.
+
+    Args:
+        plant: the plant, without the slow disturbance that the controller compensates.
+        kept: the controller.
+        period: seconds between steps; only with a continuous plant.
+
+    Raises:
+        UnstableError: the loop is unstable, or a variance is infinite.
+        ProblemError: an output or an input does not move.
+    """
+    usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
+    problem, controller, _ = disturbed(plant, usual, period, kept)
+    base = actuator_base(problem, controller)
+    F, n = base.Phi + base.Gamma @ base.K, plant.states
+    rows = {"output_variance": np.pad(plant.C, ((0, 0), (0, len(F) - n))), "input_variance": base.K}
+    found: dict[str, list[float]] = {}
+    for name, signals in rows.items():
+        found[name] = []
+        for number, row in enumerate(signals, 1):
+            P, slowest = least_value(F, row[:, None] * row)
+            variance = float(np.sum(P * base.noise))
+            if slowest >= 1:
+                raise UnstableError(f"the loop that sends every sample is not stable; expected a stable loop: {REMEDY}")
+            if variance <= 0:
+                raise ProblemError(
+                    f"{name.partition('_')[0]} {number} has no variance in the loop with every sample; expected noise "
+                    "that moves it, or output_variance and input_variance in place of weights"
+                )
+            found[name].append(variance)
+    return Cost.of_variances(plant.C, **found)
+
+
+def disturbed(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept
+) -> tuple[Discrete, Controller, Disturbance | None]:
+    """Return the discrete-time problem with the slow disturbance, the controller at its step, and the disturbance."""
+    problem = discretise(plant, cost, period)
+    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.outputs)
+    SIMULATED.check(controller)
+    disturbance = controller.expected
+    if disturbance is not None:
+        disturbance = disturbance.completed(plant, period)
+        problem = discretise(disturbance.added_to(plant), padded(cost, problem.plant.inputs), period)
+    return problem, controller, disturbance
+
+
+def lqg_observer(kind: str, problem: Discrete, every: int = 1) -> Controller:
+    """Return LQG control as a controller, whose observer uses the input that was applied.
+
+    Its gain is optimal for a packet at every q-th step, and a held input.
+
+    Raises:
+        ProblemError: the cost has a horizon, so that the gains change.
+        UnstableError: no stabilising gain or filter exists.
+    """
+    if problem.cost.horizon is not None:
+        raise ProblemError(
+            f"cost.horizon is {problem.cost.horizon}, so the gains of LQG change with time; expected an average or "
+            "discounted cost with this link, or a controller"
+        )
+    plant = problem.plant
+    if not problem.cost.mission:
+        certainty = design_certainty(kind, problem)
+        steady, L, held = certainty.filter, certainty.regulator.L, certainty.held
+    else:
+        steady, L = filter_checked(plant.A, plant.C, plant.W, plant.V), price_control(problem).L
+        shrunk = np.sqrt(problem.cost.discount)
+        held = Held(shrunk * plant.A, shrunk * plant.B, problem.Q, problem.R, problem.N, plant.W)
+    return observer_controller(plant, steady, L if every == 1 else held.solve((every,)).gains[0])
+
+
+def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
+    """Return feedback of the filtered estimate as a controller, whose filter uses the input that was applied."""
+    n, m = plant.B.shape
+    none = Disturbance(deviation=0.0)
+    if plant.full_state:
+        return Controller(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), L, None, plant.dt, none)
+    left = np.eye(n) - steady.gain @ plant.C
+    return Controller(plant.A @ left, plant.A @ steady.gain, L @ left, L @ steady.gain, plant.B, plant.dt, none)

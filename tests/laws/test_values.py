@@ -1,0 +1,114 @@
+"""The value of a base for every pattern of attempts, link and cost: two computations, identity and bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laws.test_given_controllers import random_loop
+from laws.test_lossy_controllers import forward_cost, random_network
+
+import taciturn
+from taciturn import Cost, Network, Plant, UnstableError, design
+from taciturn.design.base import Attempts, Base, advantage, critical_scale
+from taciturn.design.routes import actuator_base, predicting_actuator, predicting_controller, sensor_base
+from taciturn.lqg.discrete import discretise
+from taciturn.lqg.kalman import filter_checked
+from taciturn.simulation.average import average
+
+ACTUATIONS = ("hold", "model", "zero")
+
+
+def bases(seed: int) -> tuple[Base, ...]:
+    """Return the bases of a random loop, for both links: receivers that hold, predict or apply 0."""
+    plant, cost, kept = random_loop(seed)
+    problem, steady = discretise(plant, cost, None), filter_checked(plant.A, plant.C, plant.W, plant.V)
+    held = actuator_base(problem, kept)
+    zero = replace(held, candidate=np.zeros((len(held.K), len(held.silent))))
+    return held, zero, predicting_actuator(problem, held, steady), sensor_base(problem, kept), (
+        predicting_controller(problem, kept, steady)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(60), marks=pytest.mark.evidence)])
+def test_weights_backwards_and_moments_forwards_agree(seeds: range) -> None:
+    """With periodic attempts, losses, bursts, and both; without losses, a receiver that predicts changes nothing."""
+    tried = 0
+    for seed in seeds:
+        held, _, predicting, heard, controller = found = bases(seed)
+        assert advantage(predicting, "").cost == pytest.approx(advantage(held, "").cost, rel=1e-8)
+        assert advantage(controller, "").cost == pytest.approx(advantage(heard, "").cost, rel=1e-8)
+        chain = random_network(seed, "actuator").chain("actuator")
+        for number, base in enumerate(found):
+            pattern = tuple(k == 0 for k in range(1 + (seed + number) % 3))
+            attempts = Attempts(pattern, *chain)
+            size = len(base.silent)
+            if size * size * len(pattern) * len(chain[1]) > 1000:
+                continue
+            scale = critical_scale(base, attempts)
+            if scale < 1.2:
+                attempts = attempts.scaled(scale / 1.2)
+            if not attempts.losses.any():
+                continue
+            assert advantage(base, "", attempts).cost == pytest.approx(forward_cost(base, attempts), rel=1e-8)
+            tried += 1
+    assert tried >= len(seeds)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_value_of_a_total_is_that_of_its_moments(seed: int) -> None:
+    """Over a horizon with a weight of the final state, and with a discount, for attempts at every second step."""
+    plant, cost, kept = random_loop(seed)
+    base = actuator_base(discretise(plant, cost, None), kept)
+    n, c = base.Gamma.shape
+    silent, R = base.silent, base.replaced
+    last, noise = 2.0 * np.eye(n), np.pad(base.noise, (0, c))
+    begin = np.pad(0.5 * np.eye(n), (0, c))
+    for attempts, steps in (
+        (Attempts((True, False) * 6, terminal=last), 12),
+        (Attempts((True, False), discount=0.5), 60),
+    ):
+        found, X, total = advantage(base, "", attempts), begin, 0.0
+        for k in range(steps):
+            used = R if k % 2 == 0 else np.eye(n + c)
+            total += attempts.discount**k * float(np.sum(base.stage * (used @ X @ used.T)))
+            X = silent @ used @ X @ used.T @ silent.T + noise
+        if attempts.terminal is not None:
+            total += float(np.sum(last * X[:n, :n]))
+        assert found.cost + 0.5 * np.trace(found.P) == pytest.approx(total, rel=1e-9)
+
+
+@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(96), marks=pytest.mark.evidence)])
+def test_identity_and_bound_hold_for_every_combination(seeds: range) -> None:
+    """Actuation, losses or bursts, periodic attempts, horizon and discount; the plain average is the other estimate."""
+    off = []
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        n = plant.states
+        plant = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=np.ones(n), covariance=0.5 * np.eye(n))
+        total = ({}, {"horizon": 20, "terminal": 3 * np.eye(n)}, {}, {"discount": 0.9})[seed % 4]
+        cost, every = Cost(cost.Q, cost.R, cost.N, **total), 1 + seed // 4 % 2
+        actuation = ("hold", "zero")[seed % 2] if total else ACTUATIONS[seed // 2 % 3]
+        link = "actuator" if actuation == "zero" else ("actuator", "sensor")[seed // 8 % 2]
+        network = random_network(seed, link) if seed // 2 % 2 else Network()
+        options = {"link": link, "actuation": actuation, "every": every, "network": network}
+        controller = None if total.get("horizon") is None and seed % 3 == 0 else kept
+        try:
+            policy = design.excess(plant, cost, theta=0.3, controller=controller, **options)
+        except UnstableError:  # with so few packets, or such losses
+            continue
+        if policy.theory.fourth is not None and policy.theory.fourth > 0.9:  # no error of the mean
+            continue
+        if policy.guarantee.cost > 20 * policy.cost_all_time:  # a base that is nearly unstable
+            continue
+        plain = replace(policy, theory=replace(policy.theory, identity=None))
+        squares, other = (
+            average(taciturn.close(plant, one), steps=400_000, seed=number).cost
+            for number, one in enumerate((policy, plain))
+        )
+        off.append((squares.value - other.value) / np.hypot(squares.standard_error, other.standard_error))
+        assert squares.value < policy.guarantee.cost + 4 * squares.standard_error
+    assert len(off) > len(seeds) / 3
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1.2 + 6 / np.sqrt(len(off))
