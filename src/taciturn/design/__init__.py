@@ -27,6 +27,8 @@ if TYPE_CHECKING:  # for type checkers and editors; the functions are found by t
     from taciturn.design.kinds.consistent import consistent as consistent
     from taciturn.design.kinds.downsampled import downsampled as downsampled
     from taciturn.design.kinds.dynamic import dynamic as dynamic
+    from taciturn.design.kinds.event_pid import event_pid as event_pid
+    from taciturn.design.kinds.event_pid_saturated import event_pid_saturated as event_pid_saturated
     from taciturn.design.kinds.excess import excess as excess
     from taciturn.design.kinds.integral import integral as integral
     from taciturn.design.kinds.lossy_lqg import lossy_lqg as lossy_lqg
@@ -42,6 +44,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the functions are found by t
     from taciturn.design.kinds.self_triggered import self_triggered as self_triggered
     from taciturn.design.kinds.send_on_delta import send_on_delta as send_on_delta
     from taciturn.design.kinds.stochastic import stochastic as stochastic
+    from taciturn.design.kinds.symmetric_send_on_delta import symmetric_send_on_delta as symmetric_send_on_delta
     from taciturn.design.kinds.variance import variance as variance
 
 __all__ = [name.replace("-", "_") for name in own_kinds()]  # pyright: ignore[reportUnsupportedDunderAll]

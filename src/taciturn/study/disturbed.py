@@ -10,9 +10,10 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn.design.certainty import SEND
+from taciturn.design.kinds.excess import excess
 from taciturn.loop import close
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import Plant
+from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Decide, Policy
 from taciturn.model.trigger import Form, Trigger
 from taciturn.problem import Problem
@@ -66,9 +67,19 @@ def averages_after_step(problem: Problem, policy: Policy, seed: int) -> AfterSte
         loop = close(plant, policy, problem.network, cost)
         return average(loop, seed=seed, standard_error=ACCURACY * policy.cost_all_time)
 
-    found, always = averaged(policy), averaged(sends_every_sample(policy))
+    found, always = averaged(policy), averaged(_with_every_sample(problem, policy))
     size = tuple(float(value) for value in np.atleast_1d(assumed.deviation))
     return AfterStep(size, found.cost, always.cost, found.rates)
+
+
+def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
+    """Return the same controller with a packet at every sample; some rules, such as levels of the output, have none."""
+    if problem.controller is None:
+        return sends_every_sample(policy)
+    period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
+    return sends_every_sample(
+        excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller)
+    )
 
 
 def sends_every_sample(policy: Policy) -> Policy:

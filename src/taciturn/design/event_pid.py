@@ -1,0 +1,161 @@
+"""PID controllers that compute only when a measurement arrives, with gains that depend on the time since the last one.
+
+The sensor sends when the output has changed by more than Δ since the last packet, and in some variants after a longest
+interval. With the time t since the last packet, the controller then computes
+
+    u = −(kp y + I + D),  D ← T/(T + t) D + kd/(T + t)(y − last y),  I ← I + ki a,
+
+where T is the time constant of the derivative's filter and a the area under the error that the variant assumes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taciturn._arrays import number
+from taciturn._display import Displayed
+from taciturn.design.base import advantage
+from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.certainty import SEND, expect_average
+from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.routes import sensor_base
+from taciturn.design.same_control import SameControl
+from taciturn.errors import ProblemError
+from taciturn.model.controller import PID, Controller, PIDLoops, controller_from
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import ONE, Apply, Assign, Decide, Evaluate, Policy, Received, Send, Step
+from taciturn.model.theory import Theory
+from taciturn.model.trigger import Form, Trigger
+
+HEARD, FRESH = "heard", "fresh"
+STATE = ("command", "integral", "derivative", "before", "elapsed")
+
+
+@dataclass(frozen=True, repr=False)
+class EventPID(Displayed):
+    """The law of a PID controller that computes at packets.
+
+    Args:
+        pid: the gains.
+        step: seconds per step.
+        area: function of the error, the time since the last packet and the time of a step, all in seconds, that returns
+            the area under the error.
+    """
+
+    pid: PID
+    step: float
+    area: Callable[[Any, Any, float], Any]
+
+    def __call__(
+        self, heard: Any, fresh: Any, command: Any, integral: Any, derivative: Any, before: Any, elapsed: Any
+    ) -> Any:
+        """Return the command and the state of the controller; without a packet, only the elapsed steps change."""
+        pid, time, T = self.pid, elapsed * self.step, self.pid.filter or 0.0
+        slope = (T * derivative + pid.kd * (heard - before)) / (T + time)
+        value = -(pid.kp * heard + integral + slope)
+        area = integral + pid.ki * self.area(heard, time, self.step)
+        new = fresh > 0.5
+        return (
+            np.where(new, value, command),
+            np.where(new, area, integral),
+            np.where(new, slope, derivative),
+            np.where(new, heard, before),
+            np.where(new, 1.0, elapsed + 1.0),
+        )
+
+
+def design_event_pid(
+    kind: str,
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    controller: object,
+    delta: float,
+    longest: float | None,
+    period: float | None,
+    area: Callable[[Any, Any, float], Any],
+) -> Policy:
+    """Return the policy of a PID controller that computes when a measurement arrives.
+
+    Args:
+        kind: name of the policy kind.
+        plant: the plant, without the slow disturbance that the controller compensates.
+        cost: the average cost.
+        controller: a PID controller of the only output and input of the plant.
+        delta: the sensor sends if the output has changed by more than this since the last packet.
+        longest: seconds after which the sensor sends in any case, or None.
+        period: seconds between steps; only with a continuous plant.
+        area: the area under the error, as for ``EventPID``.
+
+    Raises:
+        ProblemError: the controller is no PID controller, or the plant has several inputs or outputs.
+        UnstableError: the loop that sends every sample is unstable.
+    """
+    delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    kept = controller_from(controller)
+    if isinstance(kept, PIDLoops) and len(kept.loops) == 1:
+        kept = kept.loops[0]
+    if not isinstance(kept, PID):
+        raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
+    expect_average(kind, cost)
+    problem, _, disturbance = disturbed(plant, cost, period, kept)
+    plant, step = problem.plant, problem.plant.dt
+    if plant.inputs != 1 or plant.outputs != 1:
+        raise ProblemError(
+            f"the plant has {plant.inputs} inputs and {plant.outputs} outputs; expected one of each with {kind}"
+        )
+    assert step is not None
+    steps = 0.0 if longest is None else number("longest", longest, 0.0) / step
+    base = sensor_base(problem, at_every_step(kept, step))
+    found, one = advantage(base, REMEDY), np.eye(1)
+    late = {} if longest is None else {"late": Form(plus={"age": -1.0}, constant=max(np.ceil(steps - 1e-9), 1.0) - 0.5)}
+    sends = 1 + len(late)
+    counted, restarted = Form(constant=1.0, plus={"age": 1.0}), Form(constant=1.0)
+    moved = Form(("moved",), -one, delta**2)
+    decide: tuple[Step, ...] = (
+        Assign("sensor", "moved", {"y": one, "last": -one}),
+        Decide("sensor", SEND, Trigger({"silent": Form(), "moved": moved, **late})),
+        Send("sensor", "sensor", ("y",), SEND),
+        Assign("sensor", "last", ({"last": one}, *([{"y": one}] * sends)), SEND),
+        *((Evaluate("sensor", "age", (counted, *([restarted] * sends)), SEND),) if late else ()),
+    )
+    compute: tuple[Step, ...] = (
+        Assign("controller", HEARD, ({HEARD: one}, {"y": one}), Received("sensor")),
+        Assign("controller", FRESH, ({ONE: 0.0 * one}, {ONE: one}), Received("sensor")),
+        Apply("controller", dict.fromkeys(STATE, 1), EventPID(kept, step, area), (HEARD, FRESH, *STATE)),
+        Assign("actuator", "input", {"command": one}),
+    )
+    return Policy(
+        kind=kind,
+        steps=(*decide, *compute),
+        model=plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(found.cost),
+            noise_cost=problem.noise_cost,
+            settling=found.settling,
+            periodic=SameControl(problem, kept, base),
+        ),
+        sites=(frozenset({"controller", "actuator"}),),
+        initial={"elapsed": np.ones(1), **({"age": np.full(1, 1e6)} if late else {})},
+        tick=problem.tick,
+        disturbance=disturbance,
+    )
+
+
+def at_every_step(pid: PID, step: float) -> Controller:
+    """Return the controller that a packet at every step gives, with the state (integral, derivative, last y)."""
+    T = pid.filter or 0.0
+    kept, gain = T / (T + step), pid.kd / (T + step)
+    return Controller(
+        [[1.0, 0.0, 0.0], [0.0, kept, -gain], [0.0, 0.0, 0.0]],
+        [[pid.ki * step], [gain], [1.0]],
+        [[-1.0, -kept, gain]],
+        [[-pid.kp - gain]],
+        None,
+        step,
+    )

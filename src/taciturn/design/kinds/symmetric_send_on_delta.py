@@ -1,0 +1,106 @@
+"""Symmetric send-on-delta: the sensor sends the level of the output, a multiple of Δ, when it has changed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import number
+from taciturn.design.base import advantage
+from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.certainty import SEND, expect_average
+from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.routes import nonempty, sensor_base
+from taciturn.design.same_control import SameControl
+from taciturn.errors import ProblemError
+from taciturn.model.controller import controller_from
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import ONE, Assign, Decide, Policy, Received, Send
+from taciturn.model.theory import Theory
+from taciturn.model.trigger import Form, Trigger
+
+LEVEL, USED, STATE = "level", "used", "state"
+
+
+def symmetric_send_on_delta(
+    plant: Plant | ContinuousPlant, cost: Cost, *, controller: object, delta: float, period: float | None = None
+) -> Policy:
+    """Design a given controller that uses a level of the output, which changes by ±Δ when the output is Δ away from it.
+
+    The levels are the multiples of Δ, so zero is one of them, and around it the sensor is silent. The controller
+    computes in every step with the last level. In a step, the level changes by at most Δ.
+
+    Args:
+        plant: the plant, with one output.
+        cost: the average cost.
+        controller: a linear controller to keep, or an object that ``controller_from`` converts.
+        delta: threshold Δ > 0 in the units of the output.
+        period: seconds between steps; only with a continuous plant.
+
+    Returns:
+        The policy; no bound on its cost is known.
+
+    Raises:
+        ProblemError: the plant has several outputs, or a parameter is out of range.
+        UnstableError: the loop that sends every sample is unstable.
+
+    Source: beschi2012
+
+    Example:
+        >>> from taciturn import PID
+        >>> plant, cost = Plant([[0.9]], [[0.1]], [[1.0]], dt=0.1), Cost([[1.0]], [[1.0]])
+        >>> symmetric_send_on_delta(plant, cost, controller=PID(1.0), delta=1.0).scheduled
+        ('sensor',)
+    """
+    kind, delta = "symmetric-send-on-delta", number("delta", delta, 0.0, LARGEST_PARAMETER)
+    expect_average(kind, cost)
+    kept = controller_from(controller)
+    problem, c, disturbance = disturbed(plant, cost, period, kept)
+    if problem.plant.outputs != 1:
+        raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
+    base, one = sensor_base(problem, c), np.eye(1)
+    found = advantage(base, REMEDY)
+    rule = {"up": Form(plus={"moved": -1.0}, constant=delta), "down": Form(plus={"moved": 1.0}, constant=delta)}
+    same = {LEVEL: one}
+    steps = (
+        Assign("sensor", "moved", {"y": one, LEVEL: -one}),
+        Decide("sensor", SEND, Trigger({"silent": Form(), **rule})),
+        Assign("sensor", LEVEL, (same, {**same, ONE: delta * one}, {**same, ONE: -delta * one}), SEND),
+        Send("sensor", "sensor", (LEVEL,), SEND),
+        Assign("controller", USED, ({USED: one}, {LEVEL: one}), Received("sensor")),
+        Assign("controller", "command", nonempty({STATE: c.C, USED: c.D})),
+        Assign("actuator", "input", {"command": np.eye(problem.plant.inputs)}),
+        *((Assign("controller", STATE, {STATE: c.A, USED: c.B, "command": c.E}),) if len(c.A) else ()),
+    )
+    return Policy(
+        kind=kind,
+        steps=steps,
+        model=problem.plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(found.cost),
+            noise_cost=problem.noise_cost,
+            settling=found.settling,
+            periodic=SameControl(problem, kept, base),
+        ),
+        sites=(frozenset({"controller", "actuator"}),),
+        tick=problem.tick,
+        disturbance=disturbance,
+    )
+
+
+KIND = Kind(
+    name="symmetric-send-on-delta",
+    design=symmetric_send_on_delta,
+    goal="a given controller that uses the output in multiples of Δ",
+    tuning=(TradeoffParameter("delta"),),
+    example={"delta": 0.05},
+    built_in="pid-tank",
+    nodes="S, C+A",
+    plants=("discrete", "continuous", "outputs"),
+    refused="several outputs",
+    data="memory `level` at S, `used` at C",
+    order="compare y with the level, decide, change and send the level, input",
+    keeps_controller=True,
+)
