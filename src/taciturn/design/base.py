@@ -160,13 +160,13 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
 def critical_scale(base: Base, attempts: Attempts) -> float:
     """Return the largest factor of the losses with which the mean square of the base does not grow; 0 for none."""
     low, high = 0.0, 1 / float(attempts.losses.max())
-    if _value(base, attempts.scaled(0.0)) is None:
+    if repeated_value(base, attempts.scaled(0.0)) is None:
         return 0.0
-    if _value(base, attempts.scaled(high)) is not None:
+    if repeated_value(base, attempts.scaled(high)) is not None:
         return high
     while high - low > _fixed_point.WIDTH * high:
         middle = (low + high) / 2
-        low, high = (middle, high) if _value(base, attempts.scaled(middle)) is not None else (low, middle)
+        low, high = (middle, high) if repeated_value(base, attempts.scaled(middle)) is not None else (low, middle)
     return low
 
 
@@ -177,7 +177,7 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
         return np.array([np.pad(attempts.terminal, (0, c))] * states), 0.0
     if attempts.losses.any():
         _fixed_point.expect_few_states(len(base.Phi) + c, states)
-    found = _value(base, attempts)
+    found = repeated_value(base, attempts)
     if found is not None:
         return found
     if attempts.losses.any():
@@ -202,7 +202,7 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
     )
 
 
-def _value(base: Base, attempts: Attempts) -> tuple[Array, float] | None:
+def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None:
     """Return the least value of a repeated pattern, and its time constant in steps; None if it is infinite."""
     cycle = _cycle(base, attempts)
     if attempts.losses.any():

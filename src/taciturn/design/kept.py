@@ -70,10 +70,10 @@ def disturbed(
     return problem, controller, disturbance
 
 
-def lqg_observer(kind: str, problem: Discrete, every: int = 1) -> Controller:
+def lqg_observer(kind: str, problem: Discrete, every: int = 1, L: Array | None = None) -> Controller:
     """Return LQG control as a controller, whose observer uses the input that was applied.
 
-    Its gain is optimal for a packet at every q-th step, and a held input.
+    Its gain is L, or by default optimal for a packet at every q-th step and a held input.
 
     Raises:
         ProblemError: the cost has a horizon, so that the gains change.
@@ -85,6 +85,8 @@ def lqg_observer(kind: str, problem: Discrete, every: int = 1) -> Controller:
             "discounted cost with this link, or a controller"
         )
     plant = problem.plant
+    if L is not None:
+        return observer_controller(plant, filter_checked(plant.A, plant.C, plant.W, plant.V), L)
     if not problem.cost.mission:
         certainty = design_certainty(kind, problem)
         steady, L, held = certainty.filter, certainty.regulator.L, certainty.held

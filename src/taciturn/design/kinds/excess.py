@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
-from taciturn._arrays import count, instance, number
+from taciturn._arrays import choice, count, instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
@@ -13,6 +14,7 @@ from taciturn.design.certainty import (
     design_certainty,
 )
 from taciturn.design.certainty import Actuation as LQGActuation
+from taciturn.design.dropout_gains import gains_for_losses
 from taciturn.design.given import drops, keep_controller
 from taciturn.design.kept import lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -41,6 +43,7 @@ def excess(
     link: LinkName = "actuator",
     network: Network | None = None,
     every: int = 1,
+    gains: Literal["lqg", "losses"] = "lqg",
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -60,7 +63,8 @@ def excess(
         theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
             and which is 0 for a discrete plant.
         period: seconds between steps; only with a continuous plant.
-        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate,
+            ``"zero"`` applies 0.
         controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
@@ -70,6 +74,8 @@ def excess(
             without acknowledgement are not taken into account.
         every: q, steps between packets of the base that δ refers to; J + δ·rate ≤ J_q + δ/q with the cost J_q of
             packets at every q-th step, so at the rate 1/q the policy costs no more than J_q. Default: every sample.
+        gains: without a controller, ``"lqg"``: the gains of LQG, as if no packet were dropped; ``"losses"``: those that
+            cost least with the network's mean loss.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -79,7 +85,7 @@ def excess(
             applicable.
         UnstableError: if no stabilising gain or filter exists.
 
-    Source: astrom2002, khashooei2017, antunes2014rollout
+    Source: astrom2002, khashooei2017, antunes2014rollout, schenato2009
 
     Example:
         >>> policy = excess(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
@@ -99,10 +105,19 @@ def excess(
     def price_at(cost_all_time: float) -> float:
         return _price(cost_all_time, delta, theta)
 
-    if controller is None and link == "actuator" and actuation != "zero" and every == 1 and not drops(network, link):
+    ideal = link == "actuator" and every == 1 and gains == "lqg" and not drops(network, link)
+    if controller is None and ideal and actuation != "zero":
         return _lqg(discretise(plant, cost, period), actuation, price_at)
+    L = None
+    if choice("gains", gains, ("lqg", "losses")) == "losses":
+        if controller is not None or not drops(network, link) or actuation == "model" or link == "sensor" or every > 1:
+            raise ProblemError(
+                "gains is 'losses'; expected an actuator link that drops packets and acknowledges those that arrive, "
+                "no controller, actuation 'hold' or 'zero', and every = 1; or gains = 'lqg'"
+            )
+        L = gains_for_losses(discretise(plant, cost, period), network.loss(link), actuation == "zero")
     if controller is None:
-        controller = lqg_observer("excess", discretise(plant, cost, period), every)
+        controller = lqg_observer("excess", discretise(plant, cost, period), every, L)
     kept = controller_from(controller)
     return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every)
 
