@@ -199,3 +199,24 @@ def test_nodes_apart_carry_the_bits_of_the_loop(network: Network, link: str) -> 
     wrong, packets = differing_ticks(loop, records, draws)
     assert wrong == []
     assert 20 < packets < 180
+
+
+@pytest.mark.parametrize("network", [INDEPENDENT, BURSTS])
+def test_a_dropout_may_be_followed_by_another_attempt(network: Network) -> None:
+    """Always, if ``retry`` is true; the bound and the identity hold, and nodes apart decide alike."""
+    policy = design.excess(PLANT, WEIGHTS, theta=0.5, network=network, retry=True)
+    loop = taciturn.close(PLANT, policy)
+    records, draws = record(loop, 300, 1)
+    assert differing_ticks(loop, records, draws)[0] == []
+    program = loop.program()
+    found = run(program, loop.start(program, 50, 3), 300).outputs
+    failed = found[Sent("actuator")] & ~found[Got("actuator")]
+    assert failed.sum() > 100
+    assert found[Sent("actuator")][1:][failed[:-1]].all()
+    plain = replace(policy, theory=replace(policy.theory, identity=None))
+    costs = [average(taciturn.close(PLANT, one), steps=400_000, seed=k).cost for k, one in enumerate((policy, plain))]
+    error = np.hypot(*(cost.standard_error for cost in costs))
+    assert costs[0].value == pytest.approx(costs[1].value, abs=4 * error)
+    assert costs[0].value < policy.guarantee.cost
+    with pytest.raises(ProblemError, match="retry is true, and no packet is acknowledged and dropped"):
+        design.excess(PLANT, WEIGHTS, theta=0.5, retry=True)

@@ -31,11 +31,11 @@ from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Decide, Evaluate, LinkName, NodeName, Policy, Step
+from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
 from taciturn.model.theory import Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Trigger
 
-COST = "cost of silence"
+COST, AGAIN, MISSING = "cost of silence", "cost after a dropout", "missing"
 CONSTANT = (
     "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
     "more than computed"
@@ -53,6 +53,7 @@ def keep_controller(
     link: LinkName,
     network: Network,
     every: int,
+    retry: bool = False,
 ) -> Policy:
     """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller.
 
@@ -68,6 +69,7 @@ def keep_controller(
         link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
         network: the network; losses of the link must be acknowledged.
         every: q, the number of steps between packets of the base.
+        retry: whether the node that decides attempts again in the step after a missing acknowledgement.
 
     Raises:
         ProblemError: the controller does not suit the plant, or the options do not suit each other.
@@ -85,6 +87,9 @@ def keep_controller(
             "keeps its last value"
         )
     steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
+    if retry and (not lossy or every > 1):
+        why = f"every is {every}" if lossy else "no packet is acknowledged and dropped"
+        raise ProblemError(f"retry is true, and {why}; expected an acknowledged link that drops packets, and every = 1")
     route = route_over(link, problem, controller, actuation, lossy, steady if copied else None)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time = StepCounter.of(problem, every)
@@ -96,12 +101,19 @@ def keep_controller(
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
-    watch, rule = _watched(watched, silence.cost, 2 * price + base + 1, route.node)
+    forbidden = 2 * price + base + 1
+    watch, rule = _watched(watched, silence.cost, forbidden, route.node)
+    again, rule, follow = _retried(link, rule, forbidden, route.node) if retry else ((), rule, ())
     output = {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
     steps = route.steps(
         {ESTIMATE: plant.C} if plant.full_state else output,
-        (*silence.before, *watch, Decide(route.node, SEND, Trigger({"silent": rule, SEND: Form(constant=price)}))),
-        (*silence.after, *estimation.predict),
+        (
+            *silence.before,
+            *watch,
+            *again,
+            Decide(route.node, SEND, Trigger({"silent": rule, SEND: Form(constant=price)})),
+        ),
+        (*silence.after, *follow, *estimation.predict),
     )
     finite = found.fourth is None or found.fourth < 1
     all_time = base if lossy or every == 1 else _with_every_sample(problem, route)
@@ -175,6 +187,20 @@ def _watched(innovation: Matrix | None, silent: Form, forbidden: float, at: Node
         return (), silent
     steps = watch_innovations(INNOVATION, innovation, at)
     return (*steps, Evaluate(at, COST, (silent, Form(constant=forbidden)), WATCH)), Form(plus={COST: 1.0})
+
+
+def _retried(
+    link: LinkName, silent: Form, forbidden: float, at: NodeName
+) -> tuple[tuple[Step, ...], Form, tuple[Step, ...]]:
+    """Return the cost of silence, which is ``forbidden`` after a missing acknowledgement, and the steps around it."""
+    none, one = np.zeros((1, 1)), np.ones((1, 1))
+    missing = Trigger({"arrived": Form(plus={MISSING: 1.0}), "missing": Form(constant=0.5)})
+    before = (Decide(at, "retry", missing), Evaluate(at, AGAIN, (silent, Form(constant=forbidden)), "retry"))
+    after = (
+        Assign(at, "tried", ({ONE: none}, {ONE: one}), SEND),
+        Assign(at, MISSING, ({"tried": one}, {ONE: none}), Acknowledged(link)),
+    )
+    return before, Form(plus={AGAIN: 1.0}), after
 
 
 def _assumed(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:

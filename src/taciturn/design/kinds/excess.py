@@ -44,6 +44,7 @@ def excess(
     network: Network | None = None,
     every: int = 1,
     gains: Literal["lqg", "losses"] = "lqg",
+    retry: bool = False,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
@@ -76,6 +77,8 @@ def excess(
             packets at every q-th step, so at the rate 1/q the policy costs no more than J_q. Default: every sample.
         gains: without a controller, ``"lqg"``: the gains of LQG, as if no packet were dropped; ``"losses"``: those that
             cost least with the network's mean loss.
+        retry: attempt again in the step after a missing acknowledgement. The bound holds, as it does for every policy
+            that attempts more often.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
@@ -105,7 +108,7 @@ def excess(
     def price_at(cost_all_time: float) -> float:
         return _price(cost_all_time, delta, theta)
 
-    ideal = link == "actuator" and every == 1 and gains == "lqg" and not drops(network, link)
+    ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(network, link))
     if controller is None and ideal and actuation != "zero":
         return _lqg(discretise(plant, cost, period), actuation, price_at)
     L = None
@@ -119,7 +122,7 @@ def excess(
     if controller is None:
         controller = lqg_observer("excess", discretise(plant, cost, period), every, L)
     kept = controller_from(controller)
-    return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every)
+    return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every, retry)
 
 
 def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float]) -> Policy:
