@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from laws.test_given_controllers import random_loop
@@ -13,8 +15,11 @@ from taciturn.design.base import Attempts, Base, advantage, critical_scale
 from taciturn.design.kept import lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
+from taciturn.model.policy import Received
 from taciturn.program.engine import prepare
 from taciturn.program.names import Sent
+from taciturn.program.numpy import run
+from taciturn.simulation.average import average
 from taciturn.study.disturbed import sends_every_sample
 
 PLANT = Plant([[1.02, 0.1], [0, 0.98]], [[0.005], [0.1]], np.diag([0.001, 0.01]), [[1, 0]], [[0.05]])
@@ -210,7 +215,7 @@ def test_a_dropout_may_be_followed_by_another_attempt(network: Network) -> None:
     assert differing_ticks(loop, records, draws)[0] == []
     program = loop.program()
     found = run(program, loop.start(program, 50, 3), 300).outputs
-    failed = found[Sent("actuator")] & ~found[Got("actuator")]
+    failed = (found[Sent("actuator")] == 1) & (found[Received("actuator")] == 0)
     assert failed.sum() > 100
     assert found[Sent("actuator")][1:][failed[:-1]].all()
     plain = replace(policy, theory=replace(policy.theory, identity=None))

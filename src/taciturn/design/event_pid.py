@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import number
+from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
 from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.routes import sensor_base
 from taciturn.design.same_control import SameControl
 from taciturn.errors import ProblemError
@@ -102,7 +103,9 @@ def design_event_pid(
     if not isinstance(kept, PID):
         raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
     expect_average(kind, cost)
-    problem, _, disturbance = disturbed(plant, cost, period, kept)
+    problem, linear, disturbance = disturbed(plant, cost, period, kept)
+    point = operating_point(problem, linear)
+    problem = point.deviations(problem)
     plant, step = problem.plant, problem.plant.dt
     if plant.inputs != 1 or plant.outputs != 1:
         raise ProblemError(
@@ -129,7 +132,7 @@ def design_event_pid(
         Apply("controller", dict.fromkeys(STATE, 1), EventPID(kept, step, area), (HEARD, FRESH, *STATE)),
         Assign("actuator", "input", {"command": one}),
     )
-    return Policy(
+    policy = Policy(
         kind=kind,
         steps=(*decide, *compute),
         model=plant,
@@ -141,10 +144,11 @@ def design_event_pid(
             periodic=SameControl(problem, kept, base),
         ),
         sites=(frozenset({"controller", "actuator"}),),
-        initial={"elapsed": np.ones(1), **({"age": np.full(1, 1e6)} if late else {})},
+        initial={"elapsed": np.ones(1), **_begun(kept, point), **({"age": np.full(1, 1e6)} if late else {})},
         tick=problem.tick,
         disturbance=disturbance,
     )
+    return point.applied_to(policy)
 
 
 def at_every_step(pid: PID, step: float) -> Controller:
@@ -159,3 +163,12 @@ def at_every_step(pid: PID, step: float) -> Controller:
         None,
         step,
     )
+
+
+def _begun(pid: PID, point: OperatingPoint) -> dict[str, Array]:
+    """Return the integral part of the command at the start, and the measurement before it, relative to the rest."""
+    before = point.plant.C @ point.plant.mean - point.output
+    integral = point.input + pid.kp * (1 - pid.b) * pid.setpoint
+    if pid.start_input is not None:
+        integral = point.input - pid.start_input - pid.kp * before
+    return {"integral": integral, "before": before}

@@ -18,6 +18,7 @@ from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND, design_certainty
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
 from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import Actuation, Route, route_over
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
@@ -76,6 +77,8 @@ def keep_controller(
         UnstableError: the base is unstable.
     """
     problem, controller, disturbance = disturbed(plant, cost, period, kept)
+    point = operating_point(problem, controller)
+    problem = point.deviations(problem)
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
     lossy = drops(network, link)
@@ -130,19 +133,20 @@ def keep_controller(
         fourth=found.fourth,
         periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,
     )
-    return Policy(
+    policy = Policy(
         kind=kind,
         steps=(*estimation.correct, *steps),
         model=plant,
         theory=theory,
         sites=route.sites,
         locations=time.locations,
-        initial={**estimation.initial, **route.initial, **silence.initial},
+        initial={**estimation.initial, **route.initial, **silence.initial, **route.begun(point.start)},
         network=network if lossy else Network(),
         tick=problem.tick,
         notes=(*(() if lossy else _beside(kind, problem, all_time)), *_assumed(controller, disturbance)),
         disturbance=disturbance,
     )
+    return point.applied_to(policy)
 
 
 def drops(network: Network, link: LinkName) -> bool:

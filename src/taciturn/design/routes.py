@@ -57,6 +57,11 @@ class Route(Displayed):
         """The signals of z: the state of the plant, that of the controller, and the measurement."""
         return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
 
+    def begun(self, start: Array) -> dict[str, Array]:
+        """Return the initial values of the controller's state, at every node that has it."""
+        names = [NEXT, "state"] if self.node == "sensor" else [NEXT]
+        return dict.fromkeys(names, start) if start.any() else {}
+
     def steps(self, measured: dict[str, Array], decide: tuple[Step, ...], after: tuple[Step, ...]) -> tuple[Step, ...]:
         """Return the policy steps with those that decide on ``error``, and those that follow the packet.
 

@@ -36,6 +36,11 @@ class Controller(Displayed):
         dt: seconds per step; None if it is not stated.
         disturbance: slowly varying disturbance at each input of the plant; default: ``Disturbance()`` if the controller
             integrates, otherwise none.
+        setpoint: constant set-point of each output, (p,), which is subtracted from the measurement; default 0.
+        rest: state of the controller when it rests at the set-point, relative to that of feedback of the error only,
+            (k,); set-point weights change it; default 0.
+        start_input: input before the start, (m,), which the first command equals on average; default: the controller
+            starts with its state at zero.
 
     Raises:
         ProblemError: the sizes of the matrices differ.
@@ -50,8 +55,11 @@ class Controller(Displayed):
     C: Array
     D: Array
     E: Array
-    dt: float | None = None
-    disturbance: Disturbance | None = None
+    dt: float | None
+    disturbance: Disturbance | None
+    setpoint: Array
+    rest: Array
+    start_input: Array | None
 
     def __init__(
         self,
@@ -62,6 +70,9 @@ class Controller(Displayed):
         E: ArrayLike | None = None,
         dt: float | None = None,
         disturbance: Disturbance | None = None,
+        setpoint: ArrayLike | None = None,
+        rest: ArrayLike | None = None,
+        start_input: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
         A = array("controller.A", A, (None, None), "(controller states, controller states)")
@@ -79,11 +90,17 @@ class Controller(Displayed):
         object.__setattr__(self, "E", array("controller.E", E, (k, m), "(controller states, inputs)"))
         object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
         object.__setattr__(self, "disturbance", disturbance)
+        for name, value, size in (("setpoint", setpoint, p), ("rest", rest, k)):
+            found = np.zeros(size) if value is None else value
+            object.__setattr__(self, name, array(f"controller.{name}", found, (size,), f"({size},)"))
+        found = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")
+        object.__setattr__(self, "start_input", found)
 
     @property
     def integrates(self) -> bool:
-        """True if the controller has an integrator: an eigenvalue 1 of A."""
-        return bool(np.any(np.abs(np.linalg.eigvals(self.A) - 1.0) < 1e-9)) if len(self.A) else False
+        """True if the controller has an integrator, an eigenvalue 1 of A + E C, when its commands are applied."""
+        applied = self.A + self.E @ self.C
+        return bool(np.any(np.abs(np.linalg.eigvals(applied) - 1.0) < 1e-9)) if len(self.A) else False
 
     @property
     def expected(self) -> Disturbance | None:
@@ -120,6 +137,7 @@ class ContinuousController(Displayed):
         D: direct effect of the measurement, (m, p).
         method: ``"tustin"``: the trapezoidal rule; ``"zoh"``: measurements are constant within a step.
         disturbance: as for ``Controller``.
+        setpoint: as for ``Controller``.
 
     Raises:
         ProblemError: the sizes of the matrices differ, or the method is unknown.
@@ -135,6 +153,7 @@ class ContinuousController(Displayed):
     D: Array
     method: Method = "tustin"
     disturbance: Disturbance | None = None
+    setpoint: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         """Validate the matrices and the method."""
@@ -151,12 +170,12 @@ class ContinuousController(Displayed):
         """
         method = "bilinear" if self.method == "tustin" else "zoh"
         found = _scipy.discrete_controller(self.A, self.B, self.C, self.D, _stated(dt), method)
-        return Controller(*found, None, dt, self.disturbance).at(dt, inputs, outputs)
+        return Controller(*found, None, dt, self.disturbance, self.setpoint).at(dt, inputs, outputs)
 
 
 @dataclass(frozen=True, repr=False)
 class PID(Displayed):
-    """A PID controller of one measurement, u = −(kp y + ki ∫y dt + kd dy/dt).
+    """A PID controller of one measurement, u = kp (b r − y) + ki ∫(r − y) dt + kd d(c r − y)/dt with the set-point r.
 
     The integral and the filter of the derivative use forward differences over a step h: I⁺ = I + h y,
     f⁺ = f + (h/T)(y − f), and the derivative is (y − f)/T.
@@ -170,6 +189,13 @@ class PID(Displayed):
             otherwise none.
         input: number of the plant's input that the controller computes, from 1 on.
         output: number of the plant's output that it measures, from 1 on.
+        setpoint: constant set-point r of the output; with several loops of an output, of one of them.
+        b: weight of the set-point in the proportional part.
+        c: weight of the set-point in the derivative.
+        tracking_time: time constant in seconds with which the integral follows the input that was applied, if a limit
+            or silence changes it (back-calculation); default: it does not follow.
+        start_input: input before the start, which the first command equals on average (bumpless start); default: the
+            integral starts at zero.
 
     Raises:
         ProblemError: a gain is not finite, or the filter is missing or not positive.
@@ -186,11 +212,23 @@ class PID(Displayed):
     disturbance: Disturbance | None = None
     input: int = 1
     output: int = 1
+    setpoint: float = 0.0
+    b: float = 1.0
+    c: float = 0.0
+    tracking_time: float | None = None
+    start_input: float | None = None
 
     def __post_init__(self) -> None:
         """Check the gains and the filter."""
-        for name in ("kp", "ki", "kd"):
+        for name in ("kp", "ki", "kd", "setpoint", "b", "c"):
             number(f"pid.{name}", getattr(self, name))
+        if self.tracking_time is not None:
+            number("pid.tracking_time", self.tracking_time, 0.0)
+        if self.start_input is not None:
+            number("pid.start_input", self.start_input)
+        for name in (name for name in ("tracking_time", "start_input") if getattr(self, name) is not None):
+            if not self.ki:
+                raise ProblemError(f"pid.{name} is given without ki; expected an integral, whose value it concerns")
         for name in ("input", "output"):
             count(f"pid.{name}", getattr(self, name))
         if self.filter is not None:
@@ -210,11 +248,11 @@ class PID(Displayed):
         """
         return PIDLoops((self,)).at(dt, inputs, outputs)
 
-    def rows(self, dt: float) -> tuple[list[float], list[float], list[float], float]:
-        """Return the diagonal of A, and B, C and D, at a step of ``dt`` seconds."""
-        A, B, C, D = list[float](), list[float](), list[float](), -self.kp
+    def rows(self, dt: float) -> tuple[list[float], list[float], list[float], float, list[float]]:
+        """Return the diagonal of A, and B, C, D and the state at rest, at a step of ``dt`` seconds."""
+        A, B, C, D, rest = list[float](), list[float](), list[float](), -self.kp, list[float]()
         if self.ki:
-            A, B, C = [1.0], [dt], [-self.ki]
+            A, B, C, rest = [1.0], [dt], [-self.ki], [-self.kp * (1 - self.b) * self.setpoint / self.ki]
         if self.kd and self.filter is not None:
             T = self.filter
             if dt > T:
@@ -222,7 +260,8 @@ class PID(Displayed):
                     f"pid.filter is {T:g} s, and a step takes {dt:g} s; expected a filter of at least a step"
                 )
             A, B, C, D = [*A, 1.0 - dt / T], [*B, dt / T], [*C, self.kd / T], D - self.kd / T
-        return A, B, C, D
+            rest = [*rest, (1 - self.c) * self.setpoint]
+        return A, B, C, D, rest
 
 
 @dataclass(frozen=True, repr=False)
@@ -254,7 +293,8 @@ class PIDLoops(Displayed):
             ProblemError: as for a single PID controller, or an input has no controller.
         """
         step, D = _stated(dt), np.zeros((inputs, outputs))
-        A, B, C = list[float](), list[Array](), list[Array]()
+        A, B, C, rest = list[float](), list[Array](), list[Array](), list[float]()
+        setpoint, tracked = np.zeros(outputs), list[tuple[int, int, float]]()
         for loop in self.loops:
             for name, size in (("input", inputs), ("output", outputs)):
                 if getattr(loop, name) > size:
@@ -263,7 +303,12 @@ class PIDLoops(Displayed):
                         f"{size} {name}{'s' if size > 1 else ''}"
                     )
             to, read = np.eye(inputs)[loop.input - 1], np.eye(outputs)[loop.output - 1]
-            a, b, c, d = loop.rows(step)
+            a, b, c, d, still = loop.rows(step)
+            if loop.tracking_time is not None:
+                tracked.append((len(A), loop.input - 1, step / (loop.tracking_time * loop.ki)))
+            rest += still
+            if loop.setpoint:
+                setpoint[loop.output - 1] = loop.setpoint
             A += a
             B += [value * read for value in b]
             C += [value * to for value in c]
@@ -273,7 +318,21 @@ class PIDLoops(Displayed):
         k = len(A)
         disturbance = next((loop.disturbance for loop in self.loops if loop.disturbance is not None), None)
         rows = np.diag(A).reshape(k, k), np.reshape(B, (k, outputs)), np.reshape(C, (k, inputs)).T
-        return Controller(*rows, D, None, step, disturbance)
+        E = np.zeros((k, inputs))
+        for row, to, gain in tracked:
+            rows[0][row] += gain * rows[2][to]
+            rows[1][row] += gain * D[to]
+            E[row, to] -= gain
+        return Controller(*rows, D, E, step, disturbance, setpoint, rest, self._start_input(inputs))
+
+    def _start_input(self, inputs: int) -> Array | None:
+        """Return the input before the start, if all loops state it; 0 for inputs of loops that do not."""
+        if all(loop.start_input is None for loop in self.loops):
+            return None
+        stated = np.zeros(inputs)
+        for loop in self.loops:
+            stated[loop.input - 1] += loop.start_input or 0.0
+        return stated
 
 
 Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
@@ -285,6 +344,7 @@ def controller_from(
     method: Method | None = None,
     E: ArrayLike | None = None,
     disturbance: Disturbance | None = None,
+    setpoint: ArrayLike | None = None,
 ) -> Kept:
     """Convert a system of python-control or scipy, a gain matrix, or a list of PID controllers into a controller.
 
@@ -295,6 +355,7 @@ def controller_from(
         method: discretisation of a continuous system, ``"tustin"`` (default) or ``"zoh"``.
         E: effect of the applied input on the state of a discrete system, (k, m).
         disturbance: as for ``Controller``.
+        setpoint: as for ``Controller``.
 
     Returns:
         The controller.
@@ -315,7 +376,7 @@ def controller_from(
     if isinstance(system, np.ndarray | Sequence | float | int):
         K = factor * array("controller", np.atleast_2d(cast("Any", system)), (None, None), "(inputs, outputs)")
         m, p = K.shape
-        return Controller(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), K, None, None, disturbance)
+        return Controller(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), K, None, None, disturbance, setpoint)
     linear, dt = state_space_of("controller", system)
     A, B, C, D = (np.asarray(getattr(linear, name), dtype=np.float64) for name in "ABCD")
     if dt == 0:
@@ -323,10 +384,10 @@ def controller_from(
             raise ProblemError(
                 "E is given with a continuous controller; expected a discrete controller, whose steps E refers to"
             )
-        return ContinuousController(A, B, factor * C, factor * D, method or "tustin", disturbance)
+        return ContinuousController(A, B, factor * C, factor * D, method or "tustin", disturbance, setpoint)
     if method is not None:
         raise ProblemError(f"method is {method!r} with a discrete controller; expected no method, or dt = 0")
-    return Controller(A, B, factor * C, factor * D, E, dt, disturbance)
+    return Controller(A, B, factor * C, factor * D, E, dt, disturbance, setpoint)
 
 
 def _stated(dt: float | None) -> float:

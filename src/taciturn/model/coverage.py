@@ -45,7 +45,9 @@ LINKS = names("network", "protocol delay actuator_range sensor_range")  # a rang
 LOSSES = frozenset({"network.actuator_loss", "network.sensor_loss"})
 BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"network.actuator_burst", "network.sensor_burst"}
 ROUNDING = frozenset({"network.payload"})
-CONTROLLER = names("controller", "A B C D E dt disturbance") | names("disturbance", "time_constant deviation")
+CONTROLLER = names("controller", "A B C D E dt disturbance setpoint rest start_input") | (
+    names("disturbance", "time_constant deviation")
+)
 TRACKING = names("tracking", "state input final") | names("reference", "states inputs")
 LINEAR_STEPS = (
     names("Assign", "at signal branches on")

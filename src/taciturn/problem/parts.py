@@ -129,6 +129,8 @@ def controller_of(table: ControllerTable) -> Kept:
             raise ProblemError(
                 "controller.method is given with pid; expected A, B, C and D in continuous time, or file"
             )
+        if table.setpoint is not None:
+            raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
         loops = table.pid if isinstance(table.pid, list) else [table.pid]
         pids = [PID(**{**vars(one), **{name: -sign * getattr(one, name) for name in GAINS}}) for one in loops]
         pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
@@ -151,8 +153,8 @@ def controller_of(table: ControllerTable) -> Kept:
             )
         if E is not None:
             raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
-        return ContinuousController(A, B, sign * C, D, table.method or "tustin", disturbance)
-    return Controller(A, B, sign * C, D, E, dt, disturbance)
+        return ContinuousController(A, B, sign * C, D, table.method or "tustin", disturbance, table.setpoint)
+    return Controller(A, B, sign * C, D, E, dt, disturbance, table.setpoint)
 
 
 def _jumps(table: JumpsTable) -> Jumps:

@@ -120,6 +120,11 @@ class PIDTable(Displayed):
     filter: float | None = None
     input: int = 1
     output: int = 1
+    setpoint: float = 0.0
+    b: float = 1.0
+    c: float = 0.0
+    tracking_time: float | None = None
+    start_input: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -143,6 +148,7 @@ class ControllerTable(Displayed):
     E: Rows | None = None
     method: Literal["tustin", "zoh"] | None = None
     sign: Literal["negative", "positive"] = "negative"
+    setpoint: list[float] | None = None
     disturbance: DisturbanceTable | Literal["none"] | None = None
 
 

@@ -11,6 +11,7 @@ from taciturn.design.certainty import SEND, design_certainty, expect_average, se
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.design.kept import REMEDY, disturbed, lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import route_over
 from taciturn.design.same_control import SameControl
 from taciturn.lqg.discrete import discretise
@@ -87,6 +88,8 @@ def _keep(
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
     problem, at_step, disturbance = disturbed(plant, cost, period, kept)
+    point = operating_point(problem, at_step)
+    problem = point.deviations(problem)
     route = route_over(link, problem, at_step, "hold", False)
     found, size = advantage(route.base, REMEDY), len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
@@ -95,7 +98,7 @@ def _keep(
         Evaluate(route.node, "any", tuple(Form(constant=float(i > 0)) for i in range(size + 1)), WHICH),
         Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
-    return Policy(
+    policy = Policy(
         kind=kind,
         steps=route.steps({"y": np.eye(problem.plant.outputs)}, decide, ()),
         model=problem.plant,
@@ -107,10 +110,11 @@ def _keep(
             periodic=SameControl(problem, kept, route.base),
         ),
         sites=route.sites,
-        initial=route.initial,
+        initial={**route.initial, **route.begun(point.start)},
         tick=problem.tick,
         disturbance=disturbance,
     )
+    return point.applied_to(policy)
 
 
 def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:

@@ -10,6 +10,7 @@ from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
 from taciturn.design.kept import REMEDY, disturbed
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import nonempty, sensor_base
 from taciturn.design.same_control import SameControl
 from taciturn.errors import ProblemError
@@ -57,6 +58,8 @@ def symmetric_send_on_delta(
     expect_average(kind, cost)
     kept = controller_from(controller)
     problem, c, disturbance = disturbed(plant, cost, period, kept)
+    point = operating_point(problem, c)
+    problem = point.deviations(problem)
     if problem.plant.outputs != 1:
         raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
     base, one = sensor_base(problem, c), np.eye(1)
@@ -73,7 +76,7 @@ def symmetric_send_on_delta(
         Assign("actuator", "input", {"command": np.eye(problem.plant.inputs)}),
         *((Assign("controller", STATE, {STATE: c.A, USED: c.B, "command": c.E}),) if len(c.A) else ()),
     )
-    return Policy(
+    policy = Policy(
         kind=kind,
         steps=steps,
         model=problem.plant,
@@ -85,9 +88,11 @@ def symmetric_send_on_delta(
             periodic=SameControl(problem, kept, base),
         ),
         sites=(frozenset({"controller", "actuator"}),),
+        initial={STATE: point.start} if len(c.A) else {},
         tick=problem.tick,
         disturbance=disturbance,
     )
+    return point.applied_to(policy)
 
 
 KIND = Kind(
