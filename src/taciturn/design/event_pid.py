@@ -102,6 +102,10 @@ def design_event_pid(
         kept = kept.loops[0]
     if not isinstance(kept, PID):
         raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
+    if kept.tracking_time is not None:
+        raise ProblemError(
+            f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"
+        )
     expect_average(kind, cost)
     problem, linear, disturbance = disturbed(plant, cost, period, kept)
     point = operating_point(problem, linear)

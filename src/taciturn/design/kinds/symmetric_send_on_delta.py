@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
 from taciturn._arrays import number
+from taciturn._display import Displayed
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
@@ -17,7 +21,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ONE, Assign, Decide, Policy, Received, Send
+from taciturn.model.policy import Apply, Assign, Decide, Policy, Received, Send
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
@@ -27,10 +31,10 @@ LEVEL, USED, STATE = "level", "used", "state"
 def symmetric_send_on_delta(
     plant: Plant | ContinuousPlant, cost: Cost, *, controller: object, delta: float, period: float | None = None
 ) -> Policy:
-    """Design a given controller that uses a level of the output, which changes by ±Δ when the output is Δ away from it.
+    """Design a given controller that uses a level of the output, which changes when the output is Δ away from it.
 
     The levels are the multiples of Δ, so zero is one of them, and around it the sensor is silent. The controller
-    computes in every step with the last level. In a step, the level changes by at most Δ.
+    computes in every step with the last level.
 
     Args:
         plant: the plant, with one output.
@@ -64,12 +68,12 @@ def symmetric_send_on_delta(
         raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
     base, one = sensor_base(problem, c), np.eye(1)
     found = advantage(base, REMEDY)
-    rule = {"up": Form(plus={"moved": -1.0}, constant=delta), "down": Form(plus={"moved": 1.0}, constant=delta)}
-    same = {LEVEL: one}
+    changed = Trigger({"silent": Form(), SEND: Form(("moved",), -one, delta**2)})
     steps = (
         Assign("sensor", "moved", {"y": one, LEVEL: -one}),
-        Decide("sensor", SEND, Trigger({"silent": Form(), **rule})),
-        Assign("sensor", LEVEL, (same, {**same, ONE: delta * one}, {**same, ONE: -delta * one}), SEND),
+        Decide("sensor", SEND, changed),
+        Apply("sensor", {"crossed": 1}, Crossed(delta), ("moved",)),
+        Assign("sensor", LEVEL, ({LEVEL: one}, {LEVEL: one, "crossed": one}), SEND),
         Send("sensor", "sensor", (LEVEL,), SEND),
         Assign("controller", USED, ({USED: one}, {LEVEL: one}), Received("sensor")),
         Assign("controller", "command", nonempty({STATE: c.C, USED: c.D})),
@@ -93,6 +97,17 @@ def symmetric_send_on_delta(
         disturbance=disturbance,
     )
     return point.applied_to(policy)
+
+
+@dataclass(frozen=True, repr=False)
+class Crossed(Displayed):
+    """The change of the level, the multiple of Δ that the output has crossed."""
+
+    delta: float
+
+    def __call__(self, moved: Any) -> Any:
+        """Return the change, which is below Δ in silence and then not used."""
+        return np.where(moved < 0.0, -1.0, 1.0) * self.delta * np.floor(np.abs(moved) / self.delta)
 
 
 KIND = Kind(

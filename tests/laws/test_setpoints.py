@@ -1,0 +1,139 @@
+"""Set-points, limits and the start of a given PID controller, against a loop written by hand in the plant's units."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laws.test_given_controllers import KEPT, STEP, TANK, WEIGHTS
+from runtime.loops import differing_ticks, record
+
+import taciturn
+from taciturn import PID, Cost, Network, Plant, ProblemError, design
+from taciturn.program.names import Entry
+from taciturn.program.numpy import run
+from taciturn.simulation.average import average
+from taciturn.study.disturbed import sends_every_sample
+
+STABLE = Plant([[0.5]], [[1.0]], [[1.0]], dt=1.0)
+QUIET = 1e-18  # noise that leaves eight digits of a path
+
+
+def by_hand(pid: PID, limit: float, steps: int) -> list[float]:
+    """Return the outputs of the tank with a PID controller as textbooks print it, every sample, from rest at 0."""
+    x, integral, slow, found = np.zeros(2), 0.0, 0.0, []
+    r, h, T = pid.setpoint, STEP, pid.filter
+    for k in range(steps):
+        y = float(x[0])
+        if k == 0 and pid.start_input is not None:
+            slow = y - pid.c * r
+            integral = pid.start_input - pid.kp * (pid.b * r - y)
+        v = pid.kp * (pid.b * r - y) + integral + pid.kd / T * ((pid.c * r - y) + slow)
+        u = float(np.clip(v, -limit, limit))
+        integral += pid.ki * h * (r - y)
+        if pid.tracking_time is not None:
+            integral += h / pid.tracking_time * (u - v)
+        slow += h / T * (y - pid.c * r - slow)
+        found.append(y)
+        x = TANK.A @ x + TANK.B @ np.array([u])
+    return found
+
+
+@pytest.mark.parametrize("limit", [np.inf, 0.8])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"b": 0.3, "c": 0.5},
+        {"tracking_time": 1.5},
+        {"b": 0.3, "tracking_time": 1.5, "start_input": 0.4},
+    ],
+)
+@pytest.mark.parametrize("link", ["actuator", "sensor"])
+def test_a_step_of_the_set_point_is_that_of_a_textbook(link: str, changes: dict[str, float], limit: float) -> None:
+    """Weights of the set-point, back-calculation under a limit, and a bumpless start; a packet at every sample."""
+    noise, limits = QUIET * np.eye(2), None if np.isinf(limit) else [limit]
+    plant = Plant(TANK.A, TANK.B, noise, TANK.C, [[QUIET]], STEP, input_limit=limits)
+    pid = replace(KEPT, setpoint=2.0, **changes)
+    policy = sends_every_sample(design.excess(plant, WEIGHTS, delta=0.0, controller=pid, link=link))
+    loop = taciturn.close(plant, policy)
+    program = loop.program()
+    found = run(program, loop.start(program, 1, 0), 300).outputs[Entry("y", 0)][:, 0]
+    assert found == pytest.approx(by_hand(pid, limit, 300), abs=1e-6)
+    assert loop.nominal == np.isinf(limit)
+
+
+def test_costs_are_those_of_the_deviations() -> None:
+    """The set-point changes no average, and no packet in the long run; send-on-delta and its kin take it too."""
+    options = {"theta": 0.1, "actuation": "model"}
+    usual, held = (
+        average(taciturn.close(TANK, design.excess(TANK, WEIGHTS, controller=pid, **options)), steps=400_000)
+        for pid in (KEPT, replace(KEPT, setpoint=2.0))
+    )
+    assert held.cost.value == pytest.approx(
+        usual.cost.value, abs=4 * np.hypot(held.cost.standard_error, usual.cost.standard_error)
+    )
+    pid = replace(KEPT, setpoint=2.0, b=0.5)
+    for policy in (
+        design.send_on_delta(TANK, WEIGHTS, delta=0.04, controller=pid),
+        design.event_pid(TANK, WEIGHTS, delta=0.04, longest=2.0, controller=pid),
+        design.event_pid_saturated(TANK, WEIGHTS, delta=0.04, controller=pid),
+        design.symmetric_send_on_delta(TANK, WEIGHTS, delta=0.04, controller=pid),
+    ):
+        loop = taciturn.close(TANK, policy)
+        program = loop.program()
+        late = run(program, loop.start(program, 100, 0), 900).outputs[Entry("y", 0)][600:]
+        assert late.mean() == pytest.approx(2.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("link", "actuation", "limit"),
+    [("actuator", "hold", [3.0]), ("actuator", "model", [3.0]), ("sensor", "model", [3.0]), ("actuator", "zero", None)],
+)
+def test_nodes_apart_carry_the_bits_of_the_loop(link: str, actuation: str, limit: list[float] | None) -> None:
+    """With a set-point, limits, back-calculation and dropouts."""
+    plant = Plant(TANK.A, TANK.B, TANK.W, TANK.C, TANK.V, STEP, input_limit=limit)
+    pid = replace(KEPT, setpoint=2.0, tracking_time=2.0)
+    network = Network("tcp", actuator_loss=0.2) if link == "actuator" else None
+    options = {"link": link, "actuation": actuation, "network": network}
+    loop = taciturn.close(plant, design.excess(plant, WEIGHTS, theta=0.1, controller=pid, **options))
+    records, draws = record(loop, 150, 1)
+    wrong, packets = differing_ticks(loop, records, draws)
+    assert wrong == []
+    assert packets > 5
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (
+            lambda: design.excess(STABLE, Cost([[1.0]], [[1.0]]), theta=0.1, controller=PID(0.1, setpoint=1.0)),
+            "the controller does not hold the set-point, as it does not integrate",
+        ),
+        (
+            lambda: design.excess(
+                Plant(0.5 * np.eye(2), [[1], [0]], np.eye(2), dt=1.0), Cost(np.eye(2), [[1.0]]), theta=0.1,
+                controller=[PID(0.1, 0.1, output=2, setpoint=1.0)],
+            ),
+            "the plant cannot rest at [0.0, 1.0]",
+        ),
+        (lambda: PID(1.2, start_input=1.0), "pid.start_input is given without ki"),
+        (lambda: PID(1.2, 1.0, tracking_time=0.0), "pid.tracking_time is 0"),
+        (
+            lambda: design.excess(
+                TANK, Cost(WEIGHTS.Q, WEIGHTS.R, horizon=9), theta=0.1, controller=replace(KEPT, setpoint=1.0)
+            ),
+            "a set-point or start_input is given, and the cost is a total",
+        ),
+        (
+            lambda: design.event_pid(TANK, WEIGHTS, delta=0.1, controller=replace(KEPT, tracking_time=1.0)),
+            "pid.tracking_time is 1, which event-pid does not use",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_held_is_refused(build: object, words: str) -> None:
+    """In one sentence."""
+    with pytest.raises(ProblemError) as told:
+        build()  # type: ignore[operator]
+    assert words in str(told.value)
