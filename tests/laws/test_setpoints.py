@@ -116,7 +116,7 @@ def test_nodes_apart_carry_the_bits_of_the_loop(link: str, actuation: str, limit
                 Plant(0.5 * np.eye(2), [[1], [0]], np.eye(2), dt=1.0), Cost(np.eye(2), [[1.0]]), theta=0.1,
                 controller=[PID(0.1, 0.1, output=2, setpoint=1.0)],
             ),
-            "the plant cannot rest at [0.0, 1.0]",
+            "the plant cannot rest at the set-point [0.0, 1.0]",
         ),
         (lambda: PID(1.2, start_input=1.0), "pid.start_input is given without ki"),
         (lambda: PID(1.2, 1.0, tracking_time=0.0), "pid.tracking_time is 0"),
