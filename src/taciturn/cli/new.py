@@ -159,11 +159,17 @@ class _Interview:
                 draft.measure_all()
             else:
                 self._take("C", "C, the measurements y = Cx + v")
-            self._take("V", f"V, the covariance of v per sample: {SQUARE}", "0")
+            self._take(
+                "V",
+                f"V, the covariance of v per sample: {SQUARE}; or ± and the deviation of each output, ± 0.1 0.2",
+                "0",
+            )
             if not draft.plant["V"].any():
                 draft.drop("V")
         what = "intensity per second" if draft.continuous else "covariance per step"
-        self._take("W", f"W, the process noise, {what}: {SQUARE}", "1")
+        amplitudes = "or ± and the deviation of each state, or inputs ± and that of noise at each input, inputs ± 0.3"
+        after = "after a second" if draft.continuous else "in a step"
+        self._take("W", f"W, the process noise, {what}: {SQUARE}; {amplitudes}, {after}", "1")
 
     def _ask_cost(self) -> None:
         self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}", "1")
@@ -251,10 +257,17 @@ class _Interview:
     def _take(self, key: str, question: str, usual: str | None = None) -> None:
         """Take a matrix from the file, or prompt for it."""
         from taciturn.errors import ProblemError, TaciturnError
-        from taciturn.problem.matrices import parse_matrix
+        from taciturn.problem.matrices import parse_matrix, parse_noise
 
         if self.given is None or key not in self.given.arrays:
-            self.questions.ask(key, question, lambda text: self.draft.keep(key, parse_matrix(key, text)), usual)
+
+            def keep(text: str) -> None:
+                noise = key in "VW"
+                self.draft.keep(
+                    key, parse_noise(key, text, self.draft.plant["B"]) if noise else parse_matrix(key, text)
+                )
+
+            self.questions.ask(key, question, keep, usual)
             return
         try:
             self.draft.keep(key, self.given.arrays[key])

@@ -58,6 +58,39 @@ def _matlab_rows(text: str) -> list[list[float]]:
     return rows
 
 
+def parse_noise(name: str, text: str, B: Array) -> Array:
+    """Return the covariance of noise that is written as a matrix, or by amplitudes in units: standard deviations.
+
+    Args:
+        name: name of the covariance, V or W.
+        text: a matrix, or ``± 0.1 0.2``, the deviation of each entry; for W also ``inputs ± 0.3``, the deviation of
+            noise that is added to each input.
+        B: input matrix of the plant, (n, m).
+
+    Raises:
+        ProblemError: as for ``parse_matrix``, or the number of deviations is wrong, or one is negative.
+
+    Example:
+        >>> parse_noise("W", "inputs ± 0.5", np.array([[0.0], [2.0]])).tolist()
+        [[0.0, 0.0], [0.0, 1.0]]
+    """
+    place, sign, amplitudes = text.replace("+-", "±").partition("±")
+    if not sign:
+        return parse_matrix(name, text)
+    deviations = parse_matrix(f"the deviations of {name}", amplitudes)
+    at_inputs = place.strip().lower() in ("input", "inputs")
+    if (place.strip() and not at_inputs) or (at_inputs and name != "W"):
+        raise ProblemError(f"{name} is {quoted(text)}; expected a matrix, ± 0.1 0.2, or for W also inputs ± 0.3")
+    if (deviations < 0).any() or 1 not in deviations.shape:
+        raise ProblemError(f"the deviations of {name} are {quoted(amplitudes)}; expected numbers of at least 0")
+    squares = deviations.ravel() ** 2
+    if not at_inputs:
+        return squares[None]
+    if squares.size not in (1, B.shape[1]):
+        raise ProblemError(f"{squares.size} deviations at inputs are given; expected one, or {B.shape[1]}")
+    return (B * squares) @ B.T
+
+
 def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
     """Return a weight or covariance: a number times the identity, a vector as a diagonal, or a matrix unchanged.
 
