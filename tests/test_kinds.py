@@ -12,23 +12,34 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Jumps, Network, Plant, Problem
+from taciturn import PID, ContinuousPlant, Cost, Jumps, Network, Plant, Problem
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind
 from taciturn.problem.suggested import example_of
 
 A, B, W, C, V = [[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2), [[1.0, 0.0]], [[0.1]]
 F, FW = [[0.0, 1.0], [0.0, 0.0]], np.diag([0.0, 2.5])
-UNIT = np.eye(2), [[10.0]]
 PLANTS: Mapping[tuple[str, ...], Plant | ContinuousPlant] = {
-    ("discrete",): Plant(A, B, W),
+    ("discrete",): Plant(A, B, W, dt=1.0),
     ("continuous",): ContinuousPlant(F, B, FW),
-    ("discrete", "outputs"): Plant(A, B, W, C, V),
+    ("discrete", "outputs"): Plant(A, B, W, C, V, 1.0),
     ("continuous", "outputs"): ContinuousPlant(F, B, FW, C=C, V=V),
     ("continuous", "jumps"): ContinuousPlant(F, B, None, Jumps(5.0, FW / 5)),
 }
+SCALAR: Mapping[tuple[str, ...], Plant | ContinuousPlant] = {
+    ("discrete",): Plant([[0.9]], [[1.0]], [[1.0]], dt=1.0),
+    ("continuous",): ContinuousPlant([[-0.2]], [[1.0]], [[1.0]]),
+    ("discrete", "outputs"): Plant([[0.9]], [[1.0]], [[1.0]], [[1.0]], [[0.1]], 1.0),
+    ("continuous", "outputs"): ContinuousPlant([[-0.2]], [[1.0]], [[1.0]], C=[[1.0]], V=[[0.1]]),
+    ("continuous", "jumps"): ContinuousPlant([[-0.2]], [[1.0]], None, Jumps(5.0, [[0.2]])),
+}
 SLOW = ("integral", "near-optimal")  # to design
-COSTS = {"average": Cost(*UNIT), "horizon": Cost(*UNIT, horizon=5), "discount": Cost(*UNIT, discount=0.9)}
+
+
+def costs_of(states: int) -> Mapping[str, Cost]:
+    """Return a cost of each class."""
+    unit = np.eye(states), [[10.0]]
+    return {"average": Cost(*unit), "horizon": Cost(*unit, horizon=5), "discount": Cost(*unit, discount=0.9)}
 
 
 def accepted(kind: Kind, plant: Plant | ContinuousPlant, cost: Cost) -> bool:
@@ -37,6 +48,8 @@ def accepted(kind: Kind, plant: Plant | ContinuousPlant, cost: Cost) -> bool:
     period = kind.parameters.get("period")
     if period is not None and (isinstance(plant, ContinuousPlant) or period.default is period.empty):
         given["period"] = 0.02
+    if kind.keeps_controller and kind.arguments["controller"].default is kind.arguments["controller"].empty:
+        given["controller"] = PID(0.01)
     try:
         kind.design(plant, cost, **given)
         if kind.nodes == "none" and isinstance(plant, ContinuousPlant) and plant.jumps is not None:
@@ -52,16 +65,17 @@ def accepted(kind: Kind, plant: Plant | ContinuousPlant, cost: Cost) -> bool:
 def test_a_kind_accepts_the_plants_and_costs_of_its_record(name: str) -> None:
     """And refuses all others; a check that a kind has refuses the same."""
     kind = CATALOGUE[name]
-    suitable = None
-    for words, plant in PLANTS.items():
+    suitable, single = None, "several" in kind.refused  # inputs or outputs
+    costs = costs_of(1 if single else 2)
+    for words, plant in (SCALAR if single else PLANTS).items():
         expected = set(words) <= set(kind.plants)
-        assert accepted(kind, plant, COSTS["average"]) == expected, (words, name)
+        assert accepted(kind, plant, costs["average"]) == expected, (words, name)
         suitable = plant if expected and suitable is None else suitable
         if kind.check is not None:
             with pytest.raises(taciturn.ProblemError) if not expected else nullcontext():
-                kind.check(plant, COSTS["average"])
+                kind.check(plant, costs["average"])
     assert suitable is not None
-    for word, cost in COSTS.items():
+    for word, cost in costs.items():
         assert accepted(kind, suitable, cost) == (word in kind.costs), (word, name)
 
 

@@ -79,7 +79,7 @@ def rebuilt(plant: Plant | ContinuousPlant, **changes: Any) -> Any:
     """Return a plant with other arguments."""
     names = ("A", "B", "W", "mean", "covariance", "input_limit")
     if isinstance(plant, Plant):
-        given = {**{name: getattr(plant, name) for name in names}, "function": plant.function, **changes}
+        given = {**{name: getattr(plant, name) for name in (*names, "dt")}, "function": plant.function, **changes}
         return Plant(**given) if plant.full_state else Plant(**given, C=plant.C, V=plant.V)
     given = {name: getattr(plant, name) for name in names if name != "W"} | changes
     return ContinuousPlant(**given) if "W" in changes else ContinuousPlant(**given, jumps=plant.jumps)

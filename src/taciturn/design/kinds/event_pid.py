@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from taciturn.design.event_pid import design_event_pid
+from taciturn.design.event_based import design_event_pid
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -63,7 +63,6 @@ KIND = Kind(
     example={"delta": 0.05, "longest": 3.0},
     built_in="pid-tank",
     nodes="S, C+A",
-    plants=("discrete", "continuous", "outputs"),
     refused="no PID controller; several inputs or outputs",
     data="memories `last` and `age` at S; a function computes the controller at C",
     order="compare y with the last sent value, decide, send y, compute, input",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn.design.event_pid import design_event_pid
+from taciturn.design.event_based import design_event_pid
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -66,7 +66,6 @@ KIND = Kind(
     example={"delta": 0.05},
     built_in="pid-tank",
     nodes="S, C+A",
-    plants=("discrete", "continuous", "outputs"),
     refused="no PID controller; several inputs or outputs",
     data="the memory `last` at S; a function computes the controller at C",
     order="operations of `event-pid`",

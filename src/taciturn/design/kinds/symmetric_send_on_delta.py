@@ -68,6 +68,8 @@ def symmetric_send_on_delta(
         raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
     base, one = sensor_base(problem, c), np.eye(1)
     found = advantage(base, REMEDY)
+    expected = problem.plant.C @ problem.plant.mean  # which both ends know
+    level = Crossed(delta)(expected)
     changed = Trigger({"silent": Form(), SEND: Form(("moved",), -one, delta**2)})
     steps = (
         Assign("sensor", "moved", {"y": one, LEVEL: -one}),
@@ -92,7 +94,7 @@ def symmetric_send_on_delta(
             periodic=SameControl(problem, kept, base),
         ),
         sites=(frozenset({"controller", "actuator"}),),
-        initial={STATE: point.start} if len(c.A) else {},
+        initial={**({STATE: point.start} if len(c.A) else {}), LEVEL: level, USED: level},
         tick=problem.tick,
         disturbance=disturbance,
     )
@@ -118,7 +120,6 @@ KIND = Kind(
     example={"delta": 0.05},
     built_in="pid-tank",
     nodes="S, C+A",
-    plants=("discrete", "continuous", "outputs"),
     refused="several outputs",
     data="memory `level` at S, `used` at C",
     order="compare y with the level, decide, change and send the level, input",

@@ -34,7 +34,7 @@ from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 HEARD, FRESH = "heard", "fresh"
-STATE = ("command", "integral", "derivative", "before", "elapsed")
+STATE = ("command", "area", "derivative", "before", "elapsed")
 
 
 @dataclass(frozen=True, repr=False)
@@ -159,14 +159,11 @@ def at_every_step(pid: PID, step: float) -> Controller:
     """Return the controller that a packet at every step gives, with the state (integral, derivative, last y)."""
     T = pid.filter or 0.0
     kept, gain = T / (T + step), pid.kd / (T + step)
-    return Controller(
-        [[1.0, 0.0, 0.0], [0.0, kept, -gain], [0.0, 0.0, 0.0]],
-        [[pid.ki * step], [gain], [1.0]],
-        [[-1.0, -kept, gain]],
-        [[-pid.kp - gain]],
-        None,
-        step,
-    )
+    A, B = np.diag([1.0, kept, 0.0]), np.array([[pid.ki * step], [gain], [1.0]])
+    A[1, 2] = -gain
+    C, D = np.array([[-1.0, -kept, gain]]), [[-pid.kp - gain]]
+    used = slice(0 if pid.ki else 1, 3 if pid.kd else 1)  # without a part, its state is no state of the loop
+    return Controller(A[used, used], B[used], C[:, used], D, None, step)
 
 
 def _begun(pid: PID, point: OperatingPoint) -> dict[str, Array]:
@@ -175,4 +172,4 @@ def _begun(pid: PID, point: OperatingPoint) -> dict[str, Array]:
     integral = point.input + pid.kp * (1 - pid.b) * pid.setpoint
     if pid.start_input is not None:
         integral = point.input - pid.start_input - pid.kp * before
-    return {"integral": integral, "before": before}
+    return {"area": integral, "before": before}
