@@ -158,6 +158,15 @@ def test_a_wrong_table_is_refused(tmp_path: Path, controller: str, words: str) -
     assert words in str(told.value)
 
 
+def test_a_controller_can_be_removed_from_a_problem() -> None:
+    """What remains is the problem with LQG."""
+    problem = taciturn.load("pid-tank").changed({"controller": None})
+    assert problem.controller is None
+    assert problem.design().disturbance is None
+    one = problem.changed({"cost.horizon": 1}).design()
+    assert one.guarantee.cost == pytest.approx(1.1 * one.cost_all_time)
+
+
 def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
     """Instead of ignoring it."""
     problem = read(tmp_path, "D = [[1.2]]")

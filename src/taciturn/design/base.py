@@ -154,7 +154,7 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
     fourth = None
     if not total and losses.any():
         fourth = _fixed_point.fourth(seen, _cycle(base, attempts), attempts.turns)
-    return Advantage(P, np.array(H), np.array(slope), cost, settling, fourth)
+    return Advantage(P, np.array(H), np.array(slope), float(cost), settling, fourth)
 
 
 def critical_scale(base: Base, attempts: Attempts) -> float:

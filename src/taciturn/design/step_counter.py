@@ -52,7 +52,7 @@ class StepCounter(Displayed):
     @property
     def locations(self) -> tuple[Location, ...]:
         """The step counter, if anything depends on it."""
-        return (count_ticks(len(self.phases), self.repeats),) if len(self.phases) > 1 else ()
+        return (count_ticks(len(self.phases), self.repeats),) if len(self.phases) > 1 or self.repeats is None else ()
 
     @property
     def gains(self) -> Matrix | None:

@@ -202,7 +202,9 @@ class Problem(Displayed):
         return isinstance(plant, Plant) and plant.function is not None
 
     def changed(self, values: Mapping[str, object]) -> Problem:
-        """Return the problem with new values of ``[policy]`` keys or dotted keys (``plant.dt``); None removes a key.
+        """Return the problem with new values of ``[policy]`` keys or dotted keys (``plant.dt``).
+
+        None removes a key, or a table such as ``controller``.
 
         Raises:
             ProblemError: if a key does not exist or a value is invalid.
@@ -211,7 +213,10 @@ class Problem(Displayed):
         touched: set[str] = set()
         for name, value in values.items():
             *path, key = name.split(".")
-            if not path or path == ["policy"]:
+            if value is None and name in tables and name not in parameters:
+                del tables[name]
+                touched.add(name)
+            elif not path or path == ["policy"]:
                 parameters[key] = value
                 if value is None:
                     del parameters[key]
