@@ -11,8 +11,10 @@ from laws.test_given_controllers import random_loop
 from laws.test_lossy_controllers import forward_cost, random_network
 
 import taciturn
-from taciturn import Cost, Network, Plant, ProblemError, UnstableError, design
+from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import Attempts, Base, advantage, critical_scale
+from taciturn.design.certainty import design_certainty
+from taciturn.design.prediction import predict_continuously
 from taciturn.design.routes import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
@@ -149,3 +151,30 @@ def test_no_gain_is_stable_above_the_critical_loss() -> None:
     assert design.excess(plant, cost, network=Network("tcp", actuator_loss=0.43), **zero).cost_all_time > 0
     with pytest.raises(ProblemError, match="gains is 'losses'; expected an actuator link that drops packets"):
         design.excess(plant, cost, **zero)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_kinds_are_instances_of_a_base(seed: int) -> None:
+    """LQG: slope 0 and the weight of its square; periodic control and ``consistent``: the same values and costs."""
+    plant, cost, _ = random_loop(seed)
+    problem = discretise(plant, cost, None)
+    certainty = design_certainty("excess", problem)
+    stage = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
+    base = Base(plant.A, plant.B, stage, certainty.regulator.L, certainty.corrections, unseen=certainty.estimation_cost)
+    found = advantage(base, "")
+    assert found.cost == pytest.approx(certainty.cost_all_time, rel=1e-8)
+    assert found.H[0, 0] == pytest.approx(certainty.regulator.H, rel=1e-8)
+    assert np.abs(found.slope).max() < 1e-8 * np.abs(found.P).max()
+    periodic = certainty.held.solve((3,))
+    found = advantage(replace(base, K=periodic.gains[0]), "", Attempts((True, False, False)))
+    assert found.cost == pytest.approx(periodic.cost + certainty.estimation_cost, rel=1e-8)
+    assert pytest.approx(periodic.values[0], rel=1e-6, abs=1e-8 * np.abs(found.P).max()) == found.P
+    draws = np.random.default_rng(seed)
+    driven = ContinuousPlant(draws.normal(size=(2, 2)), draws.normal(size=(2, 1)), np.eye(2))
+    predicted = predict_continuously("consistent", driven, Cost(np.eye(2), [[1.0]]), 0.4)
+    p = predicted.problem
+    stage = np.block([[p.Q, p.N], [p.N.T, p.R]])
+    found = advantage(Base(p.plant.A, p.plant.B, stage, np.eye(2), p.plant.W), "")
+    assert p.per_unit(found.cost) == pytest.approx(predicted.cost_all_time, rel=1e-7)
+    assert found.H[0, 0] == pytest.approx(predicted.Gamma, rel=1e-7)
+    assert np.abs(found.slope).max() < 1e-8 * np.abs(found.P).max()
