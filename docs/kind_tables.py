@@ -56,9 +56,10 @@ def goals(kinds: Sequence[Kind]) -> str:
     """Return the goal and the proved result of each kind; first those that ``taciturn new`` offers."""
     ordered = sorted(kinds, key=lambda kind: (kind.offered is None, kind.offered or 0, kind.name))
     rows = [
-        (kind.goal, f"`{kind.name}`", kind.proved, ", ".join(f"`{key}`" for key in kind.sources)) for kind in ordered
+        (kind.goal, f"`{kind.name}`", kind.proved, kind.base, ", ".join(f"`{key}`" for key in kind.sources))
+        for kind in ordered
     ]
-    return _table(("goal", "kind", "proved result", "[sources](sources.md)"), rows)
+    return _table(("goal", "kind", "proved result", "relative to", "[sources](sources.md)"), rows)
 
 
 def steps(kinds: Sequence[Kind]) -> str:

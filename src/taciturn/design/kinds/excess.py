@@ -158,6 +158,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("delta"), TradeoffParameter("theta")),
     example={"theta": 0.1},
     proved=r"$J\le J_{all}+\delta(1-\text{rate})\le(1+\theta)J_{all}$, rate in sends per step",
+    base="LQG or the given controller, with every sample or every $q$-th",
     data="trigger e'He against δ",
     order="operations of `lqg`",
     usual={"theta": 0.1, "actuation": "model"},  # a model sends fewer packets than a held input

@@ -234,6 +234,7 @@ KIND = Kind(
     plants=("discrete",),
     costs=("average", "horizon"),
     proved=r"$J\le J_{all}+\lambda(1-\text{rate})$; critical losses",
+    base="an attempt at every step",
     refused="`cost.N`; an average cost with losses at or above the critical loss probabilities",
     data="the step counter `clock` of a finite horizon; gains, Γ and the reference are read by `clock`",
     order=(

@@ -135,6 +135,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("theta"),),
     example={"theta": 0.1},
     proved=r"$J\le(1+\theta)J_{all}$",
+    base="LQG with every sample",
     data="trigger over [x̂; candidate; e]",
     order="filter, command, candidate, error, decide, send, hold or model, predict",
     usual={"theta": 0.1},

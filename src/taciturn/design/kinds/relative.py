@@ -57,6 +57,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("sigma"),),
     example={"sigma": 0.03},
     proved=r"$J\le(J_{all}-s\operatorname{tr}(Q\Sigma))/(1-s)$ if $s<1$",
+    base="LQG with every sample",
     data="trigger over [x̃ − x̂; x̂] (`deviation`)",
     order="operations of `lqg`",
     usual={"sigma": 0.1},
