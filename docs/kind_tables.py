@@ -56,7 +56,7 @@ def goals(kinds: Sequence[Kind]) -> str:
     """Return the goal and the proved result of each kind; first those that ``taciturn new`` offers."""
     ordered = sorted(kinds, key=lambda kind: (kind.offered is None, kind.offered or 0, kind.name))
     rows = [
-        (kind.goal, f"`{kind.name}`", kind.proved, kind.base, ", ".join(f"`{key}`" for key in kind.sources))
+        (kind.goal, f"`{kind.name}`", kind.proved, kind.relative_to, ", ".join(f"`{key}`" for key in kind.sources))
         for kind in ordered
     ]
     return _table(("goal", "kind", "proved result", "relative to", "[sources](sources.md)"), rows)

@@ -71,7 +71,7 @@ class Kind(Displayed):
             instead of a measured state, and ``"jumps"``.
         costs: the costs that the design supports: an ``"average"``, a finite ``"horizon"``, a ``"discount"``.
         proved: the proved result, in Markdown.
-        base: the control whose cost the bound refers to, in Markdown.
+        relative_to: the control whose cost the bound refers to, in Markdown.
         refused: further conditions under which the design refuses a problem, in Markdown.
         data: data of the policy beyond the matrices, in Markdown.
         order: order of the operations within a step, in Markdown.
@@ -98,7 +98,7 @@ class Kind(Displayed):
     plants: tuple[PlantClass, ...] = ANY_PLANT
     costs: tuple[CostClass, ...] = ("average",)
     proved: str = "no bound"
-    base: str = "—"
+    relative_to: str = "—"
     refused: str = ""
     data: str = "—"
     order: str = "—"

@@ -94,7 +94,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("threshold"),),
     example={"threshold": 1.0},
     proved=r"$J\le J_{all}+\mu Y^2(1-\text{rate})$",
-    base="LQG with every sample",
+    relative_to="LQG with every sample",
     data="trigger over e, or over `deviation`",
     order="operations of `lqg`",
 )

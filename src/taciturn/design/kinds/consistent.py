@@ -75,7 +75,7 @@ KIND = Kind(
     nodes="S, C+A",
     plants=("continuous", "jumps"),
     proved=r"$V\le V_p(r)$",
-    base="periodic control",
+    relative_to="periodic control",
     data=(
         "trigger e'Γ(τ)e against δ; the input is the state of the model, predicted in continuous time "
         "(`prediction`); `reset` names the error"

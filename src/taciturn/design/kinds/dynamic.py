@@ -104,7 +104,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("sigma"),),
     example={"sigma": 0.03, "rho": 0.8, "gain": 2.0},
     proved="the bound of `relative`",
-    base="LQG with every sample",
+    relative_to="LQG with every sample",
     data="`Evaluate` memory `credit`⁺ = ρ·credit + σ²x̂'x̂ − e'e, which the trigger adds (`plus`)",
     order="operations of `lqg`; the memory is updated after the decision, by its outcome",
     usual={"sigma": 0.1, "rho": 0.5, "gain": 2.0},

@@ -366,7 +366,7 @@ KIND = Kind(
     nodes="S, C+A",
     plants=("continuous", "jumps"),
     proved=r"$V\le V_p(r)$ at its mean interval",
-    base="periodic control",
+    relative_to="periodic control",
     refused=(
         "a slope for which f < g does not hold; α > L(α); a period in which the noise alone costs more than "
         "the allowed cost"

@@ -243,7 +243,7 @@ KIND = Kind(
     nodes="S, C, A (or C with S or A); the sensor link has a delay of one step",
     costs=("average", "horizon", "discount"),
     proved=r"$J\le(1+\theta)(J_{all}+\zeta)$; the queries are a schedule",
-    base="LQG with every sample",
+    relative_to="LQG with every sample",
     refused="a sensor that is never queried with an unstable plant; a schedule that does not repeat",
     data=(
         "the step counter `clock` runs through the schedule and returns to the step from which the schedule "

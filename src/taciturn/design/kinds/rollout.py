@@ -199,7 +199,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("every", least=2, whole=True),),
     example={"horizon": 6, "every": 3},
     proved=r"$J\le J_{per}$, the rate is 1/`every`",
-    base="periodic control at every $q$-th step",
+    relative_to="periodic control at every $q$-th step",
     data=(
         "one label with one form per schedule of the window; the step counter `clock` starts the windows; "
         "the location `place` stores the remaining sends"

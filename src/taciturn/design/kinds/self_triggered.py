@@ -111,7 +111,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("beta", least=1.0),),
     example={"beta": 1.1, "max_interval": 10},
     proved=r"$J\le\beta J_{all}$",
-    base="LQG with every sample",
+    relative_to="LQG with every sample",
     data="a decision and a gain per sleeping time; `Evaluate` memories `sleep` and `left`",
     order="filter, evaluate every sleeping time, send when no step is left, count",
     usual={"beta": 1.2, "max_interval": 5},

@@ -153,7 +153,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("scale", falls=False),),
     example={"actuation": "model"},
     proved=r"$J\le J_{all}+2\mu/(e\,s)$; with a model exact cost and rate",
-    base="LQG with every sample",
+    relative_to="LQG with every sample",
     data="`Draw` ξ, which the trigger adds (`plus`)",
     order="draw, then operations of `lqg`",
 )
