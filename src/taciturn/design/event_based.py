@@ -21,7 +21,7 @@ from taciturn._display import Displayed
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
-from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.kept import REMEDY, disturbed, note_disturbance
 from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.routes import sensor_base
 from taciturn.design.same_control import SameControl
@@ -150,6 +150,7 @@ def design_event_pid(
         sites=(frozenset({"controller", "actuator"}),),
         initial={"elapsed": np.ones(1), **_begun(kept, point), **({"age": np.full(1, 1e6)} if late else {})},
         tick=problem.tick,
+        notes=note_disturbance(linear, disturbance),
         disturbance=disturbance,
     )
     return point.applied_to(policy)

@@ -17,7 +17,7 @@ from taciturn.design.base import EVERY_SAMPLE, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND, design_certainty
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
-from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.kept import REMEDY, disturbed, note_disturbance
 from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import Actuation, Route, route_over
 from taciturn.design.same_control import SameControl
@@ -26,10 +26,9 @@ from taciturn.design.step_counter import StepCounter
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import filter_checked
-from taciturn.model.controller import Controller, Kept
+from taciturn.model.controller import Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
-from taciturn.model.disturbance import Disturbance
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
@@ -37,10 +36,6 @@ from taciturn.model.theory import Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Trigger
 
 COST, AGAIN, MISSING = "cost of silence", "cost after a dropout", "missing"
-CONSTANT = (
-    "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
-    "more than computed"
-)
 
 
 def keep_controller(
@@ -143,7 +138,7 @@ def keep_controller(
         initial={**estimation.initial, **route.initial, **silence.initial, **route.begun(point.start)},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*(() if lossy else _beside(kind, problem, all_time)), *_assumed(controller, disturbance)),
+        notes=(*(() if lossy else _beside(kind, problem, all_time)), *note_disturbance(controller, disturbance)),
         disturbance=disturbance,
     )
     return point.applied_to(policy)
@@ -205,16 +200,6 @@ def _retried(
         Assign(at, MISSING, ({"tried": one}, {ONE: none}), Acknowledged(link)),
     )
     return before, Form(plus={AGAIN: 1.0}), after
-
-
-def _assumed(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:
-    """Return a note on the slow disturbance of the plant."""
-    if disturbance is None:
-        return (CONSTANT,) if controller.integrates else ()
-    stated = controller.disturbance or Disturbance()
-    missing = [name for name in ("time_constant", "deviation") if getattr(stated, name) is None]
-    source = f" ({' and '.join(missing)} by default, from the step, W and B)" if missing else ""
-    return (f"the plant has a slowly varying disturbance at each input: {disturbance.text()}{source}",)
 
 
 def _beside(kind: str, problem: Discrete, cost: float) -> tuple[str, ...]:

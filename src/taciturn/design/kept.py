@@ -20,6 +20,10 @@ from taciturn.model.disturbance import Disturbance, padded
 from taciturn.model.plant import ContinuousPlant, Plant
 
 REMEDY = "check the sign of the controller (feedback is u = −K y), its gains and its step"
+CONSTANT = (
+    "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
+    "more than computed"
+)
 
 
 def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | None = None) -> Cost:
@@ -105,3 +109,13 @@ def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
         return Controller(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), L, None, plant.dt, none)
     left = np.eye(n) - steady.gain @ plant.C
     return Controller(plant.A @ left, plant.A @ steady.gain, L @ left, L @ steady.gain, plant.B, plant.dt, none)
+
+
+def note_disturbance(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:
+    """Return a note on the slow disturbance of the plant."""
+    if disturbance is None:
+        return (CONSTANT,) if controller.integrates else ()
+    stated = controller.disturbance or Disturbance()
+    missing = [name for name in ("time_constant", "deviation") if getattr(stated, name) is None]
+    source = f" ({' and '.join(missing)} by default, from the step, W and B)" if missing else ""
+    return (f"the plant has a slowly varying disturbance at each input: {disturbance.text()}{source}",)

@@ -142,6 +142,12 @@ def operating_point(problem: Discrete, controller: Controller) -> OperatingPoint
             moving, np.concatenate([np.zeros(n), r]), f"the plant cannot rest at the set-point {r.tolist()}"
         )
         state, steady = found[:n], found[n:]
+        limit = plant.input_limit
+        if limit is not None and (np.abs(steady) >= limit).any():
+            raise ProblemError(
+                f"the set-point needs the input {steady.round(4).tolist()}, beyond the input_limit {limit.tolist()}; "
+                "expected a set-point within the limits"
+            )
         k = len(controller.A)
         holding = np.vstack([np.eye(k) - controller.A, controller.C])
         caused = np.concatenate([controller.E @ steady, steady])

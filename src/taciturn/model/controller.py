@@ -1,8 +1,7 @@
 """Linear controllers that a user already has, such as PID controllers, in the time steps of a policy.
 
-A controller computes the input from measurements, u = C z + D y with the state z⁺ = A z + B y + E u. E feeds the
-applied input back, as an observer does. Each class has a method ``at``, which returns the ``Controller`` for the steps,
-inputs and outputs of a plant.
+A controller computes the input u = C z + D y with the state z⁺ = A z + B y + E u; E feeds the applied input back. The
+method ``at`` of each class returns the ``Controller`` for the steps, inputs and outputs of a plant.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, Literal, TypeAlias, cast
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, ArrayLike, array, choice, count, number
+from taciturn._arrays import Array, ArrayLike, array, choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
@@ -222,6 +221,9 @@ class PID(Displayed):
         """Check the gains and the filter."""
         for name in ("kp", "ki", "kd", "setpoint", "b", "c"):
             number(f"pid.{name}", getattr(self, name))
+        instance("pid.disturbance", self.disturbance, Disturbance, type(None))
+        if not self.setpoint and (self.b != 1.0 or self.c != 0.0):
+            raise ProblemError("pid.b or pid.c is given without setpoint; expected a set-point, or neither of them")
         if self.tracking_time is not None:
             number("pid.tracking_time", self.tracking_time, 0.0)
         if self.start_input is not None:
@@ -305,6 +307,7 @@ class PIDLoops(Displayed):
             to, read = np.eye(inputs)[loop.input - 1], np.eye(outputs)[loop.output - 1]
             a, b, c, d, still = loop.rows(step)
             if loop.tracking_time is not None:
+                number("pid.tracking_time", loop.tracking_time, step, closed=True)
                 tracked.append((len(A), loop.input - 1, step / (loop.tracking_time * loop.ki)))
             rest += still
             if loop.setpoint:

@@ -9,7 +9,7 @@ from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, design_certainty, expect_average, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
-from taciturn.design.kept import REMEDY, disturbed, lqg_observer
+from taciturn.design.kept import REMEDY, disturbed, lqg_observer, note_disturbance
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import route_over
@@ -112,6 +112,7 @@ def _keep(
         sites=route.sites,
         initial={**route.initial, **route.begun(point.start)},
         tick=problem.tick,
+        notes=note_disturbance(at_step, disturbance),
         disturbance=disturbance,
     )
     return point.applied_to(policy)

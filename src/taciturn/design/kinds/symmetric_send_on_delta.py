@@ -12,7 +12,7 @@ from taciturn._display import Displayed
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
-from taciturn.design.kept import REMEDY, disturbed
+from taciturn.design.kept import REMEDY, disturbed, note_disturbance
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import nonempty, sensor_base
@@ -96,6 +96,7 @@ def symmetric_send_on_delta(
         sites=(frozenset({"controller", "actuator"}),),
         initial={**({STATE: point.start} if len(c.A) else {}), LEVEL: level, USED: level},
         tick=problem.tick,
+        notes=note_disturbance(c, disturbance),
         disturbance=disturbance,
     )
     return point.applied_to(policy)
