@@ -330,12 +330,10 @@ class PIDLoops(Displayed):
 
     def _start_input(self, inputs: int) -> Array | None:
         """Return the input before the start, if all loops state it; 0 for inputs of loops that do not."""
-        if all(loop.start_input is None for loop in self.loops):
-            return None
         stated = np.zeros(inputs)
         for loop in self.loops:
             stated[loop.input - 1] += loop.start_input or 0.0
-        return stated
+        return None if all(loop.start_input is None for loop in self.loops) else stated
 
 
 Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
