@@ -3,14 +3,13 @@
     python benchmarks/published_pids.py [--json docs/published_pids.json]
 
 Every rule keeps the controller. Its parameter is tuned until the cost is at most 1.05 times that of sending every
-sample; the periodic rows are exact. What is in the file already is kept: it can be interrupted, and continues.
+sample; the periodic rows are exact. The script keeps the rows of an existing file, and computes the missing ones.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ import numpy as np
 import taciturn
 from taciturn import PID, ContinuousPlant, Network, Problem, TaciturnError
 from taciturn._files import write_whole
-from taciturn.design.kept import cost_as_kept
+from taciturn.design.kept import cost_as_kept, disturbed
 
 MORE = 0.05
 ACCURACY = 5e-4  # standard error relative to the cost
@@ -130,8 +129,6 @@ def periodic(case: str) -> dict[str, Any]:
 
 
 def _with_disturbance(problem: Problem) -> tuple[Any, Any]:
-    from taciturn.design.kept import disturbed
-
     assert problem.controller is not None
     found, _, _ = disturbed(problem.plant, problem.cost, problem.parameters["period"], problem.controller)
     return found.source, found.cost
@@ -144,8 +141,7 @@ def main() -> None:
     path = parser.parse_args().json
     known: dict[str, Any] = json.loads(path.read_text()) if path and path.exists() else {}
     for case in CASES:
-        rows: Mapping[str, Any] = known.setdefault(case, {})
-        assert isinstance(rows, dict)
+        rows: dict[str, Any] = known.setdefault(case, {})
         for rule in ("periodic", *RULES):
             if rule not in rows:
                 rows[rule] = periodic(case) if rule == "periodic" else tuned(case, rule)

@@ -262,10 +262,8 @@ class _Interview:
         if self.given is None or key not in self.given.arrays:
 
             def keep(text: str) -> None:
-                noise = key in "VW"
-                self.draft.keep(
-                    key, parse_noise(key, text, self.draft.plant["B"]) if noise else parse_matrix(key, text)
-                )
+                stated = parse_noise(key, text, self.draft.plant["B"]) if key in "VW" else parse_matrix(key, text)
+                self.draft.keep(key, stated)
 
             self.questions.ask(key, question, keep, usual)
             return

@@ -25,7 +25,6 @@ CONVERGED = 1e-14  # relative change of the value within a doubling of the horiz
 LARGEST = 1e100  # a larger value has diverged
 SEEN = 1e-9  # share of a mode in the value below which the cost does not depend on it
 MOST_UNKNOWNS = 2500  # entries of all P_m
-WIDTH = 1e-6  # accuracy of the critical loss
 MEMORY = 16  # halvings of 1e-14 in the square: steps of a doubled horizon per time constant of the state
 
 

@@ -28,6 +28,8 @@ from taciturn._modes import mode_text
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
 
+WIDTH = 1e-6  # accuracy of the critical loss
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Base(Displayed):
@@ -164,7 +166,7 @@ def critical_scale(base: Base, attempts: Attempts) -> float:
         return 0.0
     if repeated_value(base, attempts.scaled(high)) is not None:
         return high
-    while high - low > _fixed_point.WIDTH * high:
+    while high - low > WIDTH * high:
         middle = (low + high) / 2
         low, high = (middle, high) if repeated_value(base, attempts.scaled(middle)) is not None else (low, middle)
     return low

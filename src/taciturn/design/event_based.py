@@ -18,19 +18,16 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
-from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
-from taciturn.design.kept import REMEDY, disturbed, note_disturbance
-from taciturn.design.operating_point import OperatingPoint, operating_point
+from taciturn.design.kept_loop import KeptLoop
+from taciturn.design.operating_point import OperatingPoint
 from taciturn.design.routes import sensor_base
-from taciturn.design.same_control import SameControl
 from taciturn.errors import ProblemError
 from taciturn.model.controller import PID, Controller, PIDLoops, controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Apply, Assign, Decide, Evaluate, Policy, Received, Send, Step
-from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 HEARD, FRESH = "heard", "fresh"
@@ -107,18 +104,15 @@ def design_event_pid(
             f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"
         )
     expect_average(kind, cost)
-    problem, linear, disturbance = disturbed(plant, cost, period, kept)
-    point = operating_point(problem, linear)
-    problem = point.deviations(problem)
-    plant, step = problem.plant, problem.plant.dt
+    loop = KeptLoop.of(plant, cost, period, kept)
+    plant, step = loop.problem.plant, loop.problem.plant.dt
     if plant.inputs != 1 or plant.outputs != 1:
         raise ProblemError(
             f"the plant has {plant.inputs} inputs and {plant.outputs} outputs; expected one of each with {kind}"
         )
     assert step is not None
     steps = 0.0 if longest is None else number("longest", longest, 0.0) / step
-    base = sensor_base(problem, at_every_step(kept, step))
-    found, one = advantage(base, REMEDY), np.eye(1)
+    one = np.eye(1)
     late = {} if longest is None else {"late": Form(plus={"age": -1.0}, constant=max(np.ceil(steps - 1e-9), 1.0) - 0.5)}
     sends = 1 + len(late)
     counted, restarted = Form(constant=1.0, plus={"age": 1.0}), Form(constant=1.0)
@@ -136,24 +130,9 @@ def design_event_pid(
         Apply("controller", dict.fromkeys(STATE, 1), EventPID(kept, step, area), (HEARD, FRESH, *STATE)),
         Assign("actuator", "input", {"command": one}),
     )
-    policy = Policy(
-        kind=kind,
-        steps=(*decide, *compute),
-        model=plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(found.cost),
-            noise_cost=problem.noise_cost,
-            settling=found.settling,
-            periodic=SameControl(problem, kept, base),
-        ),
-        sites=(frozenset({"controller", "actuator"}),),
-        initial={"elapsed": np.ones(1), **_begun(kept, point), **({"age": np.full(1, 1e6)} if late else {})},
-        tick=problem.tick,
-        notes=note_disturbance(linear, disturbance),
-        disturbance=disturbance,
-    )
-    return point.applied_to(policy)
+    base = sensor_base(loop.problem, at_every_step(kept, step))
+    initial = {"elapsed": np.ones(1), **_begun(kept, loop.point), **({"age": np.full(1, 1e6)} if late else {})}
+    return loop.policy(kind, base, (*decide, *compute), (frozenset({"controller", "actuator"}),), initial)
 
 
 def at_every_step(pid: PID, step: float) -> Controller:
@@ -163,7 +142,7 @@ def at_every_step(pid: PID, step: float) -> Controller:
     A, B = np.diag([1.0, kept, 0.0]), np.array([[pid.ki * step], [gain], [1.0]])
     A[1, 2] = -gain
     C, D = np.array([[-1.0, -kept, gain]]), [[-pid.kp - gain]]
-    used = slice(0 if pid.ki else 1, 3 if pid.kd else 1)  # without a part, its state is no state of the loop
+    used = slice(0 if pid.ki else 1, 3 if pid.kd else 1)  # a part with gain 0 has no state
     return Controller(A[used, used], B[used], C[:, used], D, None, step)
 
 

@@ -11,14 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from taciturn._arrays import Array, choice
+from taciturn._arrays import choice
 from taciturn.design.alarm import WATCH, watch_innovations
-from taciturn.design.base import EVERY_SAMPLE, Attempts, advantage
+from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND, design_certainty
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
-from taciturn.design.kept import REMEDY, disturbed, note_disturbance
-from taciturn.design.operating_point import operating_point
+from taciturn.design.kept import REMEDY
+from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import Actuation, Route, route_over
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
@@ -71,9 +71,8 @@ def keep_controller(
         ProblemError: the controller does not suit the plant, or the options do not suit each other.
         UnstableError: the base is unstable.
     """
-    problem, controller, disturbance = disturbed(plant, cost, period, kept)
-    point = operating_point(problem, controller)
-    problem = point.deviations(problem)
+    loop = KeptLoop.of(plant, cost, period, kept)
+    problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
     lossy = drops(network, link)
@@ -93,7 +92,7 @@ def keep_controller(
     time = StepCounter.of(problem, every)
     attempts = _attempts(problem, route, network, link, time, lossy)
     found = advantage(route.base, REMEDY, attempts)
-    base = found.cost if average else found.cost + _at_the_start(problem, route, found.P)
+    base = _cost(problem, found)
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
@@ -135,13 +134,13 @@ def keep_controller(
         theory=theory,
         sites=route.sites,
         locations=time.locations,
-        initial={**estimation.initial, **route.initial, **silence.initial, **route.begun(point.start)},
+        initial={**estimation.initial, **route.initial, **silence.initial, **route.begun(loop.point.start)},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*(() if lossy else _beside(kind, problem, all_time)), *note_disturbance(controller, disturbance)),
-        disturbance=disturbance,
+        notes=(*(() if lossy else _beside(kind, problem, all_time)), *loop.notes),
+        disturbance=loop.disturbance,
     )
-    return point.applied_to(policy)
+    return loop.point.applied_to(policy)
 
 
 def drops(network: Network, link: LinkName) -> bool:
@@ -160,24 +159,27 @@ def _attempts(
     return Attempts(time.pattern, turns, losses, cost.discount, terminal)
 
 
-def _at_the_start(problem: Discrete, route: Route, P: Array) -> float:
-    """Return the mean of z'P z at the first step, at which the controller's state is zero."""
-    plant = problem.plant
+def _cost(problem: Discrete, found: Advantage) -> float:
+    """Return the cost of a base: per step, or in total with the mean of z'P z at the first step.
+
+    At this step, the controller's state is zero.
+    """
+    if not problem.cost.mission:
+        return found.cost
+    plant, P = problem.plant, found.P
     n, size = plant.states, len(P)
     first = np.zeros((size, n))
     first[:n], first[size - plant.outputs :] = np.eye(n), plant.C
     moment = first @ (plant.covariance + np.outer(plant.mean, plant.mean)) @ first.T
     moment[size - plant.outputs :, size - plant.outputs :] += plant.V
-    return float(np.sum(P * moment))
+    return found.cost + float(np.sum(P * moment))
 
 
 def _with_every_sample(problem: Discrete, route: Route) -> float:
     """Return the cost of the same control with every sample."""
-    average = not problem.cost.mission
-    horizon = problem.cost.horizon
-    attempts = _attempts(problem, route, Network(), "actuator", StepCounter((True,) * (horizon or 1), (0,)), False)
-    found = advantage(route.base, REMEDY, attempts)
-    return found.cost if average else found.cost + _at_the_start(problem, route, found.P)
+    always = StepCounter((True,) * (problem.cost.horizon or 1), (0,))
+    attempts = _attempts(problem, route, Network(), "actuator", always, False)
+    return _cost(problem, advantage(route.base, REMEDY, attempts))
 
 
 def _watched(innovation: Matrix | None, silent: Form, forbidden: float, at: NodeName) -> tuple[tuple[Step, ...], Form]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ def cost_of_silence(
     here = values / unit
     saved = Form() if tried.all() else Form(identity, _by_clock(np.where(tried[:, None, None], 0.0, -here)))
     added = Form(identity, _by_clock(np.where(tried[:, None, None], here, 0.0)))
-    return Silence(silence.cost, (added, saved), silence.before, silence.after, silence.initial)
+    return replace(silence, identity=(added, saved))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

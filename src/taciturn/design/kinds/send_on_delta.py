@@ -5,22 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import number
-from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, design_certainty, expect_average, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
-from taciturn.design.kept import REMEDY, disturbed, lqg_observer, note_disturbance
+from taciturn.design.kept import lqg_observer
+from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import route_over
-from taciturn.design.same_control import SameControl
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, Policy, Received, Send
-from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 LAST, HEARD, WHICH = "last", "heard", "changed"
@@ -87,35 +84,17 @@ def _keep(
     """Return the policy that sends when the value that a given controller needs, or its command, has changed by Δ."""
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
-    problem, at_step, disturbance = disturbed(plant, cost, period, kept)
-    point = operating_point(problem, at_step)
-    problem = point.deviations(problem)
-    route = route_over(link, problem, at_step, "hold", False)
-    found, size = advantage(route.base, REMEDY), len(route.base.K)
+    loop = KeptLoop.of(plant, cost, period, kept)
+    route = route_over(link, loop.problem, loop.controller, "hold", False)
+    size = len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
     decide = (
         Decide(route.node, WHICH, Trigger({"none": Form(), **moved})),
         Evaluate(route.node, "any", tuple(Form(constant=float(i > 0)) for i in range(size + 1)), WHICH),
         Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
-    policy = Policy(
-        kind=kind,
-        steps=route.steps({"y": np.eye(problem.plant.outputs)}, decide, ()),
-        model=problem.plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(found.cost),
-            noise_cost=problem.noise_cost,
-            settling=found.settling,
-            periodic=SameControl(problem, kept, route.base),
-        ),
-        sites=route.sites,
-        initial={**route.initial, **route.begun(point.start)},
-        tick=problem.tick,
-        notes=note_disturbance(at_step, disturbance),
-        disturbance=disturbance,
-    )
-    return point.applied_to(policy)
+    steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
+    return loop.policy(kind, route.base, steps, route.sites, {**route.initial, **route.begun(loop.point.start)})
 
 
 def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:

@@ -9,20 +9,16 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._display import Displayed
-from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
-from taciturn.design.kept import REMEDY, disturbed, note_disturbance
+from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.operating_point import operating_point
 from taciturn.design.routes import nonempty, sensor_base
-from taciturn.design.same_control import SameControl
 from taciturn.errors import ProblemError
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Apply, Assign, Decide, Policy, Received, Send
-from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 LEVEL, USED, STATE = "level", "used", "state"
@@ -60,14 +56,11 @@ def symmetric_send_on_delta(
     """
     kind, delta = "symmetric-send-on-delta", number("delta", delta, 0.0, LARGEST_PARAMETER)
     expect_average(kind, cost)
-    kept = controller_from(controller)
-    problem, c, disturbance = disturbed(plant, cost, period, kept)
-    point = operating_point(problem, c)
-    problem = point.deviations(problem)
+    loop = KeptLoop.of(plant, cost, period, controller_from(controller))
+    problem, c = loop.problem, loop.controller
     if problem.plant.outputs != 1:
         raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
-    base, one = sensor_base(problem, c), np.eye(1)
-    found = advantage(base, REMEDY)
+    one = np.eye(1)
     expected = problem.plant.C @ problem.plant.mean  # which both ends know
     level = Crossed(delta)(expected)
     changed = Trigger({"silent": Form(), SEND: Form(("moved",), -one, delta**2)})
@@ -82,24 +75,8 @@ def symmetric_send_on_delta(
         Assign("actuator", "input", {"command": np.eye(problem.plant.inputs)}),
         *((Assign("controller", STATE, {STATE: c.A, USED: c.B, "command": c.E}),) if len(c.A) else ()),
     )
-    policy = Policy(
-        kind=kind,
-        steps=steps,
-        model=problem.plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(found.cost),
-            noise_cost=problem.noise_cost,
-            settling=found.settling,
-            periodic=SameControl(problem, kept, base),
-        ),
-        sites=(frozenset({"controller", "actuator"}),),
-        initial={**({STATE: point.start} if len(c.A) else {}), LEVEL: level, USED: level},
-        tick=problem.tick,
-        notes=note_disturbance(c, disturbance),
-        disturbance=disturbance,
-    )
-    return point.applied_to(policy)
+    initial = {**({STATE: loop.point.start} if len(c.A) else {}), LEVEL: level, USED: level}
+    return loop.policy(kind, sensor_base(problem, c), steps, (frozenset({"controller", "actuator"}),), initial)
 
 
 @dataclass(frozen=True, repr=False)

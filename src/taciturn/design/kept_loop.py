@@ -1,0 +1,92 @@
+"""The loop of a given controller at the step of a policy, with disturbance and set-point, and its unproven policies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from taciturn._arrays import Array
+from taciturn._display import Displayed
+from taciturn.design.base import Base, advantage
+from taciturn.design.kept import REMEDY, disturbed, note_disturbance
+from taciturn.design.operating_point import OperatingPoint, operating_point
+from taciturn.design.same_control import SameControl
+from taciturn.lqg.discrete import Discrete
+from taciturn.model.controller import Controller, Kept
+from taciturn.model.cost import Cost
+from taciturn.model.disturbance import Disturbance
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import NodeName, Policy, Step
+from taciturn.model.theory import Theory
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class KeptLoop(Displayed):
+    """A given controller and its plant in deviations from the point at which they rest.
+
+    Args:
+        kept: the controller, which may depend on the step.
+        controller: the controller at the step.
+        problem: the discrete-time problem of the deviations, with the slow disturbance.
+        point: the point at which the loop rests.
+        disturbance: the slow disturbance, or None.
+    """
+
+    kept: Kept
+    controller: Controller
+    problem: Discrete
+    point: OperatingPoint
+    disturbance: Disturbance | None
+
+    @staticmethod
+    def of(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept) -> KeptLoop:
+        """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
+        problem, controller, disturbance = disturbed(plant, cost, period, kept)
+        point = operating_point(problem, controller)
+        return KeptLoop(kept, controller, point.deviations(problem), point, disturbance)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on the slow disturbance."""
+        return note_disturbance(self.controller, self.disturbance)
+
+    def policy(
+        self,
+        kind: str,
+        base: Base,
+        steps: tuple[Step, ...],
+        sites: tuple[frozenset[NodeName], ...],
+        initial: dict[str, Array],
+    ) -> Policy:
+        """Return a policy without a proven bound.
+
+        Args:
+            kind: name of the policy kind.
+            base: the loop that sends every sample.
+            steps: the policy steps, for the deviations.
+            sites: groups of nodes at the same site.
+            initial: initial values of the memories.
+
+        Raises:
+            UnstableError: the loop that sends every sample is unstable.
+        """
+        found, problem = advantage(base, REMEDY), self.problem
+        theory = Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(found.cost),
+            noise_cost=problem.noise_cost,
+            settling=found.settling,
+            periodic=SameControl(problem, self.kept, base),
+        )
+        return self.point.applied_to(
+            Policy(
+                kind=kind,
+                steps=steps,
+                model=problem.plant,
+                theory=theory,
+                sites=sites,
+                initial=initial,
+                tick=problem.tick,
+                notes=self.notes,
+                disturbance=self.disturbance,
+            )
+        )
