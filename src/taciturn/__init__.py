@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from taciturn.errors import UnstableError as UnstableError
     from taciturn.loop import Loop as Loop
     from taciturn.loop import close as close
-    from taciturn.model.controller import PID as PID
     from taciturn.model.controller import Controller as Controller
-    from taciturn.model.controller import controller_from as controller_from
     from taciturn.model.cost import Cost as Cost
     from taciturn.model.disturbance import Disturbance as Disturbance
     from taciturn.model.dynamics import integrate as integrate
     from taciturn.model.dynamics import linearise as linearise
     from taciturn.model.estimate import Estimate as Estimate
+    from taciturn.model.kept import controller_from as controller_from
     from taciturn.model.network import Burst as Burst
     from taciturn.model.network import Network as Network
+    from taciturn.model.pid import PID as PID
     from taciturn.model.plant import ContinuousPlant as ContinuousPlant
     from taciturn.model.plant import Jumps as Jumps
     from taciturn.model.plant import Plant as Plant
@@ -65,7 +65,7 @@ _HOME = {
     "Loop": "loop",
     "Network": "model.network",
     "Nodes": "runtime.nodes",
-    "PID": "model.controller",
+    "PID": "model.pid",
     "Plant": "model.plant",
     "Policy": "model.policy",
     "Problem": "problem",
@@ -78,7 +78,7 @@ _HOME = {
     "average": "simulation.average",
     "certify": "study.certify",
     "close": "loop",
-    "controller_from": "model.controller",
+    "controller_from": "model.kept",
     "compare": "study.compare",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",

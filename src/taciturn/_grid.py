@@ -62,7 +62,7 @@ def _parse_value(text: str) -> object:
             return tomllib.loads(f"value = {text}")["value"]
         except ValueError:
             return text
-    return parse_number(text)
+    return {"true": True, "false": False}.get(text, parse_number(text))
 
 
 def parse_number(text: str) -> object:

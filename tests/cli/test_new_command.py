@@ -129,6 +129,20 @@ def test_lossy_links_are_asked_for_and_have_their_policy(ask: Ask) -> None:
     assert f"{problem.parameters['price']:.1g}" == f"{problem.parameters['price']:g}"
 
 
+def test_a_pid_controller_in_place_of_weights_is_kept(ask: Ask) -> None:
+    """With weights by its loop, and only the kinds that keep a controller."""
+    plant = ("d", "0.1", "[1 0.1; 0 0.9]", "[0; 0.1]", "n", "[1 0]", "± 0.03", "inputs ± 0.2")
+    told = ask((*plant, "pid 1.2 0.15 1 0.5", "", "0.1"))
+    assert told.code == 0
+    assert "lqg" not in told.out.partition("What is the goal")[0].rpartition("excess")[2]
+    problem = taciturn.load("new.toml")
+    assert (problem.kind, problem.controller) == ("excess", taciturn.PID(1.2, 0.15, 1.0, 0.5))
+    assert problem.designed().cost_all_time == pytest.approx(2.0)  # one for each variance
+    Path("new.toml").unlink()
+    told = ask((*plant, "pid 1.2 0.15 1"))
+    assert (told.code, "the controller has 3 numbers; expected kp, or kp ki" in told.err) == (2, True)
+
+
 def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
     """C and V; a V of 0 is exact measurement and is not written."""
     answers = ("c", "[0 1; 0 0]", "[0; 1]", "n", "[1 0]", "0.01", "1", "1", "1", "", "1", "0.1", "0.1")
@@ -152,8 +166,10 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
     continuous = kind == "consistent"
     plant = ("c", "0", "1", "y", "1", "1", "1") if continuous else STEP
     network = ("ideal",) if kind == "lossy-lqg" else ()
-    needed = {"absolute": 1, "mixed": 2, "send-on-delta": 1, "variance": 1, "downsampled": 3}  # have no usual value
-    more = {"mixed": ("", "0.3"), "downsampled": ("", "", "0.3")}.get(kind, ("0.3",) * needed.get(kind, 0) or ("",) * 4)
+    answers = {"mixed": ("", "0.3"), "downsampled": ("", "", "0.3")}  # the others: numbers without a usual value
+    answers |= dict.fromkeys(("absolute", "send-on-delta", "variance"), ("0.3",))
+    answers |= dict.fromkeys(("event-pid", "event-pid-saturated", "symmetric-send-on-delta"), ("0.3", "0.5 0.05"))
+    more = answers.get(kind, ("",) * 4)
     told = ask((*plant, *network, *more), "--kind", kind)
     assert (told.code, told.err) == (0, "")
     problem = taciturn.load("new.toml")

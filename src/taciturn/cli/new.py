@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from taciturn.design.kind import Kind as PolicyKind
     from taciturn.problem.given import Given
 
+GAINS = "kp, or kp ki, or kp ki kd and the time constant of the derivative's filter"
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
 
 
@@ -37,7 +39,8 @@ def new(
 
     The order of the prompts is: continuous or discrete time, and dt; A; B; whether the whole state is measured, or C
     and V; W; Q; R; the network and its packet dropouts, if no kind is given; the goal, or a policy kind; the parameters
-    of the policy. If answers come from a pipe, the first invalid answer is an error. Scripts should use --from.
+    of the policy. In place of Q and R, you may enter the gains of a PID controller to keep. If answers come from a
+    pipe, the first invalid answer is an error. Scripts should use --from.
     """
     from taciturn._arrays import number
     from taciturn._figure import check_format
@@ -103,7 +106,7 @@ class _Interview:
             chosen = None
         if chosen is not None and chosen.for_dropouts:
             self._ask_network("udp", [chosen])
-        elif chosen is None and not questions.yes:
+        elif chosen is None and not questions.yes and not self.draft.controller:
             self._ask_network("ideal", over_losses())
         while True:
             policy = self._ask_policy(chosen)
@@ -172,7 +175,10 @@ class _Interview:
         self._take("W", f"W, the process noise, {what}: {SQUARE}; {amplitudes}, {after}", "1")
 
     def _ask_cost(self) -> None:
-        self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}", "1")
+        controller = f"or pid and its {GAINS}, to keep this controller, and weights by its present loop"
+        self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}; {controller}", "1")
+        if self.draft.controller:
+            return
         self._take("R", f"R, the input weight, u'Ru: {SQUARE}", "1")
         if self._has("N"):
             self._take("N", "N")
@@ -226,6 +232,9 @@ class _Interview:
 
             question = f"{name}: {chosen.notes.get(name, '')}"
             policy[name] = self.questions.ask(name, question, read, None if usual is None else f"{usual:g}")
+        needs = chosen.keeps_controller and chosen.arguments["controller"].default is inspect.Parameter.empty
+        if needs and not self.draft.controller:
+            self.questions.ask("the controller", f"PID controller: {GAINS}", self.draft.keep_pid)
         return policy | {name: usual for name, usual in chosen.usual.items() if name not in (*needed, *chosen.asked)}
 
     def _ask_kind(self) -> PolicyKind:
@@ -262,6 +271,9 @@ class _Interview:
         if self.given is None or key not in self.given.arrays:
 
             def keep(text: str) -> None:
+                if key == "Q" and text.lower().startswith("pid"):
+                    self.draft.keep_pid(text[len("pid") :])
+                    return
                 stated = parse_noise(key, text, self.draft.plant["B"]) if key in "VW" else parse_matrix(key, text)
                 self.draft.keep(key, stated)
 

@@ -24,11 +24,12 @@ import numpy as np
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import mode_text
+from taciturn._modes import mode_text, radius
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
 
 WIDTH = 1e-6  # accuracy of the critical loss
+GROWTH = 1e-6  # growth per step above which a loop is unstable, although its cost is finite
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,15 +206,16 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
 
 
 def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None:
-    """Return the least value of a repeated pattern, and its time constant in steps; None if it is infinite."""
+    """Return the least value of a repeated pattern, and its time constant in steps; None if the loop is unstable."""
     cycle = _cycle(base, attempts)
     if attempts.losses.any():
-        return _fixed_point.lossy(cycle, attempts.turns)
+        apart = repeated_value(base, attempts.scaled(0.0)) is None
+        return None if apart else _fixed_point.lossy(cycle, attempts.turns)
     F, M = np.eye(len(base.silent)), np.zeros_like(base.stage)
     for fates in cycle:
         _, step, stage = fates[0][0]
         M, F = M + F.T @ stage @ F, step @ F
-    if not np.isfinite(F).all():
+    if not np.isfinite(F).all() or radius(F) > 1 + GROWTH:  # also a mode that the cost does not depend on
         return None
     P, slowest = _fixed_point.least_value(F, symmetrised(M))
     return None if slowest >= 1 else (np.array([P] * len(attempts.losses)), len(cycle) / (1 - slowest))

@@ -24,8 +24,10 @@ from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.operating_point import OperatingPoint
 from taciturn.design.routes import sensor_base
 from taciturn.errors import ProblemError
-from taciturn.model.controller import PID, Controller, PIDLoops, controller_from
+from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
+from taciturn.model.kept import controller_from
+from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Apply, Assign, Decide, Evaluate, Policy, Received, Send, Step
 from taciturn.model.trigger import Form, Trigger
@@ -97,6 +99,8 @@ def design_event_pid(
     kept = controller_from(controller)
     if isinstance(kept, PIDLoops) and len(kept.loops) == 1:
         kept = kept.loops[0]
+    if isinstance(kept, PIDLoops):
+        raise ProblemError(f"the controller has {len(kept.loops)} PID loops; expected one loop with {kind}")
     if not isinstance(kept, PID):
         raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
     if kept.tracking_time is not None:

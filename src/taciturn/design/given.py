@@ -26,9 +26,9 @@ from taciturn.design.step_counter import StepCounter
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import filter_checked
-from taciturn.model.controller import Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
+from taciturn.model.kept import Kept
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step

@@ -13,13 +13,17 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import Filter, filter_checked
 from taciturn.lqg.periodic import Held
-from taciturn.model.controller import Controller, Kept
+from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Disturbance, padded
+from taciturn.model.kept import Kept
 from taciturn.model.plant import ContinuousPlant, Plant
 
-REMEDY = "check the sign of the controller (feedback is u = −K y), its gains and its step"
+REMEDY = (
+    "check the sign of the controller (feedback is u = −K y), its gains, its step, and that no two integrals have the "
+    "same output"
+)
 CONSTANT = (
     "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
     "more than computed"

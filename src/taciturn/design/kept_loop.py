@@ -11,9 +11,10 @@ from taciturn.design.kept import REMEDY, disturbed, note_disturbance
 from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.same_control import SameControl
 from taciturn.lqg.discrete import Discrete
-from taciturn.model.controller import Controller, Kept
+from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
+from taciturn.model.kept import Kept
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import NodeName, Policy, Step
 from taciturn.model.theory import Theory

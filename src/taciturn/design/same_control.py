@@ -15,7 +15,8 @@ from taciturn.design.routes import actuator_base
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.periodic import lift
-from taciturn.model.controller import Controller, Kept
+from taciturn.model.controller import Controller
+from taciturn.model.kept import Kept
 from taciturn.model.plant import Plant
 
 UNSTABLE = "expected fewer steps between packets"

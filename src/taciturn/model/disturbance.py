@@ -19,6 +19,7 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.plant import ContinuousPlant, Plant
 
 USUAL_STEPS = 1000.0  # default time constant in steps
+MOST_STEPS = 1e6  # longest time constant in steps
 USUAL_SHARE = 0.5  # default deviation, relative to the noise of a step as seen at the input
 
 
@@ -83,6 +84,11 @@ class Disturbance(Displayed):
                 f"disturbance.deviation has {len(deviation)} entries; expected {plant.inputs}, one per input"
             )
         T = USUAL_STEPS * step if self.time_constant is None else self.time_constant
+        if MOST_STEPS * step < T:
+            raise ProblemError(
+                f"disturbance.time_constant is {T:g} s, which is {T / step:.4g} steps; expected at most "
+                f"{MOST_STEPS:g} steps, because averages extend over several time constants"
+            )
         return Disturbance(T, np.broadcast_to(deviation, (plant.inputs,)))
 
     def text(self) -> str:

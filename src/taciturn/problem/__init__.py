@@ -32,12 +32,12 @@ from taciturn._pydantic import ValidationError, validate
 from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
-from taciturn.model.controller import Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.energy import PacketEnergy
 from taciturn.model.information import check_network
+from taciturn.model.kept import Kept
 from taciturn.model.network import Burst as Burst
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -47,18 +47,26 @@ from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, refuse_functions
 from taciturn.problem.functions import read_function as read_function
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
-from taciturn.problem.parts import actual_of, controller_of, cost_of, energy_of, expect_argument, network_of, plant_of
-from taciturn.problem.tables import (
-    IDEAL_LINKS,
-    File,
-    first_mistake,
-    suggest,
+from taciturn.problem.parts import (
+    actual_of,
+    controller_of,
+    cost_of,
+    energy_of,
+    expect_argument,
+    expect_network,
+    network_of,
+    plant_of,
 )
 from taciturn.problem.tables import (
     BurstTable as BurstTable,
 )
 from taciturn.problem.tables import (
     ControllerTable as ControllerTable,
+)
+from taciturn.problem.tables import (
+    File,
+    first_mistake,
+    suggest,
 )
 from taciturn.problem.tables import (
     InitialTable as InitialTable,
@@ -341,7 +349,7 @@ def _used(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[st
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
     unusual = [key for key in Network.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
     if unusual:
-        expect_argument(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
+        expect_network(kind, unusual[0])
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
     return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}

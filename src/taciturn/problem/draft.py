@@ -14,23 +14,26 @@ from taciturn._display import Displayed
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.pid import PID
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import parse
-from taciturn.problem.matrices import square_matrix
+from taciturn.problem.matrices import parse_matrix, square_matrix
 from taciturn.problem.written import problem_text
 
 COST = ("Q", "R", "N")
+BY_CONTROLLER = {"weights": "as the controller"}
 
 
 @dataclass(repr=False)
 class Draft(Displayed):
-    """A partly specified problem: the known matrices of a plant and a cost, and a network.
+    """A partly specified problem: the known matrices of a plant and a cost, a network and a controller.
 
     Args:
         dt: seconds per step; 0 for a continuous-time plant.
         plant: matrices A, B, C, V, W by name, in the order in which they were stored.
         cost: matrices Q, R, N by name.
         network: values of the keys of ``[network]``.
+        controller: values of the keys of ``[controller]``.
 
     Example:
         >>> draft = Draft(dt=0.1)
@@ -44,6 +47,7 @@ class Draft(Displayed):
     plant: dict[str, Array] = field(default_factory=lambda: {})
     cost: dict[str, Array] = field(default_factory=lambda: {})
     network: dict[str, Any] = field(default_factory=lambda: {})
+    controller: dict[str, Any] = field(default_factory=lambda: {})
 
     @property
     def continuous(self) -> bool:
@@ -85,6 +89,29 @@ class Draft(Displayed):
         """Return the cost as far as it is known; an unknown weight R is the identity."""
         return self._cost(self.cost)
 
+    def keep_pid(self, text: str) -> None:
+        """Store a PID controller from the text of its gains, ``kp``, ``kp ki`` or ``kp ki kd filter``.
+
+        Raises:
+            ProblemError: if the text contains something else, the gains are invalid, or the plant has several inputs or
+                outputs.
+        """
+        plant = self.made_plant()
+        inputs, outputs = plant.inputs, len(plant.C)
+        if inputs != 1 or outputs != 1:
+            raise ProblemError(
+                f"the plant has {inputs} inputs and {outputs} outputs; expected one of each, or [controller] in the "
+                "file with one PID controller per input"
+            )
+        gains = parse_matrix("the controller", text.replace(",", " ")).ravel().tolist()
+        if len(gains) not in (1, 2, 4):
+            raise ProblemError(
+                f"the controller has {len(gains)} numbers; expected kp, or kp ki, or kp ki kd and the filter's time "
+                "constant"
+            )
+        self.controller["pid"] = dict(zip(("kp", "ki", "kd", "filter"), gains, strict=False))
+        PID(**self.controller["pid"])
+
     def fits(self, kind: Kind) -> bool:
         """Return whether a policy kind accepts this plant and cost, according to a quick check."""
         try:
@@ -99,6 +126,8 @@ class Draft(Displayed):
         Raises:
             ProblemError: if the check of the kind refuses the plant or the cost.
         """
+        if self.controller and not kind.keeps_controller:
+            raise ProblemError(f"{kind.name} keeps no controller; expected another kind, such as excess")
         if kind.check is not None:
             kind.check(self.made_plant(), self.made_cost())
 
@@ -114,9 +143,11 @@ class Draft(Displayed):
             UnstableError: if no stabilising gain exists.
         """
         step = {} if self.continuous else {"dt": self.dt}
-        tables: dict[str, Any] = {"plant": {**step, **self.plant}, "cost": self.cost, "policy": policy}
+        tables: dict[str, Any] = {"plant": {**step, **self.plant}, "cost": self.cost or BY_CONTROLLER, "policy": policy}
         if self.network:
             tables["network"] = self.network
+        if self.controller:
+            tables["controller"] = self.controller
         text = problem_text(tables, name)
         parse(tomllib.loads(text), name).designed()
         return text
@@ -134,4 +165,7 @@ class Draft(Displayed):
         return Plant(A, B, W, C, V, self.dt)
 
     def _cost(self, known: Mapping[str, Array]) -> Cost:
+        if not known and self.controller:  # weights by the controller's loop: here only outputs and inputs
+            C = self.made_plant().C
+            return Cost(C.T @ C, np.eye(self.plant["B"].shape[1]))
         return Cost(known["Q"], known.get("R", np.eye(self.plant["B"].shape[1])), known.get("N"))

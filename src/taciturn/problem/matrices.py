@@ -77,18 +77,21 @@ def parse_noise(name: str, text: str, B: Array) -> Array:
     place, sign, amplitudes = text.replace("+-", "±").partition("±")
     if not sign:
         return parse_matrix(name, text)
-    deviations = parse_matrix(f"the deviations of {name}", amplitudes)
+    if not amplitudes.strip():
+        raise ProblemError(f"{name} has no deviation after ±; expected numbers, such as ± 0.1 0.2")
+    deviations = parse_matrix(f"the vector of deviations of {name}", amplitudes)
     at_inputs = place.strip().lower() in ("input", "inputs")
     if (place.strip() and not at_inputs) or (at_inputs and name != "W"):
         raise ProblemError(f"{name} is {quoted(text)}; expected a matrix, ± 0.1 0.2, or for W also inputs ± 0.3")
     if (deviations < 0).any() or 1 not in deviations.shape:
         raise ProblemError(f"the deviations of {name} are {quoted(amplitudes)}; expected numbers of at least 0")
-    squares = deviations.ravel() ** 2
+    each = deviations.ravel()
     if not at_inputs:
-        return squares[None]
-    if squares.size not in (1, B.shape[1]):
-        raise ProblemError(f"{squares.size} deviations at inputs are given; expected one, or {B.shape[1]}")
-    return (B * squares) @ B.T
+        return each[None] ** 2
+    if each.size not in (1, B.shape[1]):
+        expected = "one" if B.shape[1] == 1 else f"one, or {B.shape[1]}"
+        raise ProblemError(f"{name} has {each.size} deviations at inputs; expected {expected}")
+    return (B * each) @ (B * each).T
 
 
 def square_matrix(name: str, value: ArrayLike, size: int) -> Array:

@@ -9,20 +9,22 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kept import cost_as_kept
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
-from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
+from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.energy import PacketEnergy
+from taciturn.model.kept import Kept
 from taciturn.model.network import Burst, Network
+from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.problem.functions import read_function
 from taciturn.problem.given import read_controller
 from taciturn.problem.tables import (
-    IDEAL_LINKS,
     BurstTable,
     ControllerTable,
     CostTable,
@@ -39,6 +41,27 @@ def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
     """Raise a ``ProblemError`` if the policy kind takes no argument of this name from a table."""
     if name not in kind.tables:
         raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
+
+
+def expect_network(kind: Kind, key: str) -> None:
+    """Raise a ``ProblemError`` if the policy kind is not designed for networks, such as those with losses.
+
+    Args:
+        kind: the policy kind.
+        key: the key of ``[network]`` that is given.
+    """
+    if "network" in kind.tables:
+        return
+    kept = kind.keeps_controller
+    others = [one.name for one in map(CATALOGUE.__getitem__, CATALOGUE) if "network" in one.tables]
+    able = [name for name in others if CATALOGUE[name].keeps_controller or not kept]
+    expect_argument(
+        kind,
+        "network",
+        f"network.{key}",
+        f"ideal links: remove it, or use {' or '.join(able)}, which {'keeps the controller and ' * kept}uses the "
+        "network; `taciturn network FILE --loss P` drops packets of policies of any kind",
+    )
 
 
 def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:
@@ -138,9 +161,19 @@ def controller_of(table: ControllerTable) -> Kept:
     dt = None
     if table.file is not None:
         stated, dt = read_controller(table.file)
-    if "D" not in stated and not {"A", "B", "C"} <= stated.keys():
+    if not stated:
         raise ProblemError(
             "[controller] has no controller; expected pid, file, or A, B, C and D, or D alone, a static gain"
+        )
+    missing = [name for name in "ABC" if name not in stated]
+    if missing and stated.keys() != {"D"}:
+        raise ProblemError(
+            f"the controller has {', '.join(stated)} and no {', '.join(missing)}; expected A, B, C and D, or D "
+            "alone, a static gain"
+        )
+    if missing and table.method is not None:
+        raise ProblemError(
+            "controller.method is given with D alone, which does not depend on the step; expected D only"
         )
     found = {name: np.asarray(value, dtype=np.float64) for name, value in stated.items()}
     m, p = found["D"].shape if "D" in found else (len(found["C"]), found["B"].shape[1])
@@ -167,7 +200,7 @@ def network_of(table: NetworkTable | None, kind: Kind) -> Network:
         return Network()
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
-        expect_argument(kind, "network", f"network.{lost[0]}", IDEAL_LINKS)
+        expect_network(kind, lost[0])
     return Network(
         cast("Any", table.protocol),
         table.actuator_loss,

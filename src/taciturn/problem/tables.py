@@ -12,10 +12,6 @@ from taciturn._display import Displayed
 from taciturn._pydantic import ValidationError
 
 Rows = list[list[float]]
-IDEAL_LINKS = (
-    "ideal links: remove it, or use the kind lossy-lqg, which is designed for lossy links; "
-    "`taciturn network FILE --loss P` drops packets of policies of any kind"
-)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

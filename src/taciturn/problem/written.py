@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from textwrap import wrap
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     """Return a problem file with its comments.
 
     Args:
-        tables: the tables plant, cost, policy and, optionally, network of the file.
+        tables: the tables plant, cost, policy and, optionally, network and controller of the file.
         name: name of the file, for the commands in its first lines.
 
     Returns:
@@ -56,8 +56,17 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     lines += _table(plant, about)
     lines += _offered({"input_limit": ("[…]", "symmetric limit of each input; with a limit, no guarantee is shown")})
     lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
-    about = {"Q": "weight of the state", "R": "weight of the input", "N": "cross weight"}
+    about = {
+        "Q": "weight of the state",
+        "R": "weight of the input",
+        "N": "cross weight",
+        "weights": "equal weight for the present variances of outputs and inputs; or Q and R",
+    }
     lines += _table(tables["cost"], about)
+    if "controller" in tables and "Q" in tables["cost"]:
+        lines += _offered(
+            {"weights": ('"as the controller"', "in place of Q and R: equal weight for present variances")}
+        )
     if "horizon" in kind.costs:
         lines += _offered({"horizon": ("60", "steps of a finite-horizon run; without this key the cost is an average")})
     if "network" in tables:
@@ -69,6 +78,12 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
             "delay": "steps from a measurement to the input that uses it: 0 or 1",
         }
         lines += _table(tables["network"], about)
+    if "controller" in tables:
+        lines += ["", "# the controller to keep: u = −K y", "[controller]"]
+        lines += _table(
+            tables["controller"], {"pid": "gains; ki per second, kd and the filter's time constant in seconds"}
+        )
+        lines += _offered({"disturbance": ('"none"', "slow disturbance at each input, which an integral compensates")})
     lines += ["", *_comment(kind.about), "[policy]"]
     lines += _table(policy, kind.notes)
     lines += _offered(_optional(kind, policy, continuous))
@@ -102,6 +117,9 @@ def _optional(kind: Kind, given: Mapping[str, Any], continuous: bool) -> dict[st
 def _value(value: object) -> str:
     if isinstance(value, bool | str):
         return f'"{value}"' if isinstance(value, str) else str(value).lower()
+    if isinstance(value, Mapping):
+        entries = ", ".join(f"{key} = {_value(one)}" for key, one in cast("Mapping[str, object]", value).items())
+        return f"{{{entries}}}"
     if isinstance(value, int | float):
         return exact_number_text(value)
     return matrix_text(np.asarray(value))

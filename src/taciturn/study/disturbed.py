@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from taciturn._display import Displayed
+from taciturn._progress import Progress, Stages
 from taciturn.design.certainty import SEND
 from taciturn.design.kinds.excess import excess
+from taciturn.design.same_control import SameControl
 from taciturn.loop import close
+from taciturn.lqg.kalman import filter_checked
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Decide, Policy
@@ -19,8 +23,11 @@ from taciturn.model.trigger import Form, Trigger
 from taciturn.problem import Problem
 from taciturn.simulation.average import average
 from taciturn.simulation.sampling import Averages
+from taciturn.study.measure import Request
 
 ACCURACY = 1e-3  # standard error relative to the cost of sending every sample
+ALIKE = 1e-9  # relative difference of two costs that are equal up to rounding
+NEVER = 1e150  # a cost of silence above that of any packet
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,61 +39,92 @@ class AfterStep(Displayed):
         cost: cost of the policy.
         cost_all_time: cost of the same control if it sends every sample, under the same disturbance.
         rates: sends per step or per second, by scheduled link.
+        settled: whether the transient has decayed within the steps.
     """
 
     size: tuple[float, ...]
     cost: Estimate
     cost_all_time: Estimate
     rates: Mapping[str, Estimate]
+    settled: bool = True
 
     def document(self) -> dict[str, Any]:
         """Return the part of the JSON document of ``taciturn evaluate --json``."""
         costs = {"cost": self.cost, "cost_all_time": self.cost_all_time}
         found: dict[str, Any] = {name: cost.document("value", "standard_error") for name, cost in costs.items()}
         rates = {link: rate.document("value", "standard_error") for link, rate in self.rates.items()}
-        return {"size": list(self.size), **found, "rates": rates}
+        return {"size": list(self.size), **found, "rates": rates, "settled": self.settled}
 
     def text(self, unit: str) -> str:
         """Return the averages as one sentence."""
         size = ", ".join(f"{value:.4g}" for value in self.size)
         rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
-        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {rates}"
+        late = "" if self.settled else "; the transient has not decayed: more steps are required"
+        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {rates}{late}"
 
 
-def averages_after_step(problem: Problem, policy: Policy, seed: int) -> AfterStep | None:
-    """Return the averages after a step of the disturbance that the policy assumes, or None if it assumes none."""
+def averages_after_step(
+    problem: Problem, policy: Policy, request: Request, progress: Progress | None = None
+) -> AfterStep | None:
+    """Return the averages after a step of the disturbance that the policy assumes, or None if it assumes none.
+
+    Args:
+        problem: the problem.
+        policy: its policy.
+        request: seed and steps; a standard error applies if it is larger than 0.1 % of the cost of every sample.
+        progress: callback that receives the fraction done.
+    """
     assumed = policy.disturbance
     if assumed is None or assumed.deviation is None:
         return None
-    plant, cost = problem.actual or problem.plant, problem.cost
+    plant, cost, told = problem.actual or problem.plant, problem.cost, Stages(progress)
     if isinstance(plant, Plant) and plant.states == policy.model.states:  # a policy without a problem: its own model
         plant = assumed.removed_from(plant)
     plant = assumed.stepped(plant)
+    target = max(ACCURACY * policy.cost_all_time, request.standard_error or 0.0)
+    settling = _settling(policy, assumed)
 
-    def averaged(policy: Policy) -> Averages:
-        loop = close(plant, policy, problem.network, cost)
-        return average(loop, seed=seed, standard_error=ACCURACY * policy.cost_all_time)
+    def averaged(policy: Policy, progress: Progress) -> Averages:
+        policy = replace(policy, theory=replace(policy.theory, settling=settling))
+        loop, error = close(plant, policy, problem.network, cost), None if request.steps else target
+        return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
 
-    found, always = averaged(policy), averaged(_with_every_sample(problem, policy))
+    found = averaged(policy, told.stage(0.0, 0.5))
+    always = averaged(_with_every_sample(problem, policy), told.stage(0.5, 1.0))
     size = tuple(float(value) for value in np.atleast_1d(assumed.deviation))
-    return AfterStep(size, found.cost, always.cost, found.rates)
+    return AfterStep(size, found.cost, always.cost, found.rates, found.settled and always.settled)
+
+
+def _settling(policy: Policy, assumed: Disturbance) -> float:
+    """Return the time constant of the loop in steps, apart from that of the disturbance, constant after a step."""
+    periodic, model = policy.theory.periodic, policy.model
+    if not isinstance(periodic, SameControl) or policy.theory.settling == 0:
+        return policy.theory.settling
+    base, n = periodic.base, model.states - model.inputs
+    modes = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K))
+    own = np.argsort(np.abs(modes - abs(model.A[n, n])))[: model.inputs]
+    filtered = filter_checked(model.A, model.C, model.W, model.V).slowest
+    return 1 / (1 - max(filtered, *np.delete(modes, own)))
 
 
 def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
-    """Return the same controller with a packet at every sample; some rules, such as levels of the output, have none."""
+    """Return the same control with a packet at every sample."""
     if problem.controller is None:
         return sends_every_sample(policy)
     period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
-    return sends_every_sample(
-        excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller)
-    )
+    kept = excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller)
+    plain = abs(kept.cost_all_time - policy.cost_all_time) <= ALIKE * kept.cost_all_time
+    return sends_every_sample(kept if plain else policy)  # some rules compute otherwise than the controller
 
 
 def sends_every_sample(policy: Policy) -> Policy:
     """Return the policy with triggers that always send."""
-    always = Trigger({"silent": Form(constant=1.0), SEND: Form()})
+
+    def always(trigger: Trigger) -> Trigger:
+        return Trigger({**trigger.options, "silent": Form(constant=NEVER)})
+
     steps = tuple(
-        replace(step, trigger=always) if isinstance(step, Decide) and step.decision == SEND else step
+        replace(step, trigger=always(step.trigger)) if isinstance(step, Decide) and step.decision == SEND else step
         for step in policy.steps
     )
     return replace(policy, steps=steps)

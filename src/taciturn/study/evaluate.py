@@ -33,6 +33,7 @@ from taciturn.study.units import cost_unit, rate_unit
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
 SURE = 4.0  # standard errors
+AFTER_STEP = 0.3  # share of the progress for the averages after a step
 
 
 def evaluate(
@@ -131,7 +132,8 @@ def _evaluated(
         if precision != "float64":
             raise ProblemError(f"precision is {precision!r}; expected 'float64' for {policy.kind} without a period")
         return _events(problem, policy, request, told)
-    first = told if confidence is None else told.stage(0.0, 0.5)
+    share = AFTER_STEP if after_step and isinstance(policy, Policy) and policy.disturbance is not None else 0.0
+    first = told.stage(0.0, 1.0 - share if confidence is None else 0.5)
     if isinstance(policy, OptimalPolicy):
         loop = problem.close(policy.looked_at)
         measured, certified = measure_optimum(loop, policy.price, request, first), None
@@ -145,7 +147,9 @@ def _evaluated(
     if confidence is not None:
         resets(loop)
         try:
-            lower = bounded(loop, found.rates[policy.scheduled[0]], confidence, request.seed, told.stage(0.5, 1.0))
+            lower = bounded(
+                loop, found.rates[policy.scheduled[0]], confidence, request.seed, told.stage(0.5, 1.0 - share)
+            )
         except ProblemError as error:
             notes += (f"no lower bound: {error}",)
         except OutOfTime:
@@ -156,6 +160,12 @@ def _evaluated(
         certified = (pace * certified[0], pace * certified[1])
         notes += contradicted(per_tick.scaled(pace), certified, rate_unit(cost_unit(problem)))
     fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
+    stepped = None
+    if after_step:
+        try:
+            stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0))
+        except OutOfTime:
+            notes += (f"no averages after a step: the time limit of {request.time_limit:g} s passed",)
     compared = loop.nominal and per_tick.value > 0 and _predicts(policy)
     return Evaluation(
         policy=policy.kind,
@@ -186,7 +196,7 @@ def _evaluated(
         bound_error=0.0 if guarantee is None else abs(guarantee.per_silence) * per_tick.standard_error,
         method=measured.method,
         reason=measured.reason,
-        after_step=averages_after_step(problem, policy, request.seed) if after_step else None,
+        after_step=stepped,
     )
 
 

@@ -14,8 +14,8 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import route_over
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
-from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
+from taciturn.model.kept import controller_from
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, Policy, Received, Send
 from taciturn.model.trigger import Form, Trigger

@@ -15,8 +15,8 @@ from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import nonempty, sensor_base
 from taciturn.errors import ProblemError
-from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
+from taciturn.model.kept import controller_from
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Apply, Assign, Decide, Policy, Received, Send
 from taciturn.model.trigger import Form, Trigger
