@@ -149,6 +149,24 @@ MISSIONS: Mapping[str, Build] = {
     "lossy udp, delayed, 30 steps": lossy("udp", 1, horizon=30),
     "lossy tcp, delayed, 30 steps": lossy("tcp", 1, horizon=30),
 }
+BURSTS = {"to_bad": 0.05, "to_good": 0.3, "loss_good": 0.02, "loss_bad": 0.8}
+KEEPING: Mapping[str, Mapping[str, object]] = {
+    "kept": {},
+    "kept, predicted from the sensor": {"link": "sensor", "actuation": "model"},
+    "kept, every second step": {"every": 2},
+    "kept over bursts": {"network.protocol": "tcp", "network.actuator_burst": BURSTS, "retry": True},
+    "kept, predicted over losses": {
+        "network.protocol": "tcp", "network.sensor_loss": 0.2, "link": "sensor", "actuation": "model",
+    },
+    "kept, limited at a set-point": {
+        "controller.pid.setpoint": 2.0, "controller.pid.tracking_time": 2.0, "plant.input_limit": [0.8],
+    },
+    "kept by send-on-delta": {"kind": "send-on-delta", "theta": None, "delta": 0.1, "link": "actuator"},
+    "event-pid": {"kind": "event-pid", "theta": None, "delta": 0.05, "longest": 3.0},
+    "event-pid-saturated": {"kind": "event-pid-saturated", "theta": None, "delta": 0.05},
+    "symmetric-send-on-delta": {"kind": "symmetric-send-on-delta", "theta": None, "delta": 0.05},
+}  # fmt: skip
+"""Changes of the built-in problem ``pid-tank``, whose controller every policy keeps."""
 POLICIES: Mapping[str, Build] = {**BASELINES, **STATIONARY, **UNPROVED, **MISSIONS}
 GUARANTEED = (*STATIONARY, *MISSIONS)
 CLOSED_FORM = (*BASELINES, "stochastic model", *(name for name in GUARANTEED if "at the actuator" in name))

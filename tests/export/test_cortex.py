@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from catalogue import KEEPING
 from counts import few
 from runtime.loops import by_hand
 
@@ -33,7 +34,7 @@ from taciturn_boards.cortex import M3, M4F, Counts, EmulatedBoard, Main
 from taciturn_boards.processor import NodeOnBoard
 
 ROOT = Path(__file__).parent.parent.parent
-POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it
+POLICIES: dict[str, tuple[str, Mapping[str, object]]] = {  # problem, and what is changed in it
     "chapter 2": ("two-mass-lqg", {}),
     "chapter 2, model": ("two-mass-lqg", {"actuation": "model"}),
     "chapter 2, drawn": ("two-mass-lqg", {"kind": "stochastic", "theta": None}),
@@ -44,6 +45,7 @@ POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is c
     "chapter 7": ("lossy-double-integrator", {}),
     "chapter 7, average": ("lossy-double-integrator", {"cost.horizon": None}),
     "chapter 7, told": ("lossy-double-integrator", {"network.protocol": "tcp"}),
+    **{name: ("pid-tank", changes) for name, changes in KEEPING.items()},
 }
 ORDINARY = ("chapter 2", "chapter 2, model", "chapter 2, drawn", "chapter 5", "chapter 3, scalar", "chapter 7, told")
 SINGLE = ("chapter 2", "chapter 7")

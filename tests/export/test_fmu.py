@@ -23,7 +23,7 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from parity.loops import with_functions
-from runtime.test_nodes import CONTINUOUS
+from runtime.test_nodes import PARTICULAR
 from runtime.test_nodes import build as build_loop
 from systems import make_system
 
@@ -324,7 +324,7 @@ def test_the_licence_that_units_carry_is_that_of_the_project() -> None:
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+@pytest.mark.parametrize("name", [*POLICIES, *PARTICULAR])
 def test_units_decide_as_the_loop_for_100_000_ticks(name: str, tmp_path: Path) -> None:
     """Every policy with a step: valid, and 100,000 steps in a row have every decision and every bit of the loop."""
     loop = build_loop(name)

@@ -19,7 +19,7 @@ from export.devices import STRICT, needs_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
-from runtime.test_nodes import CONTINUOUS, build
+from runtime.test_nodes import PARTICULAR, build
 from systems import System, make_system, systems
 
 import taciturn
@@ -81,7 +81,7 @@ def test_nodes_in_c_decide_as_the_design(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+@pytest.mark.parametrize("name", [*POLICIES, *PARTICULAR])
 def test_nodes_in_c_decide_as_the_design_for_100_000_ticks(name: str, tmp_path: Path) -> None:
     """Every policy with a step, by gcc and clang, optimised or not: the bits of the build that has those of NumPy."""
     loop = build(name)

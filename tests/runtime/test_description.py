@@ -10,7 +10,7 @@ import pytest
 from catalogue import POLICIES
 from counts import few
 from runtime.described import DescribedNode, Sent
-from runtime.test_nodes import CONTINUOUS, build
+from runtime.test_nodes import PARTICULAR, build
 
 from taciturn.model.places import roles
 from taciturn.model.wire import KINDS, LINKS
@@ -24,7 +24,7 @@ def plain(packet: Packet) -> Sent:
     return Sent(KINDS.index(packet.kind), LINKS.index(packet.link), packet.tick, packet.values)
 
 
-@pytest.mark.parametrize("name", few([*POLICIES, *CONTINUOUS], 8))
+@pytest.mark.parametrize("name", few([*POLICIES, *PARTICULAR], 8))
 def test_nodes_are_rebuilt_from_their_description(name: str) -> None:
     """Over 60 steps with the same packets, all packets and inputs are equal, also those of random draws."""
     loop, seed = build(name), 5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from catalogue import POLICIES, closed
+from catalogue import KEEPING, POLICIES, closed
 from counts import few
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -31,10 +31,14 @@ CONTINUOUS = {
     "near-optimal, predicted": lambda: design.near_optimal(TWO_STATES, WEIGHTS, price=0.2, period=0.1),
     "lqg, sampled": lambda: design.lqg(NOISY, WEIGHTS, theta=0.2, period=0.1, actuation="model"),
 }
+PARTICULAR = (*CONTINUOUS, *KEEPING)
 
 
 def build(name: str) -> Loop:
-    """Return the loop of a policy of the catalogue on a random plant, or of one for continuous plants."""
+    """Return the loop of a policy of the catalogue on a random plant, or of one for a particular plant."""
+    if name in KEEPING:
+        problem = taciturn.load("pid-tank").changed(dict(KEEPING[name]))
+        return problem.close(problem.design())
     if name in CONTINUOUS:
         policy = CONTINUOUS[name]()
         return taciturn.close(NOISY if "lqg" in name else TWO_STATES, policy)
@@ -50,14 +54,14 @@ def assert_same(loop: Loop, ticks: int, seed: int, fast: bool) -> None:
     assert packets > 0
 
 
-@pytest.mark.parametrize("name", few([*POLICIES, *CONTINUOUS], 9))
+@pytest.mark.parametrize("name", few([*POLICIES, *PARTICULAR], 9))
 def test_nodes_decide_as_the_numpy_program(name: str) -> None:
     """Every policy with a step: 200 steps against NumPy itself."""
     assert_same(build(name), 200, 3, fast=False)
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+@pytest.mark.parametrize("name", [*POLICIES, *PARTICULAR])
 def test_nodes_decide_as_the_program_for_100_000_ticks(name: str) -> None:
     """Every policy with a step: 100,000 steps in a row, against the build that has the bits of NumPy."""
     assert_same(build(name), 100_000, 4, fast=True)
