@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
 from collections.abc import Callable
@@ -43,6 +44,7 @@ class Answer:
 
 
 Run = Callable[..., Answer]
+Ask = Callable[..., Answer]
 Write = Callable[..., str]
 Once = Callable[[str], None]
 command_of = cache(typer.main.get_command)  # built for each call it would be most of what a refusal takes
@@ -63,6 +65,20 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         return Answer(code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture
+def ask(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ask:
+    """Return the function that runs ``taciturn new new.toml`` with options, and answers from a pipe."""
+    monkeypatch.chdir(tmp_path)
+
+    def ask(answers: tuple[str, ...], *options: str, patient: bool = False) -> Answer:
+        typed = io.StringIO("".join(f"{answer}\n" for answer in answers))
+        monkeypatch.setattr(typed, "isatty", lambda: patient)
+        monkeypatch.setattr(sys, "stdin", typed)
+        return run("new", "new.toml", *options)
+
+    return ask
 
 
 @pytest.fixture

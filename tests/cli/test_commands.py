@@ -129,7 +129,7 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         ("thet=1", "the changed problem: policy.thet is not a parameter of lqg; expected one of theta, period,"),
         ("theta=0.1,-1", "the changed problem: policy.theta is -1; expected 0 ≤ theta"),
         ("theta=nan", "the changed problem: policy.theta is nan; expected a finite number"),
-        ("theta=true", "the changed problem: policy.theta is 'true'; expected a number"),
+        ("theta=true", "the changed problem: policy.theta is True; expected a number"),
         ("theta=0.1,a", "the changed problem: policy.theta is 'a'; expected a number"),
         ("trigger=joint,sep", "the changed problem: policy.trigger is 'sep'; expected 'joint' or 'separate'"),
         ("kind=nonsense", "the changed problem: policy.kind is 'nonsense'; expected one of absolute, all-time"),

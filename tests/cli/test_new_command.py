@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import pty
 import select
@@ -10,13 +9,12 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli.conftest import Answer, Run
+from cli.conftest import Ask, Run
 from numpy.typing import ArrayLike
 from terminals import in_a_terminal
 
@@ -26,25 +24,8 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.problem.draft import Draft
 from taciturn.problem.suggested import offered_kinds
 
-Ask = Callable[..., Answer]
 WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
 STEP = ("discrete", "0.5", "1.1", "1", "yes", "0.1", "2", "1")  # a scalar, as far as its cost
-
-ORDINARY = ("periodic", "remote-lqg", "consistent", "mixed", "downsampled", "stochastic")  # one of each sort
-
-
-@pytest.fixture
-def ask(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ask:
-    """Return the function that runs ``taciturn new new.toml`` with options, and answers from a pipe."""
-    monkeypatch.chdir(tmp_path)
-
-    def ask(answers: tuple[str, ...], *options: str, patient: bool = False) -> Answer:
-        typed = io.StringIO("".join(f"{answer}\n" for answer in answers))
-        monkeypatch.setattr(typed, "isatty", lambda: patient)
-        monkeypatch.setattr(sys, "stdin", typed)
-        return run("new", "new.toml", *options)
-
-    return ask
 
 
 def test_answers_become_a_file_that_evaluate_runs(ask: Ask, run: Run) -> None:
@@ -129,20 +110,6 @@ def test_lossy_links_are_asked_for_and_have_their_policy(ask: Ask) -> None:
     assert f"{problem.parameters['price']:.1g}" == f"{problem.parameters['price']:g}"
 
 
-def test_a_pid_controller_in_place_of_weights_is_kept(ask: Ask) -> None:
-    """With weights by its loop, and only the kinds that keep a controller."""
-    plant = ("d", "0.1", "[1 0.1; 0 0.9]", "[0; 0.1]", "n", "[1 0]", "± 0.03", "inputs ± 0.2")
-    told = ask((*plant, "pid 1.2 0.15 1 0.5", "", "0.1"))
-    assert told.code == 0
-    assert "lqg" not in told.out.partition("What is the goal")[0].rpartition("excess")[2]
-    problem = taciturn.load("new.toml")
-    assert (problem.kind, problem.controller) == ("excess", taciturn.PID(1.2, 0.15, 1.0, 0.5))
-    assert problem.designed().cost_all_time == pytest.approx(2.0)  # one for each variance
-    Path("new.toml").unlink()
-    told = ask((*plant, "pid 1.2 0.15 1"))
-    assert (told.code, "the controller has 3 numbers; expected kp, or kp ki" in told.err) == (2, True)
-
-
 def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
     """C and V; a V of 0 is exact measurement and is not written."""
     answers = ("c", "[0 1; 0 0]", "[0; 1]", "n", "[1 0]", "0.01", "1", "1", "1", "", "1", "0.1", "0.1")
@@ -152,30 +119,6 @@ def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
     Path("new.toml").unlink()
     assert ask(tuple("0" if answer == "0.01" else answer for answer in answers)).code == 0
     assert "V" not in tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["plant"]
-
-
-@pytest.mark.parametrize(
-    "kind",
-    [
-        kind if kind in ORDINARY else pytest.param(kind, marks=pytest.mark.evidence)
-        for kind in sorted(set(CATALOGUE) - {"integral"})  # whose fixed point takes seconds
-    ],
-)
-def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
-    """What it must be told is asked; what is written is designed before it is."""
-    continuous = kind == "consistent"
-    plant = ("c", "0", "1", "y", "1", "1", "1") if continuous else STEP
-    network = ("ideal",) if kind == "lossy-lqg" else ()
-    answers = {"mixed": ("", "0.3"), "downsampled": ("", "", "0.3")}  # the others: numbers without a usual value
-    answers |= dict.fromkeys(("absolute", "send-on-delta", "variance"), ("0.3",))
-    answers |= dict.fromkeys(("event-pid", "event-pid-saturated", "symmetric-send-on-delta"), ("0.3", "0.5 0.05"))
-    more = answers.get(kind, ("",) * 4)
-    told = ask((*plant, *network, *more), "--kind", kind)
-    assert (told.code, told.err) == (0, "")
-    problem = taciturn.load("new.toml")
-    assert problem.kind == kind
-    assert "What matters" not in told.out
-    assert problem.designed().kind == kind
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def expect_network(kind: Kind, key: str) -> None:
         kind,
         "network",
         f"network.{key}",
-        f"ideal links: remove it, or use {' or '.join(able)}, which {'keeps the controller and ' * kept}uses the "
+        f"ideal links: remove it, or use {' or '.join(able)}, which {'keep the controller and ' * kept}use the "
         "network; `taciturn network FILE --loss P` drops packets of policies of any kind",
     )
 
