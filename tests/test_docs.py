@@ -26,15 +26,32 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 DRAWN = {path for path in EXAMPLES if "savefig(" in path.read_text(encoding="utf-8")}  # the site's gallery runs them
-LONG = {  # examples that take more than three seconds in reduced counts, and pages that take more than six
+LONG = {  # pages, notebooks and examples that take more than two seconds in reduced counts
+    "a_controller_in_c",
     "a_loop_over_udp_that_loses_packets",
     "a_robot_tracked_by_a_camera",
+    "baselines",
     "certificates",
+    "channels",
+    "choose-a-policy",
+    "command-line",
+    "comparison",
     "consistency",
     "devices",
+    "fmu",
+    "from-python-control",
     "how_many_loops_share_a_radio",
+    "keep-your-pid",
+    "network",
+    "operations",
+    "over-a-lossy-network",
+    "own-policy",
+    "remote-sensing",
     "scheduling",
+    "sweeps",
     "which_policy_costs_least_at_half_the_traffic",
+    "will_it_settle_whatever_the_spring",
+    "your-first-policy",
 }
 MODULES = sorted(
     ".".join(path.relative_to(ROOT / "src").with_suffix("").parts)
@@ -62,6 +79,13 @@ REDUCED = {
     "devices": {"for board in (cortex.M3, cortex.M4F)": "for board in (cortex.M3,)"},
     "first-hour": {'"theta": [0.01, 0.05, 0.2, 0.6]': '"theta": [0.05, 0.6]', "steps=20_000_000": "steps=2_000_000"},
     "how_many_loops_share_a_radio": {"RADIO, MORE = 10, 1.2": "RADIO, MORE = 4, 1.2"},
+    "keep-your-pid": {
+        "standard_error=1e-3": "standard_error=3e-2",
+        "standard_error=1e-2": "standard_error=5e-2",
+        '"theta": [0.0, 0.3, 1.0]': '"theta": [0.3]',
+        "for windup in (None, 1.0)": "for windup in (1.0,)",
+        "ticks=200": "ticks=50",
+    },
     "lossy-links": {"steps=20_000_000": "steps=2_000_000", "steps=10_000_000": "steps=1_000_000"},
     "network": {"steps=1_000_000": "steps=100_000"},
     "remote-sensing": {"steps=10_000_000": "steps=1_000_000"},
@@ -119,7 +143,7 @@ def test_every_page_runs(
         pytest.skip(f"NOT SHOWN: a part of the page {path.stem}; {reasons[0]}")
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", in_time(NOTEBOOKS), ids=lambda path: path.stem)
 def test_every_notebook_runs_and_prints_the_stored_lines(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,7 @@ def run(file: Path, what: str) -> str:
     return done.stdout.decode(errors="replace")
 
 
+@pytest.mark.evidence
 def test_the_package_runs_without_what_windows_lacks(file: Path) -> None:
     """Every module is imported, a cost is measured, and nodes in threads have the costs of nodes without sockets."""
     said = run(file, "begin")

@@ -151,6 +151,7 @@ def small(theta: float) -> Switched:
     return switched(closed(design.lqg(system.plant, system.cost, theta=theta)))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("loop_of", [small, pytest.param(two_masses, marks=pytest.mark.evidence)])
 def test_a_larger_theta_proves_less(loop_of: Callable[[float], Switched]) -> None:
     """Decay, gain and cost bound grow with θ, from those of sending every sample on."""

@@ -145,6 +145,7 @@ def test_a_comparison_that_cannot_be_is_one_sentence(run: Run, files: list[str],
     assert words in answer.sentence
 
 
+@pytest.mark.evidence
 def test_tune_seeks_the_period_of_the_looks(run: Run, once: Once, tmp_path: Path) -> None:
     """A table of what was tried, then the best; the document has all of it."""
     once("taciturn.study.tuning.periods.tune_period")

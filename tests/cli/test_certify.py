@@ -35,6 +35,7 @@ def test_certify_prints_one_document(run: Run, write: Write) -> None:
     assert document["decay_all_time"] <= document["decay"] < 1
 
 
+@pytest.mark.evidence
 def test_a_threshold_leaves_a_residual(run: Run, write: Write) -> None:
     """The lines name what the constants of the trigger leave."""
     answer = run("certify", write(policy='[policy]\nkind = "absolute"\nthreshold = 0.2\n'))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 PLANT = "[plant]\nA = [[0, 1], [0, 0]]\nB = [[0], [1]]\n"
 
 
+@pytest.mark.evidence
 @pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
 def test_the_next_command_passes_beside_files_of_one_s_own(run: Run, tmp_path: Path) -> None:
     """The whole way, as the page has it; a program in the folder is no part of the self-check."""
@@ -36,6 +37,7 @@ def test_the_next_command_passes_beside_files_of_one_s_own(run: Run, tmp_path: P
     assert "every bit of the input agrees" in done.stdout
 
 
+@pytest.mark.evidence
 def test_what_double_precision_is_on_a_cortex_is_told(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -54,6 +56,7 @@ def test_an_export_is_told(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert [line.split()[0] for line in answer.out.splitlines()[:3]] == ["policy", "sensor", "self-check"]
 
 
+@pytest.mark.evidence
 @pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
 def test_sizes_are_those_of_a_cortex_or_of_this_machine_or_none(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -76,6 +79,7 @@ def test_sizes_are_those_of_a_cortex_or_of_this_machine_or_none(
     assert "arm-none-eabi-gcc fails (this is no C); correct the reported cause" in refused.err
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("version", few(["3.0", "2.0"], 1, 1))
 def test_two_masses_become_a_unit(run: Run, once: Once, version: str, tmp_path: Path) -> None:
     """Of either version; what it does is tested elsewhere."""

@@ -153,6 +153,7 @@ def test_none_takes_a_key_away() -> None:
     assert problem.network.loss("actuator") == pytest.approx(1 / 6)
 
 
+@pytest.mark.evidence
 def test_a_tradeoff_has_a_clock_of_the_same_actuation(run: Run) -> None:
     """Also where the actuator predicts and outputs are measured, of a continuous plant and of a discrete one."""
     rough = ("--standard-error", "1e-2", "--confidence", "0")

@@ -115,6 +115,7 @@ def test_a_port_in_use_and_a_foreign_state_are_refused(run: Run, tmp_path: Path)
         assert "state" in run("node", "actuator", "two-mass-lqg", "--plant", ":9", "--state", str(state)).sentence
 
 
+@pytest.mark.evidence
 def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     """One JSON document with the keys of ``evaluate`` and the datagrams; for people, a table."""
     answer = run("network", "lossy-double-integrator", "--seed", "1", "--json")
@@ -129,6 +130,7 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     assert "one finite-horizon run" in text
 
 
+@pytest.mark.evidence
 def test_a_world_is_replayed_from_its_seed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Faults, counters and recovery, for people and as JSON; with a broken invariant also one sentence and code 2."""
     text = run("network", "remote-scalar", "--world", "2").out
@@ -168,6 +170,7 @@ def terminals() -> list[list[list[str]]]:
     return [[line.removeprefix("$ taciturn ").split() for line in block.splitlines()] for block in blocks]
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("relayed", few([False, True], 1, 1), ids=["four terminals", "with a relay"])
 def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the page tells to type, on free ports: the plant ends after its steps, the nodes when they are told to."""

@@ -147,6 +147,7 @@ def test_what_the_theory_of_linear_plants_serves_is_refused(run: Run, write: Wri
     assert [point["cost_periodic_same_rate"] for point in document["points"]] == [None, None]
 
 
+@pytest.mark.evidence
 def test_a_policy_is_tuned_and_compared_on_a_plant_that_is_not_linear(run: Run, write: Write, tmp_path: Path) -> None:
     """By simulation alone."""
     path = write(plant(tmp_path, W=0.05))

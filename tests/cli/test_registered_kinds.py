@@ -72,6 +72,7 @@ def problems(folder: Path) -> dict[str, str]:
     return installed(folder / "site", {"decaying": "decaying:KIND"})
 
 
+@pytest.mark.evidence
 def test_a_registered_kind_is_evaluated_run_and_exported(tmp_path: Path) -> None:
     """As the kinds of this package; a name that is nearly its name is recognised."""
     *right, written, wrong = told(

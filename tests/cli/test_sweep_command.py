@@ -16,6 +16,7 @@ from taciturn.study.sweeping.table import SweepTable
 EFFORT = ("--steps", "20000", "--workers", "1")
 
 
+@pytest.mark.evidence
 def test_a_result_of_another_grid_is_kept_under_a_name_of_its_own(run: Run, write: Write, tmp_path: Path) -> None:
     """And said; the same grid again, whose result is the same, leaves nothing next to it."""
     store = str(tmp_path / "s")

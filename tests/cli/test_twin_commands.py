@@ -116,6 +116,7 @@ def counts_add_up(found: dict[str, Any]) -> None:
         assert counted["sent"] == counted["delivered"] + counted["lost"] > 0
 
 
+@pytest.mark.evidence
 def test_a_twin_ends_with_one_document(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A short mission: rates of both links, costs, how well the camera sees, every datagram; and all is recorded."""
     if blind():

@@ -120,6 +120,7 @@ def test_nodes_in_single_precision_agree_for_long(name: str) -> None:
     assert f"{EVIDENCE} steps compared" in check(M4F, name, "float32", EVIDENCE)
 
 
+@pytest.mark.evidence
 def test_one_bit_that_differs_is_found_on_the_board(tmp_path: Path) -> None:
     """The self-check on the board can fail, and says in which step."""
     folder = folder_of("chapter 2")
@@ -159,6 +160,7 @@ def test_instructions_are_counted_one_by_one(of: tuple[EmulatedBoard, Precision,
     assert found["controller"].step == counts["controller"].step
 
 
+@pytest.mark.evidence
 def test_a_tick_takes_more_than_its_step_and_less_than_all() -> None:
     """What is counted of a node contains what it should; on the M4F's own unit a straight line has one length."""
     for counts in counted(M4F, "float32").values():
@@ -252,6 +254,7 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return cortex.compile_for(M3, folder, cortex.in_the_loop(folder.nodes[0]), tmp_path_factory.mktemp("controller"))
 
 
+@pytest.mark.evidence
 def test_a_question_that_comes_again_has_the_same_answer(controller: Path) -> None:
     """The step is not gone through again: what follows is as if the question had come once."""
     y = folder_of("chapter 2").vector.measured.tolist()
@@ -261,6 +264,7 @@ def test_a_question_that_comes_again_has_the_same_answer(controller: Path) -> No
             assert [twice.step(tick, (), y[tick]), twice.step(tick, (), [9.0, 9.0])] == [answer, answer]
 
 
+@pytest.mark.evidence
 def test_a_board_answers_after_bytes_that_are_no_frame(controller: Path) -> None:
     """Noise on the line, a frame with a wrong checksum and half of one: questions are repeated until one is read."""
     y = folder_of("chapter 2").vector.measured.tolist()
@@ -309,6 +313,7 @@ def is_alive(process: int) -> bool:
     return True
 
 
+@pytest.mark.evidence
 def test_a_board_that_says_nothing_is_given_up_and_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that hangs, when patience is over; one whose program ends, at once. No emulator is left."""
     started: list[int] = []
@@ -341,6 +346,7 @@ def test_an_emulator_ends_with_its_block(controller: Path) -> None:
         node.step(0, (), [0.0, 0.0])
 
 
+@pytest.mark.evidence
 def test_what_a_program_fails_with_is_said(tmp_path: Path) -> None:
     """A fault of the processor, a code, a run without an end, a mistake in C."""
     fault = own("int main(void) { return *(volatile int *)0xF0000001; }", tmp_path / "fault")

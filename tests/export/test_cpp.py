@@ -25,6 +25,7 @@ from taciturn.program.c import c_literal
 from taciturn.program.ops import Precision
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("way", few(product(["g++", "clang++"], ["float64", "float32"]), 1, 1), ids=str)
 @pytest.mark.parametrize("name", few(["lossy", "functions", "large"], 1))
 def test_every_file_is_also_cpp(name: str, way: tuple[str, Precision], tmp_path: Path) -> None:

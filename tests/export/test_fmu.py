@@ -84,6 +84,7 @@ def test_a_unit_is_valid_and_decides_as_the_loop(make: Make, of: tuple[str, Vers
     instance.close()
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("of", few(itertools.product(["two-mass-lqg", LOSSY, "own draws"], VERSIONS), 1, 2), ids=str)
 def test_a_state_is_taken_up_again_in_any_instance(make: Make, of: tuple[str, Version]) -> None:
     """A restored state continues the same, in its instance, in another and from bytes; changed bytes are refused."""
@@ -116,6 +117,7 @@ def test_a_state_is_taken_up_again_in_any_instance(make: Make, of: tuple[str, Ve
     other.close()
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("version", VERSIONS)
 def test_instances_are_apart_and_a_reset_begins_anew(make: Make, version: Version) -> None:
     """Two that run in turns do not disturb each other, and one that is reset does again what it did."""

@@ -95,6 +95,7 @@ def test_nodes_in_c_decide_as_the_design_for_100_000_ticks(name: str, tmp_path: 
         assert run_check(check, str(tmp_path / "rows")) == (0, f"policy: {ticks} {AGREES}")
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("by", few(product(["float64", "float32"], BUILDS), 1, 1), ids=str)
 def test_compilers_agree(by: tuple[Precision, tuple[str, str]], tmp_path: Path) -> None:
     """Nodes over links that drop packets, in both precisions, by both compilers, optimised or not."""
@@ -105,6 +106,7 @@ def test_compilers_agree(by: tuple[Precision, tuple[str, str]], tmp_path: Path) 
     assert run_check(check) == (0, f"lossy: 100 {AGREES}")
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("precision", few(["float64", "float32"], 1))
 @given(system=systems(states=4), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=2, deadline=None)
@@ -125,6 +127,7 @@ def test_steps_that_are_functions_are_printed(precision: str, tmp_path: Path) ->
     assert run_check(check) == (0, f"functions: 200 {AGREES}")
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("precision", few(["float64", "float32"], 1, 1))
 def test_large_matrices_are_multiplied_in_loops(precision: str, tmp_path: Path) -> None:
     """A plant of twenty states: the bits are those of the tiles."""
@@ -164,6 +167,7 @@ def test_one_node_is_exported_and_the_others_check_it(tmp_path: Path) -> None:
     assert run_check(compile_check(write(tmp_path, found)))[0] == 0
 
 
+@pytest.mark.evidence
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
 def test_the_build_file_builds(tmp_path: Path) -> None:
     """And its test passes."""

@@ -25,6 +25,7 @@ def precisions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(("one", "other"), [("float64", "float32"), ("float32", "float64")])
 def test_files_of_other_sizes_are_not_linked(one: str, other: str, precisions: dict[str, Path], tmp_path: Path) -> None:
     """Nodes in one precision with a core in the other: the linker says so."""
@@ -35,6 +36,7 @@ def test_files_of_other_sizes_are_not_linked(one: str, other: str, precisions: d
     assert f"tac_start_{one}" in said
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(("one", "other"), [("float64", "float32"), ("float32", "float64")])
 def test_a_program_of_other_sizes_is_not_linked(
     one: str, other: str, precisions: dict[str, Path], tmp_path: Path

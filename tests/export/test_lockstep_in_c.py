@@ -50,7 +50,7 @@ def compile_lockstep(file: str, role: str, into: Path) -> Path:
 @pytest.mark.parametrize(
     ("file", "in_c"),
     [
-        ("two-mass-lqg", "controller"),
+        pytest.param("two-mass-lqg", "controller", marks=pytest.mark.evidence),
         ("lossy-double-integrator", "controller"),
         pytest.param("two-mass-lqg", "actuator", marks=pytest.mark.evidence),
         pytest.param("lossy-double-integrator", "sensor", marks=pytest.mark.evidence),

@@ -267,6 +267,7 @@ def random_events(draws: np.random.Generator, count: int) -> list[tuple]:
     return found
 
 
+@pytest.mark.evidence
 @all_or_some
 def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -> None:
     """600 steps of nodes, and as many in peace: every counter moves, packets leave, and nodes recover."""

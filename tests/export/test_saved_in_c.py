@@ -86,6 +86,7 @@ def test_damaged_and_foreign_states_are_refused_and_change_nothing(tmp_path: Pat
     assert other.save() == saved
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("seed", few(range(4), 1))
 def test_no_state_with_a_right_checksum_harms_a_node(seed: int) -> None:
     """Its values are in their ranges, or it is refused: the node continues with either."""

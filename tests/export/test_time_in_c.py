@@ -258,6 +258,7 @@ def check_drift(lines: list[str], seconds: int) -> None:
         assert abs(offset - seconds * ppm) <= PERIOD / 2
 
 
+@pytest.mark.evidence
 def test_a_minute_of_drift_and_a_stall_misses_no_other_step(tmp_path: Path) -> None:
     """±500 ppm; ten steps in which nothing is executed and nothing arrives."""
     folder = write(tmp_path, print_folder(two_mass(), "policy", rows=1))

@@ -152,6 +152,7 @@ def ordered(count: int, sizes: list[int], seed: int) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("fewest_paths")
 def test_best_nearly_best_and_threshold_are_in_order() -> None:
     """A random plant of one state and one of two: bound ≤ best ≤ nearly best ≤ threshold at the same rate."""
@@ -196,6 +197,7 @@ def meetings(count: int, sizes: list[int], seed: int, precision: float = 1e-4) -
     return np.array(gaps)
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("fewest_paths")
 def test_little_is_left_between_the_nearly_best_schedule_and_the_lower_bound() -> None:
     """A plant of four states: at most 1 % of the cost, which bounds what the best could save."""
@@ -226,6 +228,7 @@ def no_policy_beats_the_lower_bound(system: System, name: str, steps: int) -> No
     assert bound.cost >= loop.policy.cost_all_time
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("fewest_paths")
 @pytest.mark.parametrize("name", RESETTING[::3])
 def test_no_policy_beats_the_lower_bound(name: str) -> None:

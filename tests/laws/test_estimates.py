@@ -250,6 +250,7 @@ def test_a_loop_does_not_differ_from_itself() -> None:
     assert found.rates["actuator"].value == 0
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("seeds", SEEDS)
 def test_95_percent_intervals_of_differences_cover_a_long_run(seeds: int) -> None:
     """Over many seeds, and the long run is what two separate long runs say."""

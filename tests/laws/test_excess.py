@@ -79,6 +79,7 @@ def ranking(systems: int, actuation: Actuation, seed: int, steps: int = STEPS) -
     return np.array(found)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("actuation", ["hold", "model"])
 def test_the_excess_trigger_costs_less_than_the_joint_one_at_the_same_rate_on_most_systems(
     actuation: Actuation,

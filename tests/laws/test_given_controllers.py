@@ -270,6 +270,7 @@ def test_nodes_apart_carry_the_bits_of_the_loop() -> None:
         assert 20 < packets < 180
 
 
+@pytest.mark.evidence
 def test_the_same_controller_at_a_slower_clock_is_the_comparison() -> None:
     """Every second, fourth and eighth step, exactly; and as simulated with a packet every fourth step."""
     for link, silence in (("actuator", "hold"), ("actuator", "model"), ("sensor", "hold"), ("sensor", "model")):

@@ -110,6 +110,7 @@ def test_the_mean_interval_rises_with_alpha_from_above_it_to_below(law: str, see
 LIMITS = [{}, {"h_max": 1.0}, {"saturation": 0.4}, {"h_min": 0.3, "h_max": 1.5}]
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     "case", few([("jumps", limits) for limits in LIMITS] + [("Wiener", limits) for limits in LIMITS], quick=1)
 )
@@ -222,6 +223,7 @@ def test_what_is_not_consistent_is_refused(change: dict, sentence: str) -> None:
     assert str(told.value).startswith(sentence)
 
 
+@pytest.mark.evidence
 def test_a_policy_without_ticks_is_evaluated_and_has_no_loop() -> None:
     """Cost, rate, interval and both bounds in JSON; a loop of nodes wants a period."""
     tables = {

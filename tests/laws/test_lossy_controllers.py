@@ -121,6 +121,7 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
     assert np.mean(np.square(off)) < 1 + 6 / np.sqrt(len(off))
 
 
+@pytest.mark.evidence
 def test_above_the_critical_loss_the_mean_square_grows() -> None:
     """In a simulation of attempts at every step, and not below; the design refuses the first with the limit."""
     plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])

@@ -51,6 +51,7 @@ def test_zero_loss_makes_the_three_protocols_equal(system: System, horizon: int 
         assert horizon is not None or udp.cost_all_time == pytest.approx(regulated.cost_all_time, rel=1e-9)
 
 
+@pytest.mark.evidence
 @FEW
 @given(system=systems())
 def test_zero_loss_makes_the_three_loops_equal(system: System) -> None:

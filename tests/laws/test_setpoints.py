@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from counts import few
 from laws.test_given_controllers import KEPT, STEP, TANK, WEIGHTS
 from runtime.loops import differing_ticks, record
 
@@ -40,17 +42,17 @@ def by_hand(pid: PID, limit: float, steps: int) -> list[float]:
     return found
 
 
-@pytest.mark.parametrize("limit", [np.inf, 0.8])
+CHANGES: list[dict[str, float]] = [
+    {},
+    {"b": 0.3, "c": 0.5},
+    {"tracking_time": 1.5},
+    {"b": 0.3, "tracking_time": 1.5, "start_input": 0.4},
+]
+
+
 @pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"b": 0.3, "c": 0.5},
-        {"tracking_time": 1.5},
-        {"b": 0.3, "tracking_time": 1.5, "start_input": 0.4},
-    ],
+    ("link", "changes", "limit"), few(itertools.product(["actuator", "sensor"], CHANGES, [np.inf, 0.8]), 5, 1)
 )
-@pytest.mark.parametrize("link", ["actuator", "sensor"])
 def test_a_step_of_the_set_point_is_that_of_a_textbook(link: str, changes: dict[str, float], limit: float) -> None:
     """Weights of the set-point, back-calculation under a limit, and a bumpless start; a packet at every sample."""
     noise, limits = QUIET * np.eye(2), None if np.isinf(limit) else [limit]
@@ -64,6 +66,7 @@ def test_a_step_of_the_set_point_is_that_of_a_textbook(link: str, changes: dict[
     assert loop.nominal == np.isinf(limit)
 
 
+@pytest.mark.evidence
 def test_costs_are_those_of_the_deviations() -> None:
     """The set-point changes no average, and no packet in the long run; send-on-delta and its kin take it too."""
     options = {"theta": 0.1, "actuation": "model"}

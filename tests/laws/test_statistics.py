@@ -38,6 +38,7 @@ def masses() -> Loop:
     return problem.close(problem.design())
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("seeds", SEEDS)
 def test_intervals_with_control_variates_cover_a_long_run(seeds: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The long run uses none, and is much longer than what it is held against."""

@@ -142,6 +142,7 @@ def test_gains_for_dropouts(seed: int) -> None:
         assert best <= usual * (1 + 1e-9)
 
 
+@pytest.mark.evidence
 def test_no_gain_is_stable_above_the_critical_loss() -> None:
     """Of a scalar plant with zero input: 1/a²; the message states the limit, and with an ideal link there is none."""
     plant, cost = Plant([[1.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])

@@ -102,6 +102,7 @@ def test_the_slope_in_the_rate_is_the_derivative_of_the_periodic_cost_and_the_cu
     assert (np.diff(chords) >= -1e-9 * np.abs(chords).max()).all()
 
 
+@pytest.mark.evidence
 @law(1, 15, seed=SEEDS, shortest=st.sampled_from([0.0, 0.3]))
 def test_no_line_below_the_least_ratio_meets_the_growth(seed: int, shortest: float) -> None:
     """g(h) ≥ C h for the infimum C of g(h)/h, and it is attained where it is said to be."""

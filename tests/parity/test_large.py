@@ -90,7 +90,7 @@ def own(loops: list[Loop]) -> list[Program]:
 
 
 @pytest.mark.parametrize("precision", few(["float64", "float32"], quick=1))
-@pytest.mark.parametrize("size", [4, 20])
+@pytest.mark.parametrize("size", few([4, 20], quick=1))
 def test_programs_with_numbers_of_their_own_agree_with_each_alone(precision: Precision, size: int) -> None:
     """Lane by lane, bit for bit: constants, tables of schedules, matrices."""
     draws = np.random.default_rng(size)

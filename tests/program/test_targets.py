@@ -42,6 +42,7 @@ def test_the_small_program_holds_every_operation() -> None:
     assert found == {*interpreter._RULES, *interpreter._GIVEN, "product"}
 
 
+@pytest.mark.evidence
 def test_every_operation_compiles_for_every_processor(tmp_path: Path) -> None:
     """No function is missing, for there is no mathematical library; the bit-exact build has no fused operation."""
     double, single = every_operation("float64"), every_operation("float32")

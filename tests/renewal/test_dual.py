@@ -76,6 +76,7 @@ def test_on_a_scalar_the_bound_is_within_a_percent_of_the_optimum(F: float, pric
     assert found.gain < found.expected
 
 
+@pytest.mark.evidence
 def test_bounds_of_two_seeds_agree_within_their_errors(fitted: Fitted, least: float, few_draws: None) -> None:
     """Estimates differ by no more than what their confidence costs, and none is above the optimum by more."""
     found = [bound(fitted, seed=seed) for seed in range(2)]

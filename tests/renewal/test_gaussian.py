@@ -121,6 +121,7 @@ def test_without_memory_white_noise_is_sent_with_the_probability_of_a_chi_square
         assert found.rate_error <= 1e-6 * found.rate
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("F", "delta"), rows([(0.5, 1.0), (0.95, 9.0), (1.0, 25.0), (1.3, 4.0), (-2.0, 9.0), (8.0, 4.0)], quick=1)
 )

@@ -279,6 +279,7 @@ def test_the_scheduler_is_asked_in_any_shape_and_treats_an_error_like_its_mirror
         found.sends([1.0, 2.0, 3.0])
 
 
+@pytest.mark.evidence
 def test_the_curve_over_prices_is_that_of_single_optima_and_convex():
     """A higher price buys fewer sends and more excess; no point of the curve is better at another's price."""
     prices = (1.0, 3.0, 9.0)

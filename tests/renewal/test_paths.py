@@ -40,6 +40,7 @@ def test_without_memory_white_noise_is_sent_with_the_probability_of_a_chi_square
     agrees(found, (scipy.stats.chi2.sf(delta, states), 0.0), (excess, 0.0))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("seed", few(range(6), quick=1, start=1))
 def test_the_quadrature_agrees_within_four_standard_errors(seed):
     """Rate, excess and survival of chains in one, two and three dimensions of each kind."""
@@ -145,6 +146,7 @@ def test_points_that_fill_space_beat_pseudo_random_ones(monkeypatch):
     assert even.rate.standard_error < random.rate.standard_error / 3
 
 
+@pytest.mark.evidence
 def test_an_accuracy_that_the_budget_does_not_reach_is_told():
     """The answer of a budget that ends first says so, and still agrees."""
     chain = large_chain(5, 2, 2, delta=5.0)
@@ -154,6 +156,7 @@ def test_an_accuracy_that_the_budget_does_not_reach_is_told():
     agrees(found, (exact.rate, exact.rate_error), (exact.excess, exact.excess_error))
 
 
+@pytest.mark.evidence
 def test_a_tail_that_is_cut_early_is_extrapolated_and_counted(monkeypatch):
     """Left at a survival of a fifth, the answer is still right within its errors, which are larger for it."""
     unit = np.eye(1)
@@ -202,6 +205,7 @@ def test_short_intervals_are_expected_to_be_quicker_by_paths():
     assert not expect_quicker(large_chain(1, 6, 2, delta=200.0))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("chain", "sentence"),
     [

@@ -289,6 +289,7 @@ def test_keys_that_are_not_valid_are_refused(text: str, sentence: str) -> None:
         NodeServer([Node(POLICY, "actuator")], only, there, plant=("127.0.0.1", 1))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("key", [None, KEY], ids=["without key", "with key"])
 def test_a_plant_that_starts_again_continues_with_the_step_of_its_nodes(key: bytes | None) -> None:
     """Its steps begin at 0, which the nodes have passed long ago; the first input tells it the present step."""

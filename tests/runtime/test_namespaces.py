@@ -118,6 +118,7 @@ def test_a_loop_receives_exactly_what_is_predicted(file: str) -> None:
     assert left_behind(os.getpid()) == []
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("kernel")
 def test_two_processes_run_from_the_command_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -98,6 +98,7 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
     assert document["rates"]["actuator"]["value"] == pytest.approx(quiet.sends["actuator"][22:].mean(), abs=0.05)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("case", few([(True, ()), (False, ()), (False, CHANGED)], 1))
 def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file(case: tuple[bool, Sequence[str]]) -> None:
     """With the same bits; the changes of a problem in memory reach the processes, too."""
@@ -108,6 +109,7 @@ def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file(case: tu
     assert found.arrived == expected.arrived
 
 
+@pytest.mark.evidence
 def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
     """One row per step, and a picture of costs and sends."""
     table = quiet.to_pandas()
@@ -227,6 +229,7 @@ def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun)
     assert all(not report.get("degraded") for report in found.reports.values())
 
 
+@pytest.mark.evidence
 def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
     """100 steps at 100 Hz by the clock: every datagram accounted for, lateness told."""
     found = run_network(chapter_7(tmp_path), ticks=100, tick=0.01, seed=1)
@@ -236,6 +239,7 @@ def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
     assert set(found.reports["controller"]["lateness_ms"]) == {"p50", "p95", "p99", "max"}
 
 
+@pytest.mark.evidence
 def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that listens too late, one that does not end when it is asked to, and one that has ended."""
     silent = Process(["export", "two-mass-lqg", "--c", "/dev/null/nodes"], "the export")

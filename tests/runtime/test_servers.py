@@ -210,8 +210,12 @@ def test_an_input_of_an_earlier_start_is_not_applied_after_one_of_a_later_start(
     ("own", "other", "why", "told"),
     [
         (WIRE, Wire(PROBLEM.changed({"theta": 0.7}).design()), "foreign", "of another policy"),
-        (WIRE, Wire(POLICY, key=b"k" * 32), "foreign", "with a key on one side only"),
-        (Wire(POLICY, key=b"k" * 32), WIRE, "malformed", "too short for the tag of a key"),
+        pytest.param(
+            WIRE, Wire(POLICY, key=b"k" * 32), "foreign", "with a key on one side only", marks=pytest.mark.evidence
+        ),
+        pytest.param(
+            Wire(POLICY, key=b"k" * 32), WIRE, "malformed", "too short for the tag of a key", marks=pytest.mark.evidence
+        ),
         (Wire(POLICY, key=b"k" * 32), Wire(POLICY, key=b"l" * 32), "forged", "of another key"),
     ],
     ids=["policy", "no key", "key", "other key"],
@@ -236,6 +240,7 @@ def test_who_refuses_packets_of_another_policy_says_so_once(
             assert not said
 
 
+@pytest.mark.evidence
 def test_a_plant_without_inputs_says_whom_it_waits_for(here: Endpoint, monkeypatch: pytest.MonkeyPatch) -> None:
     """After a while and again after a longer one; not where the input comes."""
     monkeypatch.setattr("taciturn.runtime.world.WAITED", 0.6)

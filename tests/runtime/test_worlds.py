@@ -109,7 +109,7 @@ def test_nodes_keep_the_time_or_say_that_they_are_cut(name: str, seed: int, faul
     assert run_world(problem(name), seed, faults).broken is None
 
 
-@pytest.mark.parametrize("name", few(sorted(SHOWN), quick=3))
+@pytest.mark.parametrize("name", few(sorted(SHOWN), quick=1))
 def test_a_planted_defect_is_found_in_a_world(name: str) -> None:
     """One at a time; the world holds without it. The benchmark finds such worlds."""
     defect, seed = DEFECTS[name], SHOWN[name]

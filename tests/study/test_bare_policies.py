@@ -37,6 +37,7 @@ def test_a_policy_gives_the_numbers_of_its_problem() -> None:
     assert (taciturn.simulate(policy, 30).state == taciturn.simulate(loop, 30).state).all()
 
 
+@pytest.mark.evidence
 def test_a_function_gives_the_numbers_of_its_problem() -> None:
     """Tuning starts at the default of its parameter; percentages, sweeps and trade-offs are the same."""
     for budget in ({"rate": 0.3}, {"rate": "30%"}, {"cost": "+20%"}):

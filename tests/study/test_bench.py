@@ -20,6 +20,7 @@ print(found.steps, next(line.split()[1] for line in lines if line.startswith("Vm
 """
 
 
+@pytest.mark.evidence
 def test_the_main_ratios_are_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As one JSON document, and for people, from a tenth of the usual steps."""
     monkeypatch.setattr(bench, "TICKS", bench.TICKS // 10)

@@ -175,6 +175,7 @@ def test_silence_that_costs_nothing_is_no_error() -> None:
         assert found.cost.value == pytest.approx(found.cost_all_time)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     ("A", "loops", "slots"),
     rows([(1.0, 400, 2), (0.9, 200, 2), (0.9, 50, 1), (3.0, 3, 1), (1.2, 10, 4)], quick=1, start=3),
@@ -263,6 +264,7 @@ def test_the_same_seed_gives_the_same_numbers() -> None:
     assert abs(first.cost.value - other.cost.value) < 4 * spread
 
 
+@pytest.mark.evidence
 def test_a_loop_that_gets_too_little_is_refused_with_the_rate_it_needs() -> None:
     """One of two kinds is starved by equal turns, though not by the best rates; the least rate is that of a clock."""
     wild = Problem(Plant([[1.6]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})
@@ -324,6 +326,7 @@ def test_equal_problems_share_their_price_and_their_bound() -> None:
         assert one.cost.value == pytest.approx(found[0].cost.value, rel=1e-12)
 
 
+@pytest.mark.evidence
 def test_the_order_of_the_loops_does_not_matter() -> None:
     """Their costs within standard errors; schedules and the bound to rounding, by workers or without."""
     problems = different(5, 4)
@@ -350,6 +353,7 @@ def test_the_order_of_the_loops_does_not_matter() -> None:
     assert bounds[0].cost > sum(kind.count * kind.cost_all_time for kind in here.kinds)
 
 
+@pytest.mark.evidence
 def test_progress_only_grows_and_ends_at_one() -> None:
     """From the first rate of the first kind to the last step."""
     told: list[float] = []

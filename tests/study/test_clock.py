@@ -142,6 +142,7 @@ def test_a_model_never_costs_a_clock_more_than_holding(system: System, rate: flo
         assert predicted.cost <= held.cost * (1 + 1e-9)
 
 
+@pytest.mark.evidence
 def test_the_weaker_clock_measures_only_when_it_sends() -> None:
     """Of outputs with noise it costs more than the fair one at every rate, of an exact full state the same."""
     problem = Problem(TANK, WEIGHTS, Network(), "excess", {"theta": 0.1, "period": 1.0})

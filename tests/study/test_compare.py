@@ -108,6 +108,7 @@ def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], w
     assert words in str(caught.value)
 
 
+@pytest.mark.evidence
 def test_a_cost_that_the_rate_does_not_fix_is_refused() -> None:
     """At the edge of what a policy keeps stable, the rate's standard error alone moves the cost by more than it is."""
     found = taciturn.tune(MASSES, rate=0.3, standard_error=1e-2)
@@ -133,6 +134,7 @@ def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     assert document["ranking"][1]["parameter"]["share"] == pytest.approx((4 / 13 - 0.3) / (4 / 13 - 2 / 7))
 
 
+@pytest.mark.evidence
 def test_a_clock_beside_others_measures_as_often_as_they_do() -> None:
     """Of a continuous plant whose outputs are measured, a period alone would measure only when it sends."""
     problem = taciturn.load("two-mass-continuous")

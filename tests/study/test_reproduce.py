@@ -83,6 +83,7 @@ def chapter(name: str) -> Reproduction:
         return reproduce(name, progress=lambda fraction: None)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", CHECKED)
 def test_a_chapter_agrees_with_the_exact_numbers(name: str) -> None:
     """All tables but one from as many draws as a user takes."""
@@ -131,6 +132,7 @@ def test_a_chapter_is_a_document_with_a_report_of_its_progress(name: str) -> Non
     assert set(EXPECTED) | {"chapter2"} == set(CHAPTERS)
 
 
+@pytest.mark.evidence
 def test_chapter_2_names_its_triggers_and_the_epsilon_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """One row of each table: what is printed says ε, which is no default; the keys of the document are as ever."""
     for name in ("TABLE_2_1", "TABLE_2_2"):

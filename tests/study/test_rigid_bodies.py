@@ -31,6 +31,7 @@ def body(seed: int) -> ContinuousPlant:
     return ContinuousPlant(T @ A @ back, T @ np.eye(4)[:, [1]] / m[0], T @ W @ T.T, C=C, V=1e-5 * np.eye(2))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("seed", few(range(30), 2))
 def test_a_rigid_body_is_evaluated_with_its_lower_bound_or_a_note(seed: int) -> None:
     """Whether rounding puts its double mode at 1 inside or outside of the unit circle; also with the dearest sends."""

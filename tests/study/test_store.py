@@ -274,6 +274,7 @@ def run_with_files_of(most: int, folder: Path) -> subprocess.CompletedProcess[st
     )
 
 
+@pytest.mark.evidence
 def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> None:
     """A limit on the size of files stands for a disk without room; then there is room again."""
     ran = run_with_files_of(256, tmp_path / "s")
@@ -341,6 +342,7 @@ def test_an_interrupt_within_a_submission_ends_the_pool() -> None:
     assert done.stderr.strip().endswith("KeyboardInterrupt")
 
 
+@pytest.mark.evidence
 def test_the_processes_of_a_killed_sweep_end(tmp_path: Path) -> None:
     """They would wait for work for ever."""
     grid = "theta=" + ",".join(f"{0.1 + 0.01 * i:.2f}" for i in range(200))

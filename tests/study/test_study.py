@@ -63,6 +63,7 @@ def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
     assert {"lqg, hold", "lqg, model", "periodic control, hold", "periodic control, model"} <= set(labels)
 
 
+@pytest.mark.evidence
 def test_a_continuous_tradeoff_counts_per_second() -> None:
     """Rates and costs per second; the curve of the clock starts at the base rate, where it is all-time control."""
     found = taciturn.tradeoff(taciturn.load("two-mass-continuous"), {"theta": [0.1, 0.5]}, standard_error=5e-4)

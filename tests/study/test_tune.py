@@ -132,7 +132,7 @@ def test_percent_of_what_is_not_known_are_refused(problem: Problem, budget: dict
 EXACT: dict[str, dict[str, Any]] = {"consistent": {}, "stochastic": {"actuation": "model"}, "periodic": {}}
 
 
-@pytest.mark.parametrize("kind", few(EXACT, start=1))
+@pytest.mark.parametrize("kind", few(EXACT, quick=1, start=1))
 def test_exact_rates_are_met_exactly(kind: str) -> None:
     """A consistent policy by quadrature, a stochastic one by its closed form, periodic control by its period."""
     found = tune(with_policy(kind, INTEGRATOR, **EXACT[kind]), rate=2.0)
@@ -140,6 +140,7 @@ def test_exact_rates_are_met_exactly(kind: str) -> None:
     assert next(iter(found.evaluation.rates.values())).value == pytest.approx(2.0, rel=2e-8)
 
 
+@pytest.mark.evidence
 def test_whole_numbers_keep_the_budget_and_name_the_other_side() -> None:
     """Every third step sends at most 0.4 of the time; every second one more."""
     problem = with_policy("periodic", every=7, actuation="model")

@@ -16,6 +16,7 @@ from taciturn.study.sweeping import cells
 from taciturn.study.sweeping.workers import deserted
 
 
+@pytest.mark.evidence
 def test_a_dask_client_is_no_executor_and_its_workers_may_go() -> None:
     """Of a scheduler without workers its address is known; the client's own messages are silenced."""
     distributed: Any = pytest.importorskip("distributed")

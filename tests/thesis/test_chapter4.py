@@ -24,6 +24,7 @@ COUNTER = ContinuousPlant([[1.0, 0.01], [0.0, 1.0]], np.eye(2), jumps=Jumps(50.0
 WEIGHTS = Cost(np.diag([10.0, 0.001]), np.diag([10.0, 0.001]))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("slope", few(TABLE, quick=1))
 def test_fixed_points_and_costs(slope: int) -> None:
     """Each slope of the table, the cost by cycles of its own."""
@@ -76,6 +77,7 @@ def test_the_dynamic_trigger_beats_periodic_control_where_a_euclidean_threshold_
     assert euclidean.cost.value > 1.9 * price.growth(euclidean.interval.value)
 
 
+@pytest.mark.evidence
 def test_where_nothing_limits_an_interval_the_cost_is_exact() -> None:
     """h_max = ∞ and linear f: every interval costs cθ, so J = tr(PλW) + c."""
     tables = {

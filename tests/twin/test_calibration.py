@@ -36,6 +36,7 @@ def test_a_calibration_repeats_with_its_seed(name: str, monkeypatch: pytest.Monk
     assert found == again
 
 
+@pytest.mark.evidence
 @both
 def test_a_calibrated_camera_is_the_one_in_the_scene(robot: Robot) -> None:
     """What it says of points all over the workspace is within a pixel of what the true camera sees."""

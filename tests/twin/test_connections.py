@@ -43,6 +43,7 @@ def is_open(client: socket.socket) -> bool:
         return False
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     "counts",
     [{"127.0.0.1": 128}, {f"127.0.0.{k}": 16 for k in range(2, 10)}, {f"127.0.1.{k}": 1 for k in range(1, 129)}],

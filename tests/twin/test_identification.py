@@ -65,6 +65,7 @@ def test_the_rover_is_the_integrator_that_the_physics_makes_it(monkeypatch: pyte
     assert document["samples"] == 4 * (identification.TICKS - identification.START)
 
 
+@pytest.mark.evidence
 def test_a_camera_that_is_not_this_one_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A calibration that is wrong sees no marker where it looks."""
     monkeypatch.setattr(identification, "PLACES", 2)

@@ -119,6 +119,7 @@ def test_what_a_run_does_is_shown_while_it_does_it(tabs: Tabs, page: Page, about
     assert "round 9, 1 of" in tab.inner_text("#progress")
 
 
+@pytest.mark.evidence
 def test_charts_appear_with_the_first_step_and_show_it(tabs: Tabs, page: Page) -> None:
     """Before, the page shows what the run prepares; a new round replaces the charts of the last one by its own."""
     page.wait("round 1: starting the processes")
@@ -152,6 +153,7 @@ def test_charts_appear_with_the_first_step_and_show_it(tabs: Tabs, page: Page) -
     await_true(tab, "document.body.dataset.rows === '1'")
 
 
+@pytest.mark.evidence
 def test_designed_drops_are_one_sentence_and_the_parameter_is_explained(tabs: Tabs, page: Page) -> None:
     """The events list the unusual alone, at their steps; the meaning of the slider is next to it and read with it."""
     for row in ROWS:
@@ -197,6 +199,7 @@ def test_the_picture_is_the_newest(tabs: Tabs, page: Page) -> None:
     assert not tab.is_visible("#blind")
 
 
+@pytest.mark.evidence
 def test_the_slider_acts_when_it_is_released(tabs: Tabs, page: Page) -> None:
     """Its ends are the least (here 0) and the largest value; while it is held nothing is asked."""
     tab = tabs.open(page.url)
@@ -254,6 +257,7 @@ def test_a_page_with_a_token_shows_and_acts(tabs: Tabs) -> None:
         assert await_asked(page) == [("push", 1.0)]
 
 
+@pytest.mark.evidence
 def test_a_run_that_ends_and_comes_back_is_found_again(tabs: Tabs, page: Page) -> None:
     """The page says that it has ended, and shows the next run at the same address without being touched."""
     page.put(ROWS[0])
@@ -274,6 +278,7 @@ def test_a_run_that_ends_and_comes_back_is_found_again(tabs: Tabs, page: Page) -
     tabs.errors.clear()  # what the browser itself says of a server that is gone
 
 
+@pytest.mark.evidence
 def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
     """Zeros are put at the bottom; values below zero, or of like size, are drawn as they are."""
     tab = tabs.open(page.url)
@@ -308,6 +313,7 @@ def test_a_run_that_falls_silent_is_called_again(tabs: Tabs, page: Page, monkeyp
     assert tab.inner_text("#events ol").count("hello") == 1  # what is told again is not written twice
 
 
+@pytest.mark.evidence
 def test_the_marks_of_the_raster_differ_in_shape(tabs: Tabs, page: Page) -> None:
     """Arrived, lost and silent are drawn by different strokes, whatever their colours."""
     shapes = tabs.open(page.url).evaluate(
@@ -322,6 +328,7 @@ def test_the_marks_of_the_raster_differ_in_shape(tabs: Tabs, page: Page) -> None
     assert len(set(shapes)) == 3
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize(
     "screen", few([(ROVER, WIDE), (OMNI, WIDE), (OMNI, PHONE)], 1, 2), ids=["screen", "other", "phone"]
 )
