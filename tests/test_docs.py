@@ -38,6 +38,7 @@ LONG = {  # pages, notebooks and examples that take more than two seconds in red
     "comparison",
     "consistency",
     "devices",
+    "first-hour",
     "fmu",
     "from-python-control",
     "how_many_loops_share_a_radio",

@@ -72,6 +72,7 @@ def test_pictures_of_every_format_hold_their_origin(tmp_path: Path, ending: str)
     assert b"12345" in picture.read_bytes()
 
 
+@pytest.mark.evidence
 def test_files_say_what_they_were_computed_from(run: Run, write: Write, tmp_path: Path) -> None:
     """A table, a picture, and the data set of a sweep."""
     file, digest = write(), fingerprint(taciturn.load(write()))

@@ -40,6 +40,7 @@ def test_a_result_of_another_grid_is_kept_under_a_name_of_its_own(run: Run, writ
     assert told.count("\n") == 1
 
 
+@pytest.mark.evidence
 def test_cells_that_are_not_precise_are_named(
     run: Run, write: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

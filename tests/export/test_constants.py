@@ -47,6 +47,7 @@ SCALARS = (
 UNREAD = ("memory_count", "constant_count", "channel_count", "send_count", "clock_count")  # more is read past the end
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("of", few([("int16", "controller"), ("told", "actuator"), ("functions", "controller")], 1))
 @pytest.mark.parametrize("precision", few(["float64", "float32"], 1))
 def test_every_changed_bit_of_the_data_is_found(of: tuple[str, str], precision: str, tmp_path: Path) -> None:
@@ -98,6 +99,7 @@ def test_the_check_covers_all_numbers_of_the_code() -> None:
         assert numbers <= {"0.0", "1.0"}, (name, role, numbers)
 
 
+@pytest.mark.evidence
 def test_every_node_starts(tmp_path: Path) -> None:
     """In both precisions and with every encoding: the host and the core compute the same CRC."""
     for name, role in places()[::3]:

@@ -274,6 +274,7 @@ def test_a_board_answers_after_bytes_that_are_no_frame(controller: Path) -> None
             assert noisy.step(tick, (), y[tick]) == clean.step(tick, (), y[tick])
 
 
+@pytest.mark.evidence
 def test_a_node_that_misses_its_measurement_says_so(controller: Path) -> None:
     """A step without one is not gone through; a datagram that is none is refused, and the node continues."""
     with NodeOnBoard(M3, controller) as node:

@@ -192,6 +192,7 @@ def test_every_function_of_fmi_is_there_and_nothing_else_is_seen(make: Make, ver
     assert not any(hasattr(library, name) for name in ("tac_step", "fmu_step", "unit_controller_start"))
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("by", few([("gcc", "3.0"), ("clang", "2.0"), ("gcc", "2.0"), ("clang", "3.0")], 1), ids=str)
 def test_the_sources_are_strict_c99(make: Make, tmp_path: Path, by: tuple[str, Version]) -> None:
     """No warning of two compilers, and nothing is needed but the C library."""

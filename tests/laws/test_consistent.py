@@ -52,6 +52,7 @@ def test_a_consistent_policy_beats_periodic_control_over_many_systems(law: str, 
     many(DRAWN(lambda seed, share: it_beats_periodic_control(seed, law, share)))()
 
 
+@pytest.mark.evidence
 @FEW
 @given(seed=SEEDS)
 def test_without_disturbances_nothing_is_sent(seed: int) -> None:

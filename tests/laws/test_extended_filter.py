@@ -76,6 +76,7 @@ def shown(loop: Loop, name: str, ticks: int, seed: int) -> np.ndarray:
     return np.array([values[:, 0] for key, values in outputs.items() if is_entry(key, name)]).T
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("examples", [4, pytest.param(25, marks=pytest.mark.evidence)])
 def test_from_any_covariance_it_is_the_filter_that_varies_in_time(examples: int) -> None:
     """Random systems."""

@@ -142,6 +142,7 @@ def test_nodes_do_what_cycles_tell(case: tuple[str, dict]) -> None:
         assert exact.cost.value - 4 * exact.cost.standard_error <= policy.guarantee.cost
 
 
+@pytest.mark.evidence
 def test_without_disturbances_nothing_is_sent() -> None:
     """The second property of consistency, by nodes and by an error that no jump has moved."""
     policy = design.integral(DOUBLE, COST, slope=4.0, alpha=0.3, period=0.05)

@@ -88,6 +88,7 @@ def test_zeta_and_theta_of_zero_are_all_time_control(system: System, horizon: in
         assert found.rates["actuator"].value >= 1 - 1e-3  # a tie (an input that is already held) is silence
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("protocol", few(["udp", "tcp"], quick=1))
 @pytest.mark.parametrize("horizon", few([None, 20], quick=1))
 @FEW

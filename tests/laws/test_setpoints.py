@@ -50,11 +50,10 @@ CHANGES: list[dict[str, float]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("link", "changes", "limit"), few(itertools.product(["actuator", "sensor"], CHANGES, [np.inf, 0.8]), 5, 1)
-)
-def test_a_step_of_the_set_point_is_that_of_a_textbook(link: str, changes: dict[str, float], limit: float) -> None:
+@pytest.mark.parametrize("of", few(itertools.product(["actuator", "sensor"], CHANGES, [np.inf, 0.8]), 5, 1), ids=str)
+def test_a_step_of_the_set_point_is_that_of_a_textbook(of: tuple[str, dict[str, float], float]) -> None:
     """Weights of the set-point, back-calculation under a limit, and a bumpless start; a packet at every sample."""
+    link, changes, limit = of
     noise, limits = QUIET * np.eye(2), None if np.isinf(limit) else [limit]
     plant = Plant(TANK.A, TANK.B, noise, TANK.C, [[QUIET]], STEP, input_limit=limits)
     pid = replace(KEPT, setpoint=2.0, **changes)

@@ -39,6 +39,7 @@ def products(program: Program) -> int:
     return sum(op.name == "product" for op in program.ops)
 
 
+@pytest.mark.evidence
 @law(2, 6, seed=st.integers(0, 2**32 - 1), n=st.integers(17, 24), precision=PRECISIONS)
 def test_large_loops_agree_bit_for_bit(seed: int, n: int, precision: Precision) -> None:
     """With plant and filter, and in the innovations form."""

@@ -163,6 +163,7 @@ def test_processes_do_what_nodes_in_memory_do_for_long(tmp_path: Path, problem: 
     assert_by_hand(tmp_path, problem, horizon or 2000)
 
 
+@pytest.mark.evidence
 def test_what_a_relay_loses_can_be_told_before(tmp_path: Path, quiet: NetworkRun) -> None:
     """As many packets are lost as the seed names."""
     fate = losses(taciturn.load(chapter_7(tmp_path)).network, 2)["sensor"]

@@ -116,6 +116,7 @@ def agrees(found: Reproduction) -> None:
         assert all(cost.value <= bound + 4 * cost.standard_error + 1e-9 for bound in bounds)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", CHECKED)
 def test_a_chapter_is_a_document_with_a_report_of_its_progress(name: str) -> None:
     """JSON without NaN, with every printed number next to a computed one, and a fraction that ends at 1."""

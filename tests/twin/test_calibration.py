@@ -50,6 +50,7 @@ def test_a_calibrated_camera_is_the_one_in_the_scene(robot: Robot) -> None:
     assert found.error < 0.6
 
 
+@pytest.mark.evidence
 @both
 def test_a_calibrated_eye_measures_within_3_millimetres(robot: Robot) -> None:
     """At some places of the workspace; at many, and with bias and spread, in the evidence."""

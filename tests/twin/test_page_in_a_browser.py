@@ -87,6 +87,7 @@ def drawn(tab: Any, panel: str) -> str:
     return tab.evaluate(f"document.querySelector('#{panel} canvas').toDataURL()")
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("about", few([ROVER, OMNI], 1), ids=lambda about: about.robot)
 def test_what_a_run_does_is_shown_while_it_does_it(tabs: Tabs, page: Page, about: Any) -> None:
     """Every panel is drawn anew, the numbers are those of the latest row, and the next round starts anew."""

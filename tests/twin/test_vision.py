@@ -59,6 +59,7 @@ def test_a_picture_is_a_jpeg_that_fits_a_packet(robot: Robot) -> None:
         assert pixels(picture).shape == (HEIGHT, WIDTH, 3)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("scene", few(product(ROBOTS, [0.4, 1.0, 1.6]), 2, 2), ids=str)
 def test_a_marker_is_found_wherever_it_is_in_dim_and_bright_light(scene: tuple[str, float]) -> None:
     """Required: within 3 mm in any light, through a lens that is known; never lost."""
