@@ -26,7 +26,7 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 DRAWN = {path for path in EXAMPLES if "savefig(" in path.read_text(encoding="utf-8")}  # the site's gallery runs them
-LONG = {  # pages, notebooks and examples that take more than two seconds in reduced counts
+LONG = {  # pages, notebooks and examples that take more than two seconds in reduced counts, and modules above one
     "a_controller_in_c",
     "a_loop_over_udp_that_loses_packets",
     "a_robot_tracked_by_a_camera",
@@ -50,6 +50,13 @@ LONG = {  # pages, notebooks and examples that take more than two seconds in red
     "remote-sensing",
     "scheduling",
     "sweeps",
+    "taciturn.study.certify",
+    "taciturn.study.channel.share",
+    "taciturn.study.compare",
+    "taciturn.study.export",
+    "taciturn.study.sweeping.sweep",
+    "taciturn.study.tuning.periods",
+    "taciturn_twins.calibration",
     "which_policy_costs_least_at_half_the_traffic",
     "will_it_settle_whatever_the_spring",
     "your-first-policy",
@@ -101,9 +108,10 @@ REDUCED = {
 """Counts that the quick suite replaces in pages and examples. The site is built with those that they show."""
 
 
-def in_time(paths: Iterable[Path]) -> list[Any]:
-    """Return pages or examples as parameters, of which the quick suite leaves out the long ones."""
-    return [pytest.param(path, marks=[pytest.mark.evidence] * (path.stem in LONG)) for path in paths]
+def in_time(cases: Iterable[Path | str]) -> list[Any]:
+    """Return pages, examples or modules as parameters, of which the quick suite leaves out the long ones."""
+    names = [(case, case.stem if isinstance(case, Path) else case) for case in cases]
+    return [pytest.param(case, marks=[pytest.mark.evidence] * (name in LONG)) for case, name in names]
 
 
 def reduced(name: str, text: str) -> str:
@@ -322,7 +330,7 @@ def test_the_sources_that_examples_name_are_known() -> None:
     assert named <= set(keys)
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", in_time(MODULES))
 def test_every_docstring_example_holds(name: str) -> None:
     """What a docstring shows is what happens."""
     result = doctest.testmod(importlib.import_module(name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,12 @@ MEETINGS = {
 }  # fmt: skip
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file, parsed once."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def part(module: str) -> str:
     """Return the folder or file of the package that a module belongs to."""
     names = module.split(".")
@@ -52,7 +59,7 @@ def part(module: str) -> str:
 def imports(path: Path) -> list[str]:
     """Return the modules of this package that a file imports, wherever in the file; other ways in are refused."""
     found: list[str] = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -84,7 +91,7 @@ def private_imports(folder: Path) -> list[str]:
     """Return every import of a private module or name of another package in a folder, as sentences."""
     wrong: list[str] = []
     for path in sorted(folder.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] != folder.name:
                 names = [*node.module.split("."), *(alias.name for alias in node.names)]
                 if names[0].startswith("taciturn") and any(name.startswith("_") for name in names):
@@ -103,7 +110,7 @@ def functions(path: Path) -> list[ast.FunctionDef | ast.ClassDef]:
                 if isinstance(node, ast.ClassDef):
                     walk(node.body)
 
-    walk(ast.parse(path.read_text(encoding="utf-8")).body)
+    walk(tree(path).body)
     return found
 
 
@@ -145,7 +152,7 @@ def test_no_function_takes_anything() -> None:
     """No ``**kwargs``, and no module that is named after nothing."""
     for path in SOURCE.parent.rglob("*.py"):
         assert path.stem not in {"utils", "helpers", "manager", "config", "common", "misc"}, path
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.FunctionDef | ast.Lambda):
                 assert node.args.kwarg is None, f"{path.name}:{node.lineno}"
 
@@ -192,7 +199,7 @@ def test_only_its_own_file_names_a_kind() -> None:
     kinds, found = own_kinds(), set[tuple[str, str]]()
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Constant) and node.value in kinds and path.stem.replace("_", "-") != node.value:
                 found.add((place, str(node.value)))
     assert found <= about

@@ -74,6 +74,7 @@ def test_every_changed_bit_of_the_data_is_found(of: tuple[str, str], precision: 
     assert (done.returncode, done.stdout) == (0, "0\n")
 
 
+@pytest.mark.evidence
 def test_a_node_with_another_constant_is_not_started(tmp_path: Path) -> None:
     """The self-check says which; so does a node alone, by the pointer that it does not return."""
     folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=10))

@@ -21,7 +21,8 @@ from taciturn.study.testbed.worlds import prepare, run_world
 CUT = ("controller", "actuator")
 
 
-@pytest.mark.parametrize("first", few([32 * i + policy for i in range(32) for policy in range(4)], quick=1))
+@pytest.mark.evidence
+@pytest.mark.parametrize("first", few([32 * i + policy for i in range(32) for policy in range(4)], quick=0))
 def test_no_invariant_breaks(first: int) -> None:
     """A thousand worlds of four policies, on the host and in C; every one holds a fault."""
     for seed in range(first, first + 32, 4):  # of one policy

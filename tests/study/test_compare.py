@@ -23,6 +23,7 @@ FEW: dict[str, Problem] = {
 }
 
 
+@pytest.mark.evidence
 def test_the_cheapest_is_first_and_differences_are_those_of_the_costs() -> None:
     """All at 0.3 sends per step; the exact ones without error."""
     found = compare(FEW, 0.3)
