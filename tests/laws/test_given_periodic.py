@@ -1,0 +1,115 @@
+"""Other rules for a given controller: periodic packets, send-on-delta, and a base that sends periodically."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laws.test_given_controllers import ALL_TIME, KEPT, STEP, TANK, WEIGHTS, random_loop
+
+import taciturn
+from taciturn import (
+    Cost,
+    ProblemError,
+    UnstableError,
+    design,
+)
+from taciturn.model.policy import Decide, Location
+from taciturn.model.theory import Theory
+from taciturn.model.trigger import Form, Scheduled, Trigger
+from taciturn.program.engine import prepare
+from taciturn.program.names import Sent
+from taciturn.simulation.average import average
+
+
+@pytest.mark.evidence
+def test_the_same_controller_at_a_slower_clock_is_the_comparison() -> None:
+    """Every second, fourth and eighth step, exactly; and as simulated with a packet every fourth step."""
+    for link, silence in (("actuator", "hold"), ("actuator", "model"), ("sensor", "hold"), ("sensor", "model")):
+        policy = design.excess(TANK, WEIGHTS, theta=0.5, controller=KEPT, link=link, actuation=silence)
+        exact, steps = policy.theory.periodic.at_its_step(4), tuple(policy.steps)
+        if (link, silence) == ("actuator", "hold"):
+            found = [policy.theory.periodic.at_its_step(q) / ALL_TIME for q in (1, 2, 4, 8)]
+            assert found == pytest.approx([1.0, 1.1977, 1.6746, 3.0450], abs=5e-5)
+        turns = Scheduled("turn", np.array([-1.0, 1.0, 1.0, 1.0]))
+        timed = Trigger({"silent": Form(), "send": Form(constant=turns)})
+        steps = tuple(replace(one, trigger=timed) if isinstance(one, Decide) and one.decision == "send" else one
+                      for one in steps)  # fmt: skip
+        clocked = replace(policy, steps=steps, locations=(Location("turn", np.array([1, 2, 3, 0])),), theory=Theory(
+            cost=policy.theory.cost, settling=policy.theory.settling, cost_all_time=policy.cost_all_time))  # fmt: skip
+        simulated = average(taciturn.close(TANK, clocked, cost=WEIGHTS), standard_error=2e-6)
+        assert simulated.rates[link].value == pytest.approx(0.25, abs=1e-6)
+        assert simulated.cost.value == pytest.approx(exact, abs=4 * simulated.cost.standard_error)
+    slow, draws, x = KEPT.at(4 * STEP, 1, 1), np.random.default_rng(3), np.zeros((2, 4000))
+    z, total = np.zeros((len(slow.A), 4000)), np.zeros(4000)
+    for step in range(2400):
+        if step % 4 == 0:
+            y = TANK.C @ x + np.sqrt(TANK.V) @ draws.standard_normal((1, 4000))
+            u, z = slow.C @ z + slow.D @ y, slow.A @ z + slow.B @ y
+        if step >= 400:
+            total += np.einsum("ip,ij,jp->p", x, WEIGHTS.Q, x) + WEIGHTS.R.item() * u[0] ** 2
+        x = TANK.A @ x + TANK.B @ u + np.sqrt(TANK.W) @ draws.standard_normal((2, 4000))
+    error = total.std(ddof=1) / 2000 / np.sqrt(4000)
+    assert policy.theory.periodic.discretised(4) == pytest.approx(total.mean() / 2000, abs=4 * error)
+
+
+@pytest.mark.parametrize(
+    ("link", "delta", "packets", "cost"),
+    [
+        pytest.param(*row, marks=() if row[1] in (0.15, 0.04) else pytest.mark.evidence)
+        for row in (
+            ("actuator", 0.1, 0.523, 1.026), ("actuator", 0.15, 0.343, 1.088), ("actuator", 0.2, 0.217, 1.227),
+            ("sensor", 0.02, 0.665, 1.001), ("sensor", 0.04, 0.392, 1.026), ("sensor", 0.06, 0.215, 1.098),
+            ("sensor", 0.1, 0.080, 1.491),
+        )
+    ],
+)  # fmt: skip
+def test_send_on_delta_keeps_a_controller(link: str, delta: float, packets: float, cost: float) -> None:
+    """Of its command or of the measurement; the excess trigger costs less at the same rate."""
+    policy = design.send_on_delta(TANK, WEIGHTS, delta=delta, controller=KEPT, link=link)
+    assert policy.guarantee is None
+    assert policy.cost_all_time == pytest.approx(ALL_TIME, rel=1e-8)
+    found = taciturn.evaluate(policy, standard_error=3e-6)
+    assert found.rates[link].value == pytest.approx(packets, abs=0.002)
+    assert found.cost.value / ALL_TIME == pytest.approx(cost, abs=0.008)  # 4 standard errors of the reference
+
+
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(60), marks=pytest.mark.evidence)])
+def test_a_base_that_sends_periodically(seeds: range) -> None:
+    """Its cost by two computations, the identity, and J + δ·rate ≤ J_q + δ/q, for given controllers and for LQG."""
+    off = []
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        every, link = 2 + seed % 3, ("actuator", "sensor")[seed // 2 % 2]
+        controller = kept if seed % 4 else None
+        try:
+            policy = design.excess(plant, cost, theta=0.3, controller=controller, every=every, link=link)
+        except UnstableError:  # with so few packets
+            continue
+        found = policy.guarantee.base + policy.guarantee.per_silence * (1 - 1 / every)
+        assert policy.theory.periodic.at_its_step(every) == pytest.approx(found, rel=1e-9)
+        loop, paths = taciturn.close(plant, policy), 400
+        program = loop.program()
+        prepared = prepare(program)
+        states = prepared(loop.start(program, paths, seed), 2000 // every * every, None).states
+        sums = prepared(states, 4000 // every * every, None).sums
+        steps = 4000 // every * every
+        plain, squares = sums["cost"] / steps, found + sums["excess"] / steps
+        off.append(float((plain - squares).mean() / ((plain - squares).std(ddof=1) / np.sqrt(paths))))
+        rate = float(sums[Sent(link)].mean()) / steps
+        assert plain.mean() < policy.guarantee.at_rate(rate) + 4 * plain.std(ddof=1) / np.sqrt(paths)
+    assert off
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1 + 6 / np.sqrt(len(off))
+
+
+def test_at_its_own_rate_a_periodic_base_is_improved() -> None:
+    """For LQG with optimal gains and a held input, relative to ``periodic`` itself."""
+    policy = design.excess(TANK, WEIGHTS, theta=0.2, every=3)
+    clocked = design.periodic(TANK, WEIGHTS, every=3).theory.closed_form.cost
+    bound = policy.guarantee
+    assert bound.base + bound.per_silence * (1 - 1 / 3) == pytest.approx(clocked, rel=1e-9)
+    total = Cost(WEIGHTS.Q, WEIGHTS.R, discount=0.9)
+    with pytest.raises(ProblemError, match="actuation is 'model', every is 3, and the cost is a total; expected"):
+        design.excess(TANK, total, theta=0.2, every=3, actuation="model")
