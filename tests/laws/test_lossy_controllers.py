@@ -10,11 +10,12 @@ from laws.test_given_controllers import random_loop
 from runtime.loops import differing_ticks, record
 
 import taciturn
-from taciturn import PID, Burst, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
+from taciturn import PID, Burst, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import Attempts, Base, advantage, critical_scale
 from taciturn.design.kept import lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.kalman import filter_checked
 from taciturn.model.policy import Received
 from taciturn.program.engine import prepare
 from taciturn.program.names import Sent
@@ -90,6 +91,25 @@ def test_two_computations_of_the_value_agree(seeds: range) -> None:
                 assert advantage(base, "", attempts).cost == pytest.approx(forward_cost(base, attempts), rel=1e-9)
 
 
+def assert_finite_time(plant: Plant, cost: Cost, kept: Controller, link: str, network: Network, seed: int) -> None:
+    """Check J_T ≤ J_all + δ(1 − rate) + E z'P z/T from a start far from rest, with the prior of the filter."""
+    covariance = filter_checked(plant.A, plant.C, plant.W, plant.V).prior
+    mean = 5 * np.sqrt(np.diag(covariance))
+    far = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=mean, covariance=covariance)
+    policy, paths, steps = design.excess(far, cost, theta=0.2, controller=kept, link=link, network=network), 2000, 12
+    loop = taciturn.close(far, policy)
+    choose = actuator_base if link == "actuator" else sensor_base
+    P = advantage(choose(discretise(plant, cost, None), kept), "", Attempts((True,), *network.chain(link))).P
+    seen = np.vstack([np.eye(plant.states), np.zeros((len(kept.A), plant.states)), plant.C])
+    moment = seen @ (covariance + np.outer(mean, mean)) @ seen.T
+    moment[-plant.outputs :, -plant.outputs :] += plant.V
+    sums = prepare(loop.program())(loop.start(loop.program(), paths, seed), steps, None).sums
+    silent = policy.guarantee.per_silence * (1 - sums[Sent(link)] / steps)
+    room = np.sum(P * moment) / steps + policy.cost_all_time + silent - sums["cost"] / steps
+    assert room.mean() > -4.5 * room.std(ddof=1) / np.sqrt(paths)
+    assert room.mean() < np.sum(P * moment) / steps  # without the start, the bound would be broken
+
+
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(100), marks=pytest.mark.evidence)])
 def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
     """Plain average and completed squares of the same loop; errors from loops whose fourth moments exist."""
@@ -107,6 +127,7 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
         assert loop.nominal
         if policy.guarantee is None:
             continue
+        assert_finite_time(plant, cost, kept, link, network, seed)
         program = loop.program()
         prepared = prepare(program)
         states = prepared(loop.start(program, paths, seed), 2000, None).states
