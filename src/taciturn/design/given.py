@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from taciturn._arrays import choice
+from taciturn._arrays import Array, choice
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
@@ -19,13 +19,14 @@ from taciturn.design.certainty import SEND, design_certainty
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
 from taciturn.design.kept import REMEDY
 from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.routes import Actuation, Route, route_over
+from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import filter_checked
+from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
 from taciturn.model.kept import Kept
@@ -33,9 +34,9 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
 from taciturn.model.theory import Identity, Theory
-from taciturn.model.trigger import Form, Matrix, Trigger
+from taciturn.model.trigger import Form, Trigger
 
-COST, AGAIN, MISSING = "cost of silence", "cost after a dropout", "missing"
+MISSING, WOULD, LIMIT = "missing", "command of a packet", "limit"
 
 
 def keep_controller(
@@ -87,7 +88,7 @@ def keep_controller(
     if retry and (not lossy or every > 1):
         why = f"every is {every}" if lossy else "no packet is acknowledged and dropped"
         raise ProblemError(f"retry is true, and {why}; expected an acknowledged link that drops packets, and every = 1")
-    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None)
+    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, loop.point.start)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time = StepCounter.of(problem, every)
     attempts = _attempts(problem, route, network, link, time, lossy)
@@ -98,15 +99,23 @@ def keep_controller(
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
-    forbidden = 2 * price + base + 1
-    watch, rule = _watched(watched, silence.cost, forbidden, route.node)
-    again, rule, follow = _retried(link, rule, forbidden, route.node) if retry else ((), rule, ())
+    at, forbidden, rule = route.node, 2 * price + base + 1, silence.cost
+    watch = () if watched is None else watch_innovations(INNOVATION, watched, at)
+    if watch:
+        watch, rule = _unless(WATCH, watch, rule, forbidden)
+    clipped = _at_limits(plant, controller, loop.point.input, at)
+    if clipped:  # the cost of silence assumes inputs without limits
+        clipped, rule = _unless(LIMIT, clipped, rule, forbidden)
+    again, follow = _retried(link, at) if retry else ((), ())
+    if again:
+        again, rule = _unless("retry", again, rule, forbidden)
     output = {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
     steps = route.steps(
         {ESTIMATE: plant.C} if plant.full_state else output,
         (
             *silence.before,
             *watch,
+            *clipped,
             *again,
             Decide(route.node, SEND, Trigger({"silent": rule, SEND: Form(constant=price)})),
         ),
@@ -134,7 +143,7 @@ def keep_controller(
         theory=theory,
         sites=route.sites,
         locations=time.locations,
-        initial={**estimation.initial, **route.initial, **silence.initial, **route.begun(loop.point.start)},
+        initial={**estimation.initial, **route.initial, **silence.initial},
         network=network if lossy else Network(),
         tick=problem.tick,
         notes=(*(() if lossy else _beside(kind, problem, all_time)), *loop.notes),
@@ -182,26 +191,36 @@ def _with_every_sample(problem: Discrete, route: Route) -> float:
     return _cost(problem, advantage(route.base, REMEDY, attempts))
 
 
-def _watched(innovation: Matrix | None, silent: Form, forbidden: float, at: NodeName) -> tuple[tuple[Step, ...], Form]:
-    """Return the steps of the alarm, and the cost of silence, which is ``forbidden`` during an alarm."""
-    if innovation is None:
-        return (), silent
-    steps = watch_innovations(INNOVATION, innovation, at)
-    return (*steps, Evaluate(at, COST, (silent, Form(constant=forbidden)), WATCH)), Form(plus={COST: 1.0})
+def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: float) -> tuple[tuple[Step, ...], Form]:
+    """Return the steps of a decision whose other options than the first forbid silence, and the cost of silence."""
+    made = next(step for step in before if isinstance(step, Decide) and step.decision == decision)
+    name = f"cost of silence with {decision}"
+    others = [Form(constant=forbidden)] * (len(made.trigger.options) - 1)
+    return (*before, Evaluate(made.at, name, (silent, *others), decision)), Form(plus={name: 1.0})
 
 
-def _retried(
-    link: LinkName, silent: Form, forbidden: float, at: NodeName
-) -> tuple[tuple[Step, ...], Form, tuple[Step, ...]]:
-    """Return the cost of silence, which is ``forbidden`` after a missing acknowledgement, and the steps around it."""
+def _at_limits(plant: Plant, controller: Controller, steady: Array, at: NodeName) -> tuple[Step, ...]:
+    """Return the steps that decide whether the command that a packet causes is beyond a limit of an input."""
+    if plant.input_limit is None:
+        return ()
+    m, clipped = plant.inputs, dict[str, Form]()
+    for i, limit in enumerate(plant.input_limit):
+        one = np.zeros((m, m))
+        one[i, i] = -1.0
+        clipped[f"input {i + 1} clipped"] = Form((WOULD,), one, constant=float(limit) ** 2)
+    command = nonempty({REGISTER: controller.C, MEASURED: controller.D, ONE: steady[:, None]})
+    return Assign(at, WOULD, command), Decide(at, LIMIT, Trigger({"within": Form(), **clipped}))
+
+
+def _retried(link: LinkName, at: NodeName) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+    """Return the steps that decide whether the last packet was acknowledged, and those that remember it."""
     none, one = np.zeros((1, 1)), np.ones((1, 1))
     missing = Trigger({"arrived": Form(plus={MISSING: 1.0}), "missing": Form(constant=0.5)})
-    before = (Decide(at, "retry", missing), Evaluate(at, AGAIN, (silent, Form(constant=forbidden)), "retry"))
     after = (
         Assign(at, "tried", ({ONE: none}, {ONE: one}), SEND),
         Assign(at, MISSING, ({"tried": one}, {ONE: none}), Acknowledged(link)),
     )
-    return before, Form(plus={AGAIN: 1.0}), after
+    return (Decide(at, "retry", missing),), after
 
 
 def _beside(kind: str, problem: Discrete, cost: float) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class OperatingPoint(Displayed):
         input: input u*, (m,).
         output: set-point of each output, (p,).
         start: state of the controller at the start, relative to its state at rest, (k,).
+        before: the input before the start, (m,).
     """
 
     plant: Plant
@@ -45,6 +46,7 @@ class OperatingPoint(Displayed):
     input: Array
     output: Array
     start: Array
+    before: Array
 
     def deviations(self, problem: Discrete) -> Discrete:
         """Return the problem of the deviations from the point."""
@@ -57,21 +59,23 @@ class OperatingPoint(Displayed):
     def applied_to(self, policy: Policy) -> Policy:
         """Return a policy of deviations in the units of the plant; without a set-point and limits, it is the same."""
         limit, moved = self.plant.input_limit, bool(self.state.any() or self.input.any())
-        if limit is None and not moved:
+        if limit is None and not moved and not self.before.any():
             return policy
         tracked = tuple(
             Assign("actuator", name, {ONE: value[:, None]})
             for name, value in ((TARGET, self.state), (STEADY, self.input))
         )
         steps = [found for step in policy.steps for found in self._in_units(step)]
-        known = any(isinstance(step, Assign | Apply) and HELD in _results(step) for step in steps)
+        before = {HELD: self.before - self.input, "command": self.before - self.input, "input": self.before}
+        signals = [step for step in steps if isinstance(step, Assign | Apply)]
+        remembered = {name for name in before if any(name in _results(step) for step in signals)}
         return replace(
             policy,
             steps=(*(tracked if moved else ()), *steps),
             model=self.plant,
             theory=replace(policy.theory, innovations=None, functions=policy.theory.functions | {HELD, LIMITED}),
             tracking=Tracking(TARGET, STEADY, self.state) if moved else None,
-            initial={**({HELD: -self.input} if known else {}), **policy.initial},
+            initial={**{name: before[name] for name in remembered}, **policy.initial},
         )
 
     def _in_units(self, step: Step) -> tuple[Step, ...]:
@@ -153,10 +157,10 @@ def operating_point(problem: Discrete, controller: Controller) -> OperatingPoint
         caused = np.concatenate([controller.E @ steady, steady])
         rest = _solved(holding, caused, "the controller does not hold the set-point, as it does not integrate")
         rest = rest + controller.rest
-    start = -rest
+    start, before = -rest, np.zeros(m) if controller.start_input is None else controller.start_input
     if controller.start_input is not None:
         start = _bumpless(controller, plant.C @ plant.mean - r, controller.start_input - steady)
-    return OperatingPoint(plant, state, steady, r, start)
+    return OperatingPoint(plant, state, steady, r, start, before)
 
 
 def _bumpless(c: Controller, error: Array, command: Array) -> Array:

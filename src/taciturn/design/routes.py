@@ -57,11 +57,6 @@ class Route(Displayed):
         """The signals of z: the state of the plant, that of the controller, and the measurement."""
         return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
 
-    def begun(self, start: Array) -> dict[str, Array]:
-        """Return the initial values of the controller's state, at every node that has it."""
-        names = [NEXT, "state"] if self.node == "sensor" else [NEXT]
-        return dict.fromkeys(names, start) if start.any() else {}
-
     def steps(self, measured: dict[str, Array], decide: tuple[Step, ...], after: tuple[Step, ...]) -> tuple[Step, ...]:
         """Return the policy steps with those that decide on ``error``, and those that follow the packet.
 
@@ -89,6 +84,7 @@ def route_over(
     actuation: Actuation,
     lossy: bool,
     copied: Filter | None = None,
+    start: Array | None = None,
 ) -> Route:
     """Return the route of a given controller's packets.
 
@@ -102,24 +98,26 @@ def route_over(
         lossy: whether the network acknowledges packets, and the node that decides uses the acknowledgements.
         copied: the filter whose estimates a receiver that predicts gets, if its prediction enters the value: over links
             that drop packets, and for a base that is silent in some steps.
+        start: state of the controller at the start, (k,); default 0.
     """
+    start = np.zeros(len(controller.A)) if start is None else start
     choice("actuation", actuation, ("hold", "model", "zero"))
     if choice("link", link, ("actuator", "sensor")) == "actuator":
-        return _over_actuator_link(problem, controller, actuation, lossy, copied)
+        return _over_actuator_link(problem, controller, actuation, lossy, copied, start)
     if actuation == "zero":
         raise ProblemError("actuation is 'zero', and the link is that of the sensor; expected 'hold' or 'model'")
-    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied)
+    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start)
 
 
 def _over_actuator_link(
-    problem: Discrete, controller: Controller, actuation: Actuation, lossy: bool, copied: Filter | None
+    problem: Discrete, controller: Controller, actuation: Actuation, lossy: bool, copied: Filter | None, start: Array
 ) -> Route:
     """Return the route of inputs; an actuator that predicts simulates plant and controller in silence."""
     base, m, k = actuator_base(problem, controller), problem.plant.inputs, len(controller.A)
     unit, at = np.eye(m), "controller"
     known = ({CANDIDATE: unit}, {"command": unit})
     on = Acknowledged("actuator") if lossy else SEND
-    copies = _copies(problem, base, k, on) if actuation == "model" else None
+    copies = _copies(problem, base, start, on) if actuation == "model" else None
     own = np.zeros((m, m)) if actuation == "zero" else unit  # in silence, from the last input
     command: tuple[Step, ...] = (
         Assign(at, "command", nonempty({REGISTER: controller.C, MEASURED: controller.D})),
@@ -147,13 +145,13 @@ def _over_actuator_link(
         error,
         command,
         (*sent, *((Assign(at, NEXT, moved),) if k else ())),
-        copies.initial if copies else {},
+        {**({NEXT: start} if k else {}), **(copies.initial if copies else {})},
         k,
     )
 
 
 def _over_sensor_link(
-    problem: Discrete, controller: Controller, model: bool, lossy: bool, copied: Filter | None
+    problem: Discrete, controller: Controller, model: bool, lossy: bool, copied: Filter | None, start: Array
 ) -> Route:
     """Return the route of measurements; the sensor has a copy of the controller.
 
@@ -178,6 +176,7 @@ def _over_sensor_link(
         *((Assign(at, NEXT, {REGISTER: c.A, "known": c.B, HELD: c.E}),) if len(c.A) else ()),
     )
     base, error = sensor_base(problem, controller), {CANDIDATE: unit, MEASURED: -unit}
+    used, begun = (("prediction", "forecast"), plant.mean) if model else (("known", "used"), plant.C @ plant.mean)
     if model:
         followed = ({"forecast": state}, {ESTIMATE: state})
         receiver += (
@@ -199,7 +198,7 @@ def _over_sensor_link(
         error,
         (Assign(at, CANDIDATE, {"prediction": plant.C} if model else {"known": unit}),),
         (Send(at, "sensor", tuple(packet), SEND), *receiver, *copy),
-        {"prediction": plant.mean, "forecast": plant.mean} if model else {},
+        dict.fromkeys((NEXT, "state") if len(start) else (), start) | dict.fromkeys(used, begun),
         len(c.A),
     )
 
@@ -296,12 +295,12 @@ class _Copies(Displayed):
     initial: dict[str, Array]
 
 
-def _copies(problem: Discrete, base: Base, k: int, on: Condition) -> _Copies:
-    plant = problem.plant
+def _copies(problem: Discrete, base: Base, start: Array, on: Condition) -> _Copies:
+    plant, k = problem.plant, len(start)
     n, p = plant.states, plant.outputs
     unit = np.eye(n + k + p)
     packet = nonempty({ESTIMATE: unit[:, :n], REGISTER: unit[:, n : n + k], MEASURED: unit[:, n + k :]})
-    start = np.concatenate([plant.mean, np.zeros(k), plant.C @ plant.mean])
+    begun = np.concatenate([plant.mean, start, plant.C @ plant.mean])
     return _Copies(
         packet,
         (
@@ -312,5 +311,5 @@ def _copies(problem: Discrete, base: Base, k: int, on: Condition) -> _Copies:
             Assign("controller", "copy", ({"prediction": unit}, packet), on),
             Assign("controller", "prediction", {"copy": base.Phi, HELD: base.Gamma}),
         ),
-        {"prediction": start, "forecast": start},
+        {"prediction": begun, "forecast": begun},
     )

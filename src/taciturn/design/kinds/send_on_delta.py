@@ -85,7 +85,7 @@ def _keep(
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
     loop = KeptLoop.of(plant, cost, period, kept)
-    route = route_over(link, loop.problem, loop.controller, "hold", False)
+    route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start)
     size = len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
     decide = (
@@ -94,7 +94,7 @@ def _keep(
         Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
     steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
-    return loop.policy(kind, route.base, steps, route.sites, {**route.initial, **route.begun(loop.point.start)})
+    return loop.policy(kind, route.base, steps, route.sites, route.initial)
 
 
 def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:
