@@ -8,7 +8,7 @@ from taciturn.errors import ProblemError
 
 
 def parse_settings(items: list[str]) -> dict[str, object]:
-    """Return the value of each name from texts ``NAME=VALUE``; the value ``none`` removes a key.
+    """Return the value of each name from texts ``NAME=VALUE``; ``none`` removes a key, ``"none"`` is the word.
 
     Raises:
         ProblemError: a text has another form or several values, or a name is given twice.
@@ -57,7 +57,7 @@ def _split(text: str) -> list[str]:
 
 
 def _parse_value(text: str) -> object:
-    if text.startswith(("[", "{")):
+    if text.startswith(("[", "{", '"', "'")):
         try:
             return tomllib.loads(f"value = {text}")["value"]
         except ValueError:

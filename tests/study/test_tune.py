@@ -102,7 +102,8 @@ def test_percent_are_of_sending_always() -> None:
     [
         (MASSES, {"rate": "+5%"}, "rate is '+5%'; expected a number, or a percentage such as 50%"),
         (MASSES, {"cost": "5%"}, "cost is '5%'; expected a number, or a percentage such as +5%"),
-        (MASSES, {"cost": "-5%"}, "cost is '-5%'; expected"),
+        (MASSES, {"cost": "-5%"}, "the cost 0.696804 per step is below the cost of sending at every step"),
+        (MASSES, {"cost": "-100%"}, "cost is -1; expected -1 < cost"),
         (MASSES, {"rate": "0%"}, "rate is 0; expected 0 < rate"),
         (MASSES, {"rate": "0.3"}, "rate is '0.3'; expected a number"),
         (

@@ -24,7 +24,6 @@ from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.operating_point import OperatingPoint
 from taciturn.design.routes import sensor_base
 from taciturn.errors import ProblemError
-from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.kept import controller_from
 from taciturn.model.pid import PID, PIDLoops
@@ -134,20 +133,14 @@ def design_event_pid(
         Apply("controller", dict.fromkeys(STATE, 1), EventPID(kept, step, area), (HEARD, FRESH, *STATE)),
         Assign("actuator", "input", {"command": one}),
     )
-    base = sensor_base(loop.problem, at_every_step(kept, step))
     initial = {"elapsed": np.ones(1), **_begun(kept, loop.point), **({"age": np.full(1, 1e6)} if late else {})}
-    return loop.policy(kind, base, (*decide, *compute), (frozenset({"controller", "actuator"}),), initial)
-
-
-def at_every_step(pid: PID, step: float) -> Controller:
-    """Return the controller that a packet at every step gives, with the state (integral, derivative, last y)."""
-    T = pid.filter or 0.0
-    kept, gain = T / (T + step), pid.kd / (T + step)
-    A, B = np.diag([1.0, kept, 0.0]), np.array([[pid.ki * step], [gain], [1.0]])
-    A[1, 2] = -gain
-    C, D = np.array([[-1.0, -kept, gain]]), [[-pid.kp - gain]]
-    used = slice(0 if pid.ki else 1, 3 if pid.kd else 1)  # a part with gain 0 has no state
-    return Controller(A[used, used], B[used], C[:, used], D, None, step)
+    return loop.policy(
+        kind,
+        sensor_base(loop.problem, loop.controller),
+        (*decide, *compute),
+        (frozenset({"controller", "actuator"}),),
+        initial,
+    )
 
 
 def _begun(pid: PID, point: OperatingPoint) -> dict[str, Array]:

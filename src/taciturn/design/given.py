@@ -194,7 +194,7 @@ def _with_every_sample(problem: Discrete, route: Route) -> float:
 def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: float) -> tuple[tuple[Step, ...], Form]:
     """Return the steps of a decision whose other options than the first forbid silence, and the cost of silence."""
     made = next(step for step in before if isinstance(step, Decide) and step.decision == decision)
-    name = f"cost of silence with {decision}"
+    name = f"cost after {decision}" if silent.Psi is None else "cost of silence"
     others = [Form(constant=forbidden)] * (len(made.trigger.options) - 1)
     return (*before, Evaluate(made.at, name, (silent, *others), decision)), Form(plus={name: 1.0})
 

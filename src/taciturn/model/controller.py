@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, ArrayLike, array, choice, number
+from taciturn._arrays import Array, ArrayLike, array, choice, number, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
@@ -87,7 +87,7 @@ class Controller(Displayed):
         object.__setattr__(self, "D", array("controller.D", D, (m, p), "(inputs, outputs)"))
         object.__setattr__(self, "E", array("controller.E", E, (k, m), "(controller states, inputs)"))
         object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
-        object.__setattr__(self, "disturbance", disturbance)
+        object.__setattr__(self, "disturbance", checked_disturbance("controller.disturbance", disturbance))
         for name, value, size in (("setpoint", setpoint, p), ("rest", rest, k)):
             found = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
             object.__setattr__(self, name, array(f"controller.{name}", found, (size,), f"({size},)"))
@@ -156,6 +156,7 @@ class ContinuousController(Displayed):
     def __post_init__(self) -> None:
         """Validate the matrices and the method."""
         choice("controller.method", self.method, ("tustin", "zoh"))
+        checked_disturbance("controller.disturbance", self.disturbance)
         stated = Controller(self.A, self.B, self.C, self.D)
         for name in ("A", "B", "C", "D"):
             object.__setattr__(self, name, getattr(stated, name))
@@ -167,8 +168,30 @@ class ContinuousController(Displayed):
             ProblemError: the step is not stated, or the number of inputs or outputs is not that of the plant.
         """
         method = "bilinear" if self.method == "tustin" else "zoh"
-        found = _scipy.discrete_controller(self.A, self.B, self.C, self.D, stated_step(dt), method)
+        step = stated_step(dt)
+        try:
+            found = _scipy.discrete_controller(self.A, self.B, self.C, self.D, step, method)
+        except np.linalg.LinAlgError:
+            raise ProblemError(
+                f"the controller has a pole at 2/h = {2 / step:g} per second with steps of h = {step:g} s, so the "
+                'trapezoidal rule does not apply; expected method = "zoh", or dt of the controller if its matrices are '
+                "per step"
+            ) from None
         return Controller(*found, None, dt, self.disturbance, self.setpoint).at(dt, inputs, outputs)
+
+
+def checked_disturbance(name: str, value: object) -> Disturbance | None:
+    """Return a disturbance, or None for the default.
+
+    Raises:
+        ProblemError: the value is something else.
+    """
+    if value is not None and not isinstance(value, Disturbance):
+        raise ProblemError(
+            f"{name} is {quoted(value)}; expected a Disturbance, Disturbance(deviation=0) for no disturbance, or None "
+            "for the default"
+        )
+    return value
 
 
 def stated_step(dt: float | None) -> float:

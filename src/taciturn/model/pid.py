@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, count, instance, number
+from taciturn._arrays import Array, count, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.controller import Controller, stated_step
+from taciturn.model.controller import Controller, checked_disturbance, stated_step
 from taciturn.model.disturbance import Disturbance
 
 
@@ -62,13 +62,18 @@ class PID(Displayed):
         """Check the gains and the filter."""
         for name in ("kp", "ki", "kd", "setpoint", "b", "c"):
             number(f"pid.{name}", getattr(self, name))
-        instance("pid.disturbance", self.disturbance, Disturbance, type(None))
+        checked_disturbance("pid.disturbance", self.disturbance)
         if not self.setpoint and (self.b != 1.0 or self.c != 0.0):
             raise ProblemError("pid.b or pid.c is given without setpoint; expected a set-point, or neither of them")
         if self.tracking_time is not None:
             number("pid.tracking_time", self.tracking_time, 0.0)
         if self.start_input is not None:
             number("pid.start_input", self.start_input)
+        if self.c and self.start_input is not None:
+            raise ProblemError(
+                f"pid.c is {self.c:g} with start_input, with which the derivative starts at rest: as the set-point is "
+                "constant, c has no effect; expected no c"
+            )
         for name in (name for name in ("tracking_time", "start_input") if getattr(self, name) is not None):
             if not self.ki:
                 raise ProblemError(f"pid.{name} is given without ki; expected an integral, whose value it concerns")

@@ -300,7 +300,7 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
             )
         try:
             system = cast("StateSpaceLike", to_state_space())
-        except (TypeError, ValueError) as error:  # an improper system, or frequency-response data
+        except (TypeError, ValueError, NotImplementedError, ImportError) as error:  # improper, several inputs, no data
             raise ProblemError(
                 f"{name} is a {type(system).__name__} without a state space ({error}); "
                 "expected an object with A, B, C, D, or a proper transfer function"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import matrix_lines, vector_text
+from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Evaluate, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -86,10 +87,15 @@ class Description(Displayed):
             "cost_all_time": self.policy.cost_all_time,
             "guarantee": self._guarantee(),
             "gains": {name: _plain(value) for name, value in self.gains.items()},
-            **({} if self.controller is None else {"controller": _controller_document(self.controller)}),
+            **({} if self.controller is None else {"controller": self._controller_document(self.controller)}),
             "decisions": {
                 name: {label: _form_document(form) for label, form in trigger.options.items()}
                 for name, trigger in self._decisions.items()
+            },
+            "computed": {
+                name: _form_document(form)
+                for trigger in self._decisions.values()
+                for name, form in self._computed(trigger).items()
             },
             "network": {
                 "protocol": network.protocol,
@@ -112,7 +118,7 @@ class Description(Displayed):
         lines += _cost_lines(problem)
         lines.append(("every sample", f"J_all = {self.policy.cost_all_time:.6g} {per_unit(per)}"))
         if self.controller is not None:
-            lines += _controller_lines(self.controller)
+            lines += _controller_lines(self.problem.controller, self.controller)
         for name, value in self.gains.items():
             lines.append(GAINS[name])
             lines += matrix_lines("", value)
@@ -121,7 +127,7 @@ class Description(Displayed):
         lines += self._guarantee_lines()
         for name, trigger in self._decisions.items():
             lines += _decision_lines(name, trigger.options)
-            lines += self._computed_lines(trigger)
+            lines += [line for name, form in self._computed(trigger).items() for line in _form_lines(name, form)]
         lines.append(("network", problem.network.short()))
         if self.diagram is not None:
             for link in self.diagram.links:
@@ -130,16 +136,21 @@ class Description(Displayed):
         lines += self._fault_lines()
         return [*lines, *(("note", note) for note in self.notes)]
 
-    def _computed_lines(self, trigger: Trigger) -> Lines:
-        """Return the quadratic forms of the signals that a decision compares."""
-        named = {name for form in trigger.options.values() for name in form.plus}
+    def _controller_document(self, controller: Controller) -> dict[str, Any]:
+        matrices = {name: getattr(controller, name).tolist() for name in "ABCDE"}
+        return {**matrices, "setpoint": controller.setpoint.tolist(), "pid": _pids(self.problem.controller)}
+
+    def _computed(self, trigger: Trigger) -> dict[str, Form]:
+        """Return the quadratic forms of the signals that a decision compares, also of signals that pass them on."""
         steps = self.policy.steps if isinstance(self.policy, Policy) else ()
-        return [
-            line
-            for step in steps
-            if isinstance(step, Evaluate) and step.signal in named and step.forms[0].Psi is not None
-            for line in _form_lines(step.signal, step.forms[0])
-        ]
+        forms = {step.signal: step.forms[0] for step in steps if isinstance(step, Evaluate)}
+        waiting, found = [name for form in trigger.options.values() for name in form.plus], dict[str, Form]()
+        while waiting:
+            name = waiting.pop(0)
+            if name in forms and name not in found:
+                found[name] = forms[name]
+                waiting += forms[name].plus
+        return {name: form for name, form in found.items() if form.Psi is not None}
 
     def _fault_lines(self) -> Lines:
         """Return how long a fault has an effect, if it is not until the end of a run."""
@@ -302,18 +313,31 @@ def _form_lines(name: str, form: Form) -> Lines:
     return lines
 
 
-def _controller_lines(controller: Controller) -> Lines:
+def _pids(kept: object) -> list[dict[str, Any]]:
+    """Return what PID controllers state, other than the default values and the disturbance, of which a note speaks."""
+    loops = kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
+    return [
+        {
+            one.name: value
+            for one in fields(loop)
+            if one.name != "disturbance" and (value := getattr(loop, one.name)) != one.default
+        }
+        for loop in loops
+    ]
+
+
+def _controller_lines(kept: object, controller: Controller) -> Lines:
     """Return the printed lines of a controller."""
     parts = [name for name in "ABCDE" if getattr(controller, name).size and (name != "E" or controller.E.any())]
     state = f"z⁺ = A z + B y{' + E u' if 'E' in parts else ''}, " if len(controller.A) else ""
     lines: Lines = [("controller", f"{state}u = {'C z + ' if len(controller.A) else ''}D y in each step")]
     for name in parts:
         lines += matrix_lines(f"  {name}", getattr(controller, name))
+    stated = [", ".join(f"{name} = {value:g}" for name, value in pid.items()) for pid in _pids(kept)]
+    lines += [("  PID", text) for text in stated]
+    if not stated and controller.setpoint.any():
+        lines.append(("  set-point", vector_text(controller.setpoint)))
     return lines
-
-
-def _controller_document(controller: Controller) -> dict[str, Any]:
-    return {name: getattr(controller, name).tolist() for name in "ABCDE"}
 
 
 def _form_document(form: Form) -> dict[str, Any]:

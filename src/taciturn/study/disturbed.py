@@ -26,7 +26,6 @@ from taciturn.simulation.sampling import Averages
 from taciturn.study.measure import Request
 
 ACCURACY = 1e-3  # standard error relative to the cost of sending every sample
-ALIKE = 1e-9  # relative difference of two costs that are equal up to rounding
 NEVER = 1e150  # a cost of silence above that of any packet
 
 
@@ -108,13 +107,13 @@ def _settling(policy: Policy, assumed: Disturbance) -> float:
 
 
 def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
-    """Return the same control with a packet at every sample."""
+    """Return the same control with a packet at every sample; some rules, such as levels of the output, have none."""
     if problem.controller is None:
         return sends_every_sample(policy)
-    period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
-    kept = excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller)
-    plain = abs(kept.cost_all_time - policy.cost_all_time) <= ALIKE * kept.cost_all_time
-    return sends_every_sample(kept if plain else policy)  # some rules compute otherwise than the controller
+    period, link = policy.tick if isinstance(problem.plant, ContinuousPlant) else None, policy.scheduled[0]
+    return sends_every_sample(
+        excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller, link=link)
+    )
 
 
 def sends_every_sample(policy: Policy) -> Policy:

@@ -11,7 +11,7 @@ from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import OptimalPolicy
 
-FORMS = {"rate": r"(\d+\.?\d*|\.\d+)\s*%", "cost": r"\+\s*(\d+\.?\d*|\.\d+)\s*%"}
+FORMS = {"rate": r"(\d+\.?\d*|\.\d+)\s*%", "cost": r"([+-]\s*(?:\d+\.?\d*|\.\d+))\s*%"}
 EXAMPLES = {"rate": "50% of the rate of sending every sample", "cost": "+5% above the cost of sending every sample"}
 
 
@@ -20,7 +20,7 @@ def parse_budget(name: str, text: str) -> float | str:
 
     Args:
         name: ``"rate"`` or ``"cost"``.
-        text: a text such as ``"0.3"``, ``"50%"`` for a rate, or ``"+5%"`` for a cost.
+        text: a text such as ``"0.3"``, ``"50%"`` for a rate, or ``"+5%"`` or ``"-5%"`` for a cost.
 
     Raises:
         ProblemError: the text is neither a number nor a percentage.
@@ -74,4 +74,5 @@ def _share(name: str, text: str) -> float:
     found = re.fullmatch(FORMS[name], text.strip())
     if found is None:
         raise ProblemError(f"{name} is {text!r}; expected a number, or a percentage such as {EXAMPLES[name]}")
-    return number(name, float(found[1]) / 100, 0.0)
+    share = float(found[1].replace(" ", "")) / 100
+    return number(name, share, 0.0) if name == "rate" else number(name, share, -1.0)

@@ -230,7 +230,8 @@ class Search:
             ProblemError: the rate is above, or the cost below, that of sending at every step.
         """
         budget, most, least = self.goal.budget, found.base_rate, found.cost_all_time
-        if self.problem.network.protocol == "udp":  # without acknowledgement, sending every sample may not cost least
+        # without acknowledgement, or with a controller that is not optimal, sending every sample may not cost least
+        if self.problem.network.protocol == "udp" or self.problem.controller is not None:
             least = None
         if self.tuning.name == "period":  # both limits depend on the period
             return
