@@ -17,7 +17,8 @@ def parse_settings(items: list[str]) -> dict[str, object]:
     for name, values in settings.items():
         if len(values) > 1:
             raise ProblemError(f"--set {name} has {len(values)} values; expected one value; write a list as [v1,v2]")
-    return {name: None if values == ["none"] else values[0] for name, values in settings.items()}
+    texts = {name.strip(): text.strip() for name, _, text in (item.partition("=") for item in items)}
+    return {name: None if texts[name] == "none" else values[0] for name, values in settings.items()}
 
 
 def parse_grid(items: list[str], option: str = "--over") -> dict[str, list[object]]:

@@ -167,6 +167,15 @@ def test_a_name_given_twice_is_refused(run: Run, write: Write) -> None:
     assert told.startswith("--over policy.theta is given twice; expected all its values in one list")
 
 
+def test_words_and_truths_are_values(run: Run) -> None:
+    """In quotes, a word is not the removal of a key."""
+    shown = run("show", "pid-tank", "--json", "--set", 'controller.disturbance="none"')
+    assert json.loads(shown.out)["cost_all_time"] == pytest.approx(0.00272706026)
+    options = ("network.protocol='tcp'", "network.actuator_loss=0.1", "retry=true")
+    shown = run("show", "pid-tank", "--json", *(word for option in options for word in ("--set", option)))
+    assert json.loads(shown.out)["parameters"]["retry"] is True
+
+
 def test_dotted_names_change_the_tables_of_the_file(run: Run, write: Write) -> None:
     """``policy.theta`` is ``theta``, and two names make a grid."""
     path = write()

@@ -13,6 +13,7 @@ from runtime.loops import differing_ticks, record
 
 import taciturn
 from taciturn import PID, Cost, Network, Plant, ProblemError, design
+from taciturn.design.kept import cost_as_kept
 from taciturn.program.names import Entry
 from taciturn.program.numpy import run
 from taciturn.simulation.average import average
@@ -104,6 +105,31 @@ def test_nodes_apart_carry_the_bits_of_the_loop(link: str, actuation: str, limit
     wrong, packets = differing_ticks(loop, records, draws)
     assert wrong == []
     assert packets > 5
+
+
+@pytest.mark.parametrize("actuation", ["hold", "model"])
+@pytest.mark.parametrize("link", ["actuator", "sensor"])
+def test_the_first_command_is_the_given_input(link: str, actuation: str) -> None:
+    """With and without a packet, and however far the set-point is."""
+    pid = replace(KEPT, setpoint=10.0, b=0.0, start_input=0.1)
+    policy = design.excess(TANK, WEIGHTS, theta=0.1, controller=pid, link=link, actuation=actuation)
+    first = [taciturn.simulate(taciturn.close(TANK, policy), 1, seed=seed).input[0, 0] for seed in range(40)]
+    assert np.mean(first) == pytest.approx(0.1, abs=4 * 3.2 * np.sqrt(TANK.V.item() / 40))
+
+
+def test_a_command_beyond_a_limit_is_sent_at_every_sample() -> None:
+    """A sensor that kept silent, as a packet's command would seem to cost too much, let the level run away."""
+    plant = taciturn.ContinuousPlant(
+        [[-0.00333333, 0, 0], [0.1, -0.1, 0], [0, 0.1, -0.1]], [[0.133333], [0], [0]], np.diag([0.002, 0, 0]),
+        C=[[0, 0, 1]], V=[[0.01]], input_limit=[0.4],
+    )  # fmt: skip
+    slow = taciturn.Disturbance(1000.0, 0.05)
+    pid = PID(0.18, 0.0011, 1.0, 3.0, slow, setpoint=10.0, b=0.6, tracking_time=20.0)
+    cost = cost_as_kept(plant, pid, 2.0)
+    policy = design.excess(plant, cost, theta=0.3, controller=pid, link="sensor", period=2.0)
+    path = taciturn.simulate(taciturn.close(plant, policy), 3000, seed=3)
+    assert abs(path.state[500:, 2] - 10.0).max() < 1.5
+    assert path.sends["sensor"].sum() < 600
 
 
 @pytest.mark.parametrize(

@@ -214,6 +214,16 @@ def test_other_kinds_refuse_a_controller(tmp_path: Path) -> None:
         (lambda: controller_from(PID(1.0), sign="positive"), "sign is given with a complete controller"),
         (lambda: controller_from([[1.0]], method="zoh"), "method is given with a gain matrix"),
         (lambda: PID(1.0, filter=0.5), "pid.filter is 0.5, and kd is 0"),
+        (
+            lambda: PID(1.0, 0.1, 1.0, 0.5, setpoint=1.0, c=1.0, start_input=0.0),
+            "pid.c is 1 with start_input, with which the derivative starts at rest",
+        ),
+        (lambda: PID(1.0, disturbance="none"), "pid.disturbance is 'none'; expected a Disturbance, Disturbance(dev"),
+        (lambda: controller_from(PLAIN, disturbance=5.0), "controller.disturbance is 5.0; expected a Disturbance"),
+        (
+            lambda: controller_from(scipy.signal.StateSpace([[20.0]], [[1.0]], [[0.15]], [[1.2]])).at(0.1, 1, 1),
+            "the controller has a pole at 2/h = 20 per second with steps of h = 0.1 s",
+        ),
         (lambda: PID(1.0, 0.1, setpoint=1.0, c=0.5), "pid.c is 0.5, and kd is 0"),
         (  # the output of the controller does not see its growing state
             lambda: design.excess(TANK, WEIGHTS, theta=0.1, controller=Controller([[1.5]], [[1.0]], [[0.0]], [[-1.2]])),

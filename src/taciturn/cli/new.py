@@ -39,8 +39,8 @@ def new(
 
     The order of the prompts is: continuous or discrete time, and dt; A; B; whether the whole state is measured, or C
     and V; W; Q; R; the network and its packet dropouts, if no kind is given; the goal, or a policy kind; the parameters
-    of the policy. In place of Q and R, you may enter the gains of a PID controller to keep. If answers come from a
-    pipe, the first invalid answer is an error. Scripts should use --from.
+    of the policy. In place of Q and R, you may enter the gains of a PID controller to keep; links are then ideal. If
+    answers come from a pipe, the first invalid answer is an error. Scripts should use --from.
     """
     from taciturn._arrays import number
     from taciturn._figure import check_format
@@ -175,8 +175,10 @@ class _Interview:
         self._take("W", f"W, the process noise, {what}: {SQUARE}; {amplitudes}, {after}", "1")
 
     def _ask_cost(self) -> None:
-        controller = f"or pid and its {GAINS}, to keep this controller, and weights by its present loop"
-        self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}; {controller}", "1")
+        plant = self.draft.made_plant()
+        single = plant.inputs == len(plant.C) == 1
+        kept = f"; or pid and its {GAINS}, to keep this controller, and weights by its present loop" if single else ""
+        self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}{kept}", "1")
         if self.draft.controller:
             return
         self._take("R", f"R, the input weight, u'Ru: {SQUARE}", "1")

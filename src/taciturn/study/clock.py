@@ -31,7 +31,7 @@ CURVE_POINTS = 40
 SAME = 1e-9  # relative
 FREE = 16  # steps up to which a real period is tried
 Cycle: TypeAlias = tuple[int, ...]
-ClockKind: TypeAlias = Literal["hold", "model", "queries"]
+ClockKind: TypeAlias = Literal["hold", "model", "zero", "queries"]
 Choice: TypeAlias = Callable[[Sequence["ClockPoint"]], Sequence["ClockPoint"]]
 
 

@@ -75,7 +75,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         loop = problem.close(nodes)
         if not loop.nominal:
             raise NoClockError(f"the loop differs from the design: {loop.violated_assumptions[0]}")
-        return _kept(loop, nodes.theory.periodic, actuation_of(nodes))
+        return _kept(loop, nodes.theory.periodic, "zero" if _applies_zero(nodes) else actuation_of(nodes))
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
         differences = problem.close(all_time(problem.plant, problem.cost, period=period)).violated_assumptions
@@ -123,6 +123,13 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
     except NoClockError as reason:
         return None, str(reason)
     return found, "" if found is not None else "no period or cycle that was tried stabilises the loop"
+
+
+def _applies_zero(policy: Policy) -> bool:
+    """Return whether the actuator applies 0 in silence."""
+    inputs = [step for step in policy.steps if isinstance(step, Assign) and step.signal == "input"]
+    silent = [step.branches[0].get("input") for step in inputs if len(step.branches) > 1]
+    return any(isinstance(kept, np.ndarray) and not kept.any() for kept in silent)
 
 
 def actuation_of(policy: Policy) -> Actuation:

@@ -64,8 +64,8 @@ def excess(
         theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
             and which is 0 for a discrete plant.
         period: seconds between steps; only with a continuous plant.
-        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate,
-            ``"zero"`` applies 0.
+        actuation: in silence, ``"hold"`` keeps the last input, ``"model"`` simulates plant and controller, for LQG
+            x̃⁺ = (A + BL) x̃, from the last sent estimate, and ``"zero"`` applies 0.
         controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last

@@ -285,12 +285,17 @@ class Search:
         found = sorted(self.goal.of(look.evaluation).value for look in looks)
         values = sorted(look.value for look in looks)
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
+        budget = self.goal.budget
+        near = [value for value in found if value < budget][-1:] + [value for value in found if value > budget][:1]
+        expected = (
+            "within this range" if len(near) < 2 else f"such as {near[0]:.5g} or {near[1]:.5g}, the nearest found"
+        )
         raise ProblemError(
-            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: for "
+            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {budget:g}: for "
             f"values from {values[0]:.4g} to {values[-1]:.4g}, the {self.goal.name} ranges from {found[0]:.5g} to "
             f"{found[-1]:.5g}"
             + (f" (beyond: {failed})" if failed else "")
-            + f"; expected a {self.goal.name} within this range"
+            + f"; expected a {self.goal.name} {expected}"
         )
 
     def _looks(self) -> list[Look]:
