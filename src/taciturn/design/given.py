@@ -17,7 +17,7 @@ from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND, design_certainty
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
-from taciturn.design.kept import REMEDY
+from taciturn.design.kept import REMEDY, recovery
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
 from taciturn.design.same_control import SameControl
@@ -121,6 +121,7 @@ def keep_controller(
         ),
         (*silence.after, *follow, *estimation.predict),
     )
+    alike = average and every == 1 and not lossy  # the base is the linear loop with every sample
     finite = found.fourth is None or found.fourth < 1
     all_time = base if lossy or every == 1 else _with_every_sample(problem, route)
     theory = Theory(
@@ -128,6 +129,7 @@ def keep_controller(
         cost_all_time=problem.per_unit(all_time),
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
+        recovery=recovery(route.base, plant, loop.disturbance, steady.slowest) if alike else None,
         guarantee=bound_by_attempts(problem, base, price, every, lossy) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
         innovations=estimation.innovations,

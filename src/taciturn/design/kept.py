@@ -6,6 +6,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.design._fixed_point import least_value
+from taciturn.design.base import Base
 from taciturn.design.certainty import design_certainty
 from taciturn.design.prices import price_control
 from taciturn.design.routes import actuator_base
@@ -113,6 +114,18 @@ def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
         return Controller(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), L, None, plant.dt, none)
     left = np.eye(n) - steady.gain @ plant.C
     return Controller(plant.A @ left, plant.A @ steady.gain, L @ left, L @ steady.gain, plant.B, plant.dt, none)
+
+
+def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest: float = 0.0) -> float | None:
+    """Return the time constant in steps of a base without the slow disturbance of its plant, or None without one.
+
+    ``slowest`` is the modulus of the slowest mode of the filter.
+    """
+    if disturbance is None:
+        return None
+    modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), plant.B.shape
+    slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
+    return float(1 / (1 - max(slowest, *np.delete(modes, slow))))
 
 
 def note_disturbance(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Base, advantage
-from taciturn.design.kept import REMEDY, disturbed, note_disturbance
+from taciturn.design.kept import REMEDY, disturbed, note_disturbance, recovery
 from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.same_control import SameControl
 from taciturn.lqg.discrete import Discrete
@@ -76,6 +76,7 @@ class KeptLoop(Displayed):
             cost_all_time=problem.per_unit(found.cost),
             noise_cost=problem.noise_cost,
             settling=found.settling,
+            recovery=recovery(base, problem.plant, self.disturbance),
             periodic=SameControl(problem, self.kept, base),
         )
         return self.point.applied_to(

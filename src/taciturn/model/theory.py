@@ -132,6 +132,8 @@ class Theory(Displayed):
         cost_all_time: cost of sending at every step, in the units of the cost, or None if it is unknown.
         noise_cost: inter-sample noise cost per step of a continuous plant, which no policy can change.
         settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
+        recovery: the same without the slow disturbances of the plant, which a fault of a node does not change; default:
+            ``settling``.
         guarantee: proven upper bound on the cost, or None.
         identity: exact identity for the cost, or None.
         innovations: white innovations of the policy's filter, or None.
@@ -161,6 +163,12 @@ class Theory(Displayed):
     functions: frozenset[str] = frozenset()
     periodic: Callable[[int], float] | None = None
     fourth: float | None = None
+    recovery: float | None = None
+
+    @property
+    def recovers(self) -> float:
+        """Time constant in steps with which the loop recovers from a fault of a node."""
+        return self.settling if self.recovery is None else self.recovery
 
     def check(self, kind: str, computed: Sequence[str]) -> None:
         """Check this theory for a policy of a given kind.

@@ -118,7 +118,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
 def steps_of_a_fault(policy: Policy) -> int:
     """Return the number of steps after which the effect of a fault, which the theory excludes, is negligible."""
     horizon = None if policy.cost is None else policy.cost.horizon
-    return ceil(FORGOTTEN * policy.theory.settling) or horizon or NEVER
+    return ceil(FORGOTTEN * policy.theory.recovers) or horizon or NEVER
 
 
 def _is_acknowledged(policy: Policy, link: str) -> bool:

@@ -12,10 +12,7 @@ from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn.design.certainty import SEND
 from taciturn.design.kinds.excess import excess
-from taciturn.design.same_control import SameControl
 from taciturn.loop import close
-from taciturn.lqg.kalman import filter_checked
-from taciturn.model.disturbance import Disturbance
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Decide, Policy
@@ -81,10 +78,9 @@ def averages_after_step(
         plant = assumed.removed_from(plant)
     plant = assumed.stepped(plant)
     target = max(ACCURACY * policy.cost_all_time, request.standard_error or 0.0)
-    settling = _settling(policy, assumed)
 
     def averaged(policy: Policy, progress: Progress) -> Averages:
-        policy = replace(policy, theory=replace(policy.theory, settling=settling))
+        policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
         loop, error = close(plant, policy, problem.network, cost), None if request.steps else target
         return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
 
@@ -92,18 +88,6 @@ def averages_after_step(
     always = averaged(_with_every_sample(problem, policy), told.stage(0.5, 1.0))
     size = tuple(float(value) for value in np.atleast_1d(assumed.deviation))
     return AfterStep(size, found.cost, always.cost, found.rates, found.settled and always.settled)
-
-
-def _settling(policy: Policy, assumed: Disturbance) -> float:
-    """Return the time constant of the loop in steps, apart from that of the disturbance, constant after a step."""
-    periodic, model = policy.theory.periodic, policy.model
-    if not isinstance(periodic, SameControl) or policy.theory.settling == 0:
-        return policy.theory.settling
-    base, n = periodic.base, model.states - model.inputs
-    modes = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K))
-    own = np.argsort(np.abs(modes - abs(model.A[n, n])))[: model.inputs]
-    filtered = filter_checked(model.A, model.C, model.W, model.V).slowest
-    return 1 / (1 - max(filtered, *np.delete(modes, own)))
 
 
 def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
