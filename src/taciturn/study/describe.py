@@ -77,6 +77,11 @@ class Description(Displayed):
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn show --json``."""
         cost, network, drawn = self.problem.cost, self.problem.network, self.diagram
+        computed = {
+            name: _form_document(form)
+            for trigger in self._decisions.values()
+            for name, form in self._computed(trigger).items()
+        }
         return {
             "policy": self.problem.kind,
             "parameters": {name: _plain(value) for name, value in self.problem.parameters.items()},
@@ -92,11 +97,7 @@ class Description(Displayed):
                 name: {label: _form_document(form) for label, form in trigger.options.items()}
                 for name, trigger in self._decisions.items()
             },
-            "computed": {
-                name: _form_document(form)
-                for trigger in self._decisions.values()
-                for name, form in self._computed(trigger).items()
-            },
+            **({"computed": computed} if computed else {}),
             "network": {
                 "protocol": network.protocol,
                 "delay": network.delay,
