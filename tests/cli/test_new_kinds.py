@@ -36,7 +36,7 @@ def test_a_pid_controller_in_place_of_weights_is_kept(ask: Ask) -> None:
     ],
 )
 def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
-    """What it must be told is asked; what is written is designed before it is."""
+    """``new`` asks for every required parameter, and designs the policy before it writes the file."""
     continuous = kind == "consistent"
     plant = ("c", "0", "1", "y", "1", "1", "1") if continuous else STEP
     network = ("ideal",) if kind == "lossy-lqg" else ()

@@ -142,7 +142,7 @@ def test_a_slow_disturbance_is_part_of_plant_and_filter(
 
 
 def test_the_averages_after_a_step_obey_the_steps_that_are_given() -> None:
-    """Of an event-based PID controller too, beside the given controller with every sample, whose cost is exact."""
+    """For an event-based PID controller; the given controller with every sample has an exact cost."""
     kept = replace(KEPT, disturbance=Disturbance(SLOW, 0.3))
     problem = taciturn.Problem(TANK, WEIGHTS, Network(), "event-pid", {"delta": 0.05}, controller=kept)
     after = taciturn.evaluate(problem, steps=6_000_000).after_step

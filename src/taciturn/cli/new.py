@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -175,9 +174,8 @@ class _Interview:
         self._take("W", f"W, the process noise, {what}: {SQUARE}; {amplitudes}, {after}", "1")
 
     def _ask_cost(self) -> None:
-        plant = self.draft.made_plant()
-        single = plant.inputs == len(plant.C) == 1
-        kept = f"; or pid and its {GAINS}, to keep this controller, and weights by its present loop" if single else ""
+        pid = f"; or pid and its {GAINS}, to keep this controller, and weights by its present loop"
+        kept = pid if self.draft.counts == (1, 1) else ""
         self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}{kept}", "1")
         if self.draft.controller:
             return
@@ -234,8 +232,8 @@ class _Interview:
 
             question = f"{name}: {chosen.notes.get(name, '')}"
             policy[name] = self.questions.ask(name, question, read, None if usual is None else f"{usual:g}")
-        needs = chosen.keeps_controller and chosen.arguments["controller"].default is inspect.Parameter.empty
-        if needs and not self.draft.controller:
+        kept = chosen.arguments["controller"] if chosen.keeps_controller else None
+        if kept is not None and kept.default is kept.empty and not self.draft.controller:
             self.questions.ask("the controller", f"PID controller: {GAINS}", self.draft.keep_pid)
         return policy | {name: usual for name, usual in chosen.usual.items() if name not in (*needed, *chosen.asked)}
 

@@ -25,8 +25,8 @@ from taciturn.design.operating_point import OperatingPoint
 from taciturn.design.routes import sensor_base
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
-from taciturn.model.kept import controller_from
-from taciturn.model.pid import PID, PIDLoops
+from taciturn.model.kept import controller_from, pids_of
+from taciturn.model.pid import PID
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Apply, Assign, Decide, Evaluate, Policy, Received, Send, Step
 from taciturn.model.trigger import Form, Trigger
@@ -95,13 +95,12 @@ def design_event_pid(
         UnstableError: the loop that sends every sample is unstable.
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    kept = controller_from(controller)
-    if isinstance(kept, PIDLoops) and len(kept.loops) == 1:
-        kept = kept.loops[0]
-    if isinstance(kept, PIDLoops):
-        raise ProblemError(f"the controller has {len(kept.loops)} PID loops; expected one loop with {kind}")
-    if not isinstance(kept, PID):
+    loops = pids_of(controller_from(controller))
+    if not loops:
         raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
+    if len(loops) > 1:
+        raise ProblemError(f"the controller has {len(loops)} PID loops; expected one loop with {kind}")
+    kept = loops[0]
     if kept.tracking_time is not None:
         raise ProblemError(
             f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"

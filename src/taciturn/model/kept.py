@@ -17,6 +17,11 @@ from taciturn.model.plant import state_space_of
 Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
 
 
+def pids_of(kept: object) -> tuple[PID, ...]:
+    """Return the PID controllers of a given controller; none if it is another one."""
+    return kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
+
+
 def controller_from(
     system: object,
     sign: Literal["negative", "positive"] = "negative",

@@ -126,7 +126,7 @@ class PIDLoops(Displayed):
         loops: the controllers.
 
     Raises:
-        ProblemError: there is no controller, or two of them state different disturbances.
+        ProblemError: there is no controller, or several of them state a disturbance.
     """
 
     loops: tuple[PID, ...]

@@ -54,6 +54,12 @@ class Draft(Displayed):
         """True if the plant is continuous in time."""
         return self.dt == 0
 
+    @property
+    def counts(self) -> tuple[int, int]:
+        """The numbers of inputs and outputs of the plant."""
+        plant = self.made_plant()
+        return plant.inputs, len(plant.C)
+
     def keep(self, key: str, value: ArrayLike) -> None:
         """Store a matrix if it fits the known parts; a weight or covariance may be one number or a diagonal.
 
@@ -96,9 +102,8 @@ class Draft(Displayed):
             ProblemError: if the text contains something else, the gains are invalid, or the plant has several inputs or
                 outputs.
         """
-        plant = self.made_plant()
-        inputs, outputs = plant.inputs, len(plant.C)
-        if inputs != 1 or outputs != 1:
+        inputs, outputs = self.counts
+        if (inputs, outputs) != (1, 1):
             raise ProblemError(
                 f"the plant has {inputs} inputs and {outputs} outputs; expected one of each, or [controller] in the "
                 "file with one PID controller per input"

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kept import cost_as_kept
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
@@ -52,9 +52,8 @@ def expect_network(kind: Kind, key: str) -> None:
     """
     if "network" in kind.tables:
         return
-    kept = kind.keeps_controller
-    others = [one.name for one in map(CATALOGUE.__getitem__, CATALOGUE) if "network" in one.tables]
-    able = [name for name in others if CATALOGUE[name].keeps_controller or not kept]
+    kept, kinds = kind.keeps_controller, [CATALOGUE[name] for name in own_kinds()]
+    able = [one.name for one in kinds if "network" in one.tables and (one.keeps_controller or not kept)]
     expect_argument(
         kind,
         "network",

@@ -15,7 +15,7 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import matrix_lines, vector_text
-from taciturn.model.pid import PID, PIDLoops
+from taciturn.model.kept import pids_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Evaluate, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -316,14 +316,13 @@ def _form_lines(name: str, form: Form) -> Lines:
 
 def _pids(kept: object) -> list[dict[str, Any]]:
     """Return what PID controllers state, other than the default values and the disturbance, of which a note speaks."""
-    loops = kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
     return [
         {
             one.name: value
             for one in fields(loop)
             if one.name != "disturbance" and (value := getattr(loop, one.name)) != one.default
         }
-        for loop in loops
+        for loop in pids_of(kept)
     ]
 
 

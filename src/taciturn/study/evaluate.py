@@ -161,7 +161,7 @@ def _evaluated(
         notes += contradicted(per_tick.scaled(pace), certified, rate_unit(cost_unit(problem)))
     fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
     stepped = None
-    if after_step:
+    if share:
         try:
             stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0))
         except OutOfTime:

@@ -21,7 +21,7 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import ENDS, Assign, Policy, Send
+from taciturn.model.policy import ENDS, Assign, Policy, Send, Terms
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
@@ -127,9 +127,15 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
 
 def _applies_zero(policy: Policy) -> bool:
     """Return whether the actuator applies 0 in silence."""
-    inputs = [step for step in policy.steps if isinstance(step, Assign) and step.signal == "input"]
-    silent = [step.branches[0].get("input") for step in inputs if len(step.branches) > 1]
-    return any(isinstance(kept, np.ndarray) and not kept.any() for kept in silent)
+    kept = _silent_input(policy).get("input")
+    return isinstance(kept, np.ndarray) and not kept.any()
+
+
+def _silent_input(policy: Policy) -> Terms:
+    """Return the terms of the input in silence; none if the actuator computes it alike in every step."""
+    steps = [step for step in policy.steps if isinstance(step, Assign) and step.signal == "input"]
+    found = [step.branches[0] for step in steps if len(step.branches) > 1]
+    return found[0] if found else {}
 
 
 def actuation_of(policy: Policy) -> Actuation:
@@ -137,12 +143,7 @@ def actuation_of(policy: Policy) -> Actuation:
     packet = next((step.payload for step in policy.steps if isinstance(step, Send) and step.link == "sensor"), None)
     if packet is not None:
         return "model" if ESTIMATE in packet else "hold"
-    silent = next(
-        step.branches[0]
-        for step in policy.steps
-        if isinstance(step, Assign) and step.signal == "input" and len(step.branches) > 1
-    )
-    return "hold" if set(silent) == {"input"} else "model"
+    return "hold" if set(_silent_input(policy)) == {"input"} else "model"
 
 
 def sampling_clock(problem: Problem, actuation: Actuation = "hold") -> Timed:
