@@ -98,9 +98,9 @@ def design_event_pid(
     loops = pids_of(controller_from(controller))
     if not loops:
         raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
-    if len(loops) > 1:
+    kept, *others = loops
+    if others:
         raise ProblemError(f"the controller has {len(loops)} PID loops; expected one loop with {kind}")
-    kept = loops[0]
     if kept.tracking_time is not None:
         raise ProblemError(
             f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"
