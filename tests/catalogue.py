@@ -50,7 +50,7 @@ def remote(
 
 def bearable(plant: Plant, network: Network) -> Network:
     """Return the network with its losses halved until the mean square can shrink by a fifth per step."""
-    actuator, sensor = network.actuator_loss, network.sensor_loss
+    actuator, sensor = network.loss("actuator"), network.loss("sensor")
     while True:
         channel = Channel(actuator, sensor, network.protocol == "tcp", network.delay == 1)
         if slowest_growth(plant.A, plant.B, channel)[0] < 0.8:

@@ -55,8 +55,8 @@ def test_only_values_that_are_not_neutral_count() -> None:
     plant, network = Plant([[1.0]], [[1.0]], [[1.0]]), Network("udp", sensor_burst=Burst(0.0, 0.5, 0.1, 0.9))
     assert uncovered(known, plant, network, Cost([[1.0]], [[1.0]], discount=0.9)) == []
     assert uncovered(known - ENDING, Cost([[1.0]], [[1.0]])) == []
-    assert uncovered(known - {"network.sensor_burst"}, network) == []  # it never leaves its state
-    assert uncovered(known - {"network.sensor_loss"}, network) == ["network.sensor_loss"]
+    assert uncovered(known - {"links.burst"}, network) == []  # it never leaves its state
+    assert uncovered(known - {"links.loss"}, network) == ["links.loss"]
     assert uncovered(known, grown(plant, "dead_zone", 0.0)) == []
     assert uncovered(known, grown(plant, "dead_zone")) == ["plant.dead_zone"]
 

@@ -164,23 +164,23 @@ PROPERTIES: Mapping[str, Callable[[Problem], Problem]] = {
 """Changes of a problem by one property; one that needs a horizon or another plant is compared with such a problem."""
 
 
-def lossy(**changes: Any) -> Callable[[Network], Network]:
-    """Return a change of a network on which packets may be lost."""
-    return lambda network: replace(
-        network, protocol="udp" if network.protocol == "ideal" else network.protocol, **changes
+def lossy(link: str, **law: Any) -> Callable[[Network], Network]:
+    """Return a change of a link of a network on which packets may be lost."""
+    return lambda network: (network.with_laws({"acknowledged": False}) if network.ideal else network).changed(
+        {link: law}
     )
 
 
 BURST = Burst(0.1, 0.3, 0.0, 0.8)
 LINKS: Mapping[str, Callable[[Network], Network]] = {
-    "network.actuator_loss": lossy(actuator_loss=0.2),
-    "network.sensor_loss": lossy(sensor_loss=0.2),
-    "network.actuator_burst": lossy(actuator_loss=0.0, actuator_burst=BURST),
-    "network.sensor_burst": lossy(sensor_loss=0.0, sensor_burst=BURST),
+    "network.actuator_loss": lossy("actuator", loss=0.2),
+    "network.sensor_loss": lossy("sensor", loss=0.2),
+    "network.actuator_burst": lossy("actuator", loss=0.0, burst=BURST),
+    "network.sensor_burst": lossy("sensor", loss=0.0, burst=BURST),
     "network.delay": lambda network: replace(network, delay=1),
-    "network.payload": lambda network: replace(network, payload="float32"),
-    "network.actuator_range": lambda network: replace(network, payload="int16", actuator_range=2.0),
-    "network.sensor_range": lambda network: replace(network, payload="int16", sensor_range=2.0),
+    "network.payload": lambda network: network.with_laws({"payload": "float32"}),
+    "network.actuator_range": lambda network: network.changed({"actuator": {"payload": "int16", "range": (2.0,)}}),
+    "network.sensor_range": lambda network: network.changed({"sensor": {"payload": "int16", "range": (2.0,)}}),
 }
 """Changes of a network by one property."""
 
@@ -253,8 +253,8 @@ def of_network(problem: Problem, name: str) -> tuple[Use, Use]:
         policy = problem.designed()
         links = {step.link for step in getattr(policy, "steps", ()) if hasattr(step, "link")}
         ranges = {f"{link}_range": 1.0 for link in links}
-        base = replace(problem, network=replace(problem.network, payload="int16", **ranges))
-        network = replace(base.network, **{name.removeprefix("network."): 2.0})
+        base = replace(problem, network=Network(payload="int16", **ranges))
+        network = base.network.changed({name.removeprefix("network.").removesuffix("_range"): {"range": (2.0,)}})
         if not links:
             base = problem
     stated = compared(law(replace(problem, network=network)), law(base))

@@ -37,7 +37,7 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
     """Return the properties ``missing`` in the theory's coverage, and the differences from the design, as text."""
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
-    exact, designed = network.without_rounding(), policy.network.without_rounding()
+    exact, designed = network.delivery, policy.network.delivery
     alike = (designed,) if policy.theory.covers >= BURSTS else (designed, designed.without_bursts())
 
     def lacks(names: frozenset[str]) -> bool:

@@ -19,11 +19,11 @@ from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Policy
+from taciturn.model.policy import Assign, Policy
 from taciturn.model.steps import assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form
-from taciturn.program.controller import Begin, begin_time_step, replaced
+from taciturn.program.controller import Begin, begin_time_step, gather_input, measure, replaced
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
@@ -182,7 +182,7 @@ class Loop(Displayed):
                 tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
             else:
                 tick.take(replaced(step, innovations.signal, INNOVATION_DRAWS, spread))
-        tick.signals["applied"] = tick.signals["input"]
+        tick.signals["applied"] = gather_input(tick, self.policy)
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
         return tick.finish(self._sums(tick, stage), self._outputs(tick, ()))
@@ -194,7 +194,7 @@ class Loop(Displayed):
         spread = factor(plant.covariance)
         x = plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
-        for link, burst in ((link, network.burst(link)) for link in ENDS):
+        for link, burst in ((link, network.burst(link)) for link in network.links):
             if burst is not None:
                 drawn[is_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
         starts = [state.start for state in program.states]
@@ -241,9 +241,10 @@ class Loop(Displayed):
             tick.recall("x")  # so that x is the first state
         tick.draw_losses(self.policy, self.network)
         tick.signals["y"] = self._measured(tick, supplied)
+        measure(tick, self.policy, tick.signals["y"])
         for step in self.policy.steps:
             tick.take(step)
-        tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
+        tick.signals["applied"] = tick.clipped(gather_input(tick, self.policy), self.problem.plant.input_limit)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         outputs |= named("drawn", tick.thresholds if supplied else ())

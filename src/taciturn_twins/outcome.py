@@ -10,7 +10,6 @@ import numpy as np
 
 from taciturn.extend import Array, Displayed
 from taciturn.model.estimate import Estimate
-from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import KernelLoss, predict_drops
 from taciturn_twins.world import TwinPlant
@@ -90,7 +89,7 @@ class Told(Displayed):
     lines: Mapping[str, Lines]
     seen: Lines
     reports: Mapping[str, Mapping[str, Any]]
-    drops: Mapping[LinkName, KernelLoss]
+    drops: Mapping[str, KernelLoss]
     dropped: int
     killed: bool
 

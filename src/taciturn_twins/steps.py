@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from taciturn.model.network import Network
-from taciturn.model.policy import LinkName
 from taciturn.runtime.namespaces import predict_drops
 from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn_twins.outcome import ESTIMATE, trigger_values
@@ -22,7 +21,7 @@ from taciturn_twins.trial import Setup
 LOGS = ("sensor", "controller", "actuator", "seen")
 BEHIND = 2  # number of steps after which all processes have logged a step
 Row = dict[str, Any]
-LINKS: tuple[LinkName, ...] = ("sensor", "actuator")
+LINKS: tuple[str, ...] = ("sensor", "actuator")
 _SENDER = {"sensor": "sensor", "actuator": "controller"}
 
 
@@ -43,9 +42,9 @@ class Steps:
         self._worlds: deque[Mapping[str, Any]] = deque()
         self._lines: dict[str, dict[int, Mapping[str, Any]]] = {name: {} for name in LOGS}
         self._tails: dict[str, _Tail] = {}
-        self._came: dict[LinkName, set[int]] = {link: set() for link in LINKS}
-        self._packets: dict[LinkName, int] = dict.fromkeys(LINKS, 0)
-        self._drops: dict[LinkName, int] = dict.fromkeys(LINKS, 0)
+        self._came: dict[str, set[int]] = {link: set() for link in LINKS}
+        self._packets: dict[str, int] = dict.fromkeys(LINKS, 0)
+        self._drops: dict[str, int] = dict.fromkeys(LINKS, 0)
         self._cost, self._degraded = 0.0, 0
 
     def start(self, folder: Path) -> None:
@@ -78,8 +77,8 @@ class Steps:
         step = world["tick"]
         lines = {name: self._lines[name].pop(step, {}) for name in LOGS}
         controller, events = lines["controller"], list[str]()
-        sent: dict[LinkName, int] = {link: lines[_SENDER[link]].get(f"sent_{link}", 0) for link in LINKS}
-        arrived: dict[LinkName, int] = dict.fromkeys(LINKS, 0)
+        sent: dict[str, int] = {link: lines[_SENDER[link]].get(f"sent_{link}", 0) for link in LINKS}
+        arrived: dict[str, int] = dict.fromkeys(LINKS, 0)
         for link in LINKS:
             if not sent[link]:
                 continue
@@ -117,7 +116,7 @@ class Steps:
         self._show(row, events)
 
 
-def designed_drops(network: Network, setup: Setup) -> Callable[[LinkName, int, int], bool]:
+def designed_drops(network: Network, setup: Setup) -> Callable[[str, int, int], bool]:
     """Return a function of link, sequence number and step that returns whether the network model drops that packet.
 
     The function excludes faults: a packet that an outage of a link or of the camera drops is a drop by design only if

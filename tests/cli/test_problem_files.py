@@ -116,7 +116,7 @@ def test_a_missing_table_or_key_is_named(run: Run, write: Write, tables: dict[st
     [
         (
             {"more": "[plnt]"},
-            "plnt is not a known key; expected one of plant, cost, network, reference, controller, policy",
+            "plnt is not a known key; expected one of plant, cost, network, nodes, links, reference",
             "plant",
         ),
         (plant(input_limits="[1.0]"), "plant.input_limits is not a known key; expected one of A, B, C,", "input_limit"),

@@ -138,7 +138,7 @@ def test_missions_links_and_tables_are_told(run: Run) -> None:
     assert "input = + L × estimate; L:\n               selected by clock, 60 matrices; the first:" in shown
     assert rover["link, sensor"].startswith("y (1): if query, by the step counter: 11 of the first 59 steps")
     lossy = rows(run("show", "lossy-double-integrator").out)
-    assert lossy["network"] == "udp (no acknowledgement); actuator drops 30 %, sensor drops 60 %"
+    assert lossy["network"] == "udp (no acknowledgement); sensor drops 60 %, actuator drops 30 %"
     assert lossy["at a rate"] == "at most 63.776 + 10 (1 − sends per step)"
 
 

@@ -18,7 +18,7 @@ from taciturn.export.folder import CORE_SOURCES
 from taciturn.export.node import print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
-from taciturn.model.policy import NodeName, Policy
+from taciturn.model.policy import Policy
 from taciturn.model.wire import KINDS, LINKS
 from taciturn.program.ops import Precision
 from taciturn.runtime.packet import REFUSALS, Packet
@@ -77,7 +77,7 @@ def compile_core(entries: int, precision: Precision) -> Path:
 
 def compile_node(
     policy: Policy,
-    role: NodeName,
+    role: str,
     network: Network,
     folder: Path,
     precision: Precision = "float64",

@@ -26,7 +26,7 @@ from taciturn import Network
 from taciturn.loop import Loop
 from taciturn.model.network import Network as AnyNetwork
 from taciturn.model.places import roles
-from taciturn.model.policy import NodeName, Policy
+from taciturn.model.policy import Policy
 from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
 from taciturn.runtime.node import Node, Stepped
 from taciturn.runtime.packet import Packet, Wire
@@ -72,7 +72,7 @@ class Case(NamedTuple):
 
     policy: Policy
     network: AnyNetwork
-    role: NodeName
+    role: str
     watch: Watch
     library: Library
 
@@ -123,12 +123,12 @@ WATCHES = (Watch(), Watch(5, (0.25, -0.5)), Watch(3))
 
 
 @cache
-def places() -> list[tuple[str, NodeName]]:
+def places() -> list[tuple[str, str]]:
     """Return every node of these loops."""
     return [(name, role) for name, build in LOOPS.items() for role in roles(build().policy)]
 
 
-def case(name: str, role: NodeName, watched: int) -> Case:
+def case(name: str, role: str, watched: int) -> Case:
     """Return a node, compiled; one that acts and listens is watched."""
     loop = LOOPS[name]()
     node = Node(loop.policy, role, network=loop.network)
@@ -138,7 +138,7 @@ def case(name: str, role: NodeName, watched: int) -> Case:
 
 
 @cache
-def compiled(name: str, role: NodeName) -> Library:
+def compiled(name: str, role: str) -> Library:
     """Return a node in C, compiled once."""
     loop = LOOPS[name]()
     return compile_node(loop.policy, role, loop.network, Path(mkdtemp()), seed=SEED)
@@ -248,7 +248,7 @@ def play(found: Case, events: list[tuple], seed: int) -> Pair:
 @given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=15)
 def test_a_node_in_c_does_and_counts_what_the_host_does(
-    place: tuple[str, NodeName], events: list[tuple], watched: int, seed: int
+    place: tuple[str, str], events: list[tuple], watched: int, seed: int
 ) -> None:
     """Packets that are late, doubled, reordered, replayed, early, of another loop or missing, and steps left out."""
     play(case(*place, watched), events, seed)

@@ -220,7 +220,7 @@ def test_losses_without_acknowledgement_are_simulated_without_a_claim() -> None:
 def test_nodes_apart_carry_the_bits_of_the_loop(network: Network, link: str) -> None:
     """With lost packets, acknowledgements, and the belief about the channel."""
     if link == "sensor":
-        network = Network("tcp", sensor_burst=network.actuator_burst)
+        network = Network("tcp", sensor_burst=network.burst("actuator"))
     loop = taciturn.close(PLANT, design.excess(PLANT, WEIGHTS, theta=0.1, network=network, link=link))
     records, draws = record(loop, 200, 1)
     wrong, packets = differing_ticks(loop, records, draws)

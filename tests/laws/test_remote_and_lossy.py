@@ -162,7 +162,7 @@ def test_information_costs(system: System, mission: bool) -> None:
         links = Network(protocol, actuator, sensor, delay)  # type: ignore[arg-type]
         return design.lossy_lqg(plant, cost, price=0.0, network=links).cost_all_time
 
-    alpha, beta = network.actuator_loss, network.sensor_loss
+    alpha, beta = network.loss("actuator"), network.loss("sensor")
     worst = all_time("udp", 1, alpha, beta)
     slack = 1 + 1e-9
     assert all_time("tcp", 1, alpha, beta) <= worst * slack

@@ -260,7 +260,7 @@ def test_the_energy_of_packets_gives_power_and_battery_life(tmp_path: Path) -> N
     assert found.life["actuator"].value == pytest.approx(9000.0 / (0.002 * rate))
     assert found.document()["power_watts"]["actuator"]["standard_error"] > 0
     assert "mW for packets; the battery lasts" in str(found)
-    assert problem.changed({"theta": 0.3}).energy == problem.energy
+    assert problem.changed({"theta": 0.3}).network == problem.network
     for change, words in (
         ({"network.sensor_energy": 1.0}, "decides on no packet of the sensor link"),
         ({"network.actuator_energy": None}, "network.actuator_battery is given without network.actuator_energy"),

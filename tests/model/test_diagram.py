@@ -17,7 +17,7 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.model.diagram import PLAIN, Diagram, Link, Place
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
-from taciturn.model.steps import NODES, Send
+from taciturn.model.steps import Send
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.problem.suggested import example_of
 from taciturn.program.names import Sent
@@ -57,8 +57,11 @@ def test_links_are_those_of_the_wire(name: str) -> None:
     told = {link for role in roles(policy) for link in Node(policy, role).acknowledges}
     assert {link.name for link in shown.links if link.acknowledged} == told
     assert [place.nodes for place in shown.places] == sorted(
-        (tuple(node for node in NODES if node in site) for site in {policy.site(role) for role in roles(policy)}),
-        key=lambda nodes: NODES.index(nodes[0]),
+        (
+            tuple(node for node in policy.network.nodes if node in site)
+            for site in {policy.site(role) for role in roles(policy)}
+        ),
+        key=lambda nodes: list(policy.network.nodes).index(nodes[0]),
     )
 
 

@@ -15,13 +15,13 @@ from taciturn.analyse.renewal import bound_rate, solve_renewal
 from taciturn.analyse.switched import switched
 from taciturn.errors import InformationError
 from taciturn.model.packets import fingerprint
-from taciturn.model.policy import Apply, Assign, Decide, NodeName, Received, Send, Step
+from taciturn.model.policy import Apply, Assign, Decide, Received, Send, Step
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form
 
 PLANT = Plant([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2))
 COST = Cost(np.eye(2), [[1.0]])
-SITES = (frozenset[NodeName]({"sensor", "controller"}),)
+SITES = (frozenset[str]({"sensor", "controller"}),)
 
 
 def bent(y: Any) -> Any:

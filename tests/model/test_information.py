@@ -8,13 +8,13 @@ import pytest
 from taciturn import Cost, Network, Plant, Policy, Trigger, close
 from taciturn.errors import InformationError
 from taciturn.model.information import check_information
-from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, NodeName, Received, Send, Step
+from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled
 
 PLANT = Plant([[0.9]], [[1.0]], [[1.0]])
 COST = Cost([[1.0]], [[1.0]])
 ONE = np.eye(1)
-COLLOCATED = (frozenset[NodeName]({"sensor", "controller"}),)
+COLLOCATED = (frozenset[str]({"sensor", "controller"}),)
 COMMAND = Assign("controller", "command", {"y": -0.5 * ONE})
 DECIDE = Decide("controller", "send", Trigger({"silent": Form(("command",), ONE), "send": Form(constant=1.0)}))
 SEND = Send("controller", "actuator", ("command",), "send")
@@ -26,9 +26,7 @@ SHARED = Location("mode", np.array([1, 0]))
 OWNED = Location("mode", np.array([[1, 0], [0, 1]]), "controller", "send")
 
 
-def make(
-    *steps: Step, sites: tuple[frozenset[NodeName], ...] = COLLOCATED, locations: tuple[Location, ...] = ()
-) -> Policy:
+def make(*steps: Step, sites: tuple[frozenset[str], ...] = COLLOCATED, locations: tuple[Location, ...] = ()) -> Policy:
     """Return a policy of these steps."""
     return Policy("hand-made", steps, PLANT, sites=sites, locations=locations)
 

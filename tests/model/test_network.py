@@ -54,7 +54,7 @@ def test_a_network_without_bursts_loses_as_much() -> None:
     """Each link keeps its stationary loss, and protocol and delay stay as they are."""
     network = Network("tcp", 0.25, 0.0, 1, sensor_burst=Burst(0.1, 0.3, 0.0, 0.8))
     assert (network.loss("actuator"), network.loss("sensor")) == (0.25, pytest.approx(0.2))
-    assert (network.burst("actuator"), network.burst("sensor")) == (None, network.sensor_burst)
+    assert (network.burst("actuator"), network.burst("sensor")) == (None, Burst(0.1, 0.3, 0.0, 0.8))
     plain = network.without_bursts()
     assert plain == Network("tcp", 0.25, network.loss("sensor"), 1)
     assert plain.without_bursts() == plain

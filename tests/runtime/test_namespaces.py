@@ -222,7 +222,7 @@ def test_what_is_not_shown_stands_at_the_end_of_a_test_run(tmp_path: Path) -> No
         ),
         (
             lambda: kernel_losses(Network(protocol="udp", actuator_burst=Burst(0.1, 0.2, 0.0, 0.5)), 0),
-            "actuator_burst is given, but the kernel cannot drop packets in bursts; expected actuator_loss",
+            "network.actuator_burst is given, but the kernel cannot drop packets in bursts; expected network",
         ),
         (lambda: run_network("two-mass-lqg", fates={}, namespaces=True), "fates and namespaces are both given"),
     ],

@@ -74,7 +74,7 @@ def test_every_feature_of_a_policy_runs_in_nodes(system: System, seed: int, payl
     loop = every_feature(system, seed)
     network = loop.network
     ranges = {"actuator_range": 3.0, "sensor_range": 20.0} if payload == "int16" else {}
-    rounded = Network(network.protocol, network.actuator_loss, network.sensor_loss, payload=payload, **ranges)
+    rounded = Network(network.protocol, network.loss("actuator"), network.loss("sensor"), payload=payload, **ranges)
     assert_same(taciturn.close(system.plant, loop.policy, rounded, loop.problem.cost), 120, seed % 1000, fast=True)
 
 

@@ -28,7 +28,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.coverage import BURSTS, LOSSES, ROUNDING
 from taciturn.model.network import Network
-from taciturn.model.policy import LinkName, Send
+from taciturn.model.policy import Send
 
 MOST = 6  # largest number of states for which fourth moments are computed
 WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
@@ -79,8 +79,7 @@ def outcomes(loop: Loop) -> Outcomes | None:
     The result is None if no link drops packets, or if the loop is not a jump linear map.
     """
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
-    both: tuple[LinkName, ...] = ("sensor", "actuator")
-    links: list[LinkName] = [link for link in both if link in sent and loop.network.outage(link) > 0]
+    links = [link for link in loop.network.links if link in sent and loop.network.outage(link) > 0]
     if not links:
         return None
     try:
@@ -90,8 +89,8 @@ def outcomes(loop: Loop) -> Outcomes | None:
         return None
 
 
-def _read(loop: Loop, links: Sequence[LinkName]) -> Outcomes | None:
-    exact = replace(loop, network=loop.network.without_rounding())  # rounding does not change the growth
+def _read(loop: Loop, links: Sequence[str]) -> Outcomes | None:
+    exact = replace(loop, network=loop.network.delivery)  # rounding does not change the growth
     decisions = decisions_of(loop)
     always = read_steps(exact, decisions)[0].sends
     if always is None:
@@ -105,7 +104,7 @@ def _read(loop: Loop, links: Sequence[LinkName]) -> Outcomes | None:
     return Outcomes(np.stack(found.F), turns, odds, len(decisions) > 1)
 
 
-def _chance(network: Network, links: Sequence[LinkName], cases: list[tuple[bool, ...]]) -> tuple[Array, Array]:
+def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]]) -> tuple[Array, Array]:
     """Return the joint transition matrix of the links, and the probability of each case of drops in each state."""
     turns: Array = np.ones((1, 1))
     losses: list[tuple[float, ...]] = [()]

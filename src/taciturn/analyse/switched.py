@@ -30,7 +30,7 @@ from taciturn.model.coverage import (
     uncovered,
 )
 from taciturn.model.network import Network
-from taciturn.model.policy import ENDS, ONE, Apply, Condition, Draw, Evaluate, LinkName, Policy, Step
+from taciturn.model.policy import ONE, Apply, Condition, Draw, Evaluate, Policy, Step
 from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import NORMAL
@@ -50,7 +50,7 @@ class Case(NamedTuple):
 
     label: str
     action: int
-    lost: Collection[LinkName] = ()
+    lost: Collection[str] = ()
 
 
 def switched(loop: Loop) -> Switched:
@@ -256,7 +256,7 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     missing = [name for name in uncovered(CERTIFIED, loop.parts) if name not in more]
     functions = [step for step in policy.steps if isinstance(step, Apply)]
     constants = any(ONE in read(step) for step in policy.steps)
-    links = [link for link in ENDS if loop.network.loss(link) > 0]
+    links = [link for link in loop.network.links if loop.network.loss(link) > 0]
     known = {
         "the plant is not linear": FUNCTION,
         f"{policy.kind} {_beyond(functions[0]) if functions else ''}": FUNCTIONS,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from taciturn.model.network import Burst, Network
-    from taciturn.model.policy import LinkName, Policy
+    from taciturn.model.policy import Policy
     from taciturn.runtime.relay import Fate
 
 
@@ -24,14 +24,14 @@ def read_probability(name: str, text: str) -> float:
     return number(name, found, 0.0, 1.0, closed=True)
 
 
-def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[LinkName, Fate]:
+def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[str, Fate]:
     """Return the impairments of each link: the losses of --loss, or else those of the problem's network."""
     from taciturn.errors import ProblemError
     from taciturn.model.policy import Send
     from taciturn.study.testbed.network import losses
 
     stated = losses(network, seed)
-    fates: dict[LinkName, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
+    fates: dict[str, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
     seen: set[str] = set()
     for text in given:
         link, named, chance = text.rpartition("=")

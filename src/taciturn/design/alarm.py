@@ -11,7 +11,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
-from taciturn.model.policy import Decide, Evaluate, NodeName, Step
+from taciturn.model.policy import Decide, Evaluate, Step
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
 
 WATCH = "watch"  # the decision with the outcomes expected and surprised
@@ -19,7 +19,7 @@ FORGOTTEN = 0.02  # weight of the newest innovation: the average extends over ab
 FALSE_ALARMS = 1e-9  # probability that a step without any fault is surprised
 
 
-def watch_innovations(signal: str, covariance: Matrix, at: NodeName) -> tuple[Step, ...]:
+def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, ...]:
     """Return the policy steps that decide whether the innovations are as expected; they follow the filter's.
 
     Args:

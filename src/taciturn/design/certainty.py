@@ -26,13 +26,13 @@ from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Assign, Decide, LinkName, Location, NodeName, Policy, Received, Send, Step
+from taciturn.model.policy import Assign, Decide, Location, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Reset, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
-COLLOCATED: tuple[frozenset[NodeName], ...] = (frozenset({"sensor", "controller"}),)
+COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
 
 
@@ -183,7 +183,7 @@ def certainty_policy(
     locations: tuple[Location, ...] = (),
     guarantee: Guarantee | None = None,
     closed_form: ClosedForm | None = None,
-    fixed_rates: Mapping[LinkName, float] | None = None,
+    fixed_rates: Mapping[str, float] | None = None,
     reset: Reset | None = None,
     slower: float = 1.0,
     notes: tuple[str, ...] = (),

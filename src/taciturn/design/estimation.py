@@ -11,7 +11,7 @@ from taciturn._display import Displayed
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.queries import Predictor, follow_every_query
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Assign, NodeName, Step
+from taciturn.model.policy import Assign, Step
 from taciturn.model.theory import Innovations
 from taciturn.model.trigger import Matrix
 
@@ -36,7 +36,7 @@ class FilterSteps(Displayed):
 
 
 def estimate_state(
-    plant: Plant, steady: Filter | None, at: NodeName = "controller", gain: Matrix | None = None
+    plant: Plant, steady: Filter | None, at: str = "controller", gain: Matrix | None = None
 ) -> FilterSteps:
     """Return the policy steps that compute the filtered estimate x̂_k = E[x_k | y_0, …, y_k].
 

@@ -32,7 +32,7 @@ from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
 from taciturn.model.kept import Kept
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, LinkName, NodeName, Policy, Step
+from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, Policy, Step
 from taciturn.model.theory import Identity, Theory
 from taciturn.model.trigger import Form, Trigger
 
@@ -47,7 +47,7 @@ def keep_controller(
     kept: Kept,
     price_at: Callable[[float], float],
     actuation: Actuation,
-    link: LinkName,
+    link: str,
     network: Network,
     every: int,
     retry: bool = False,
@@ -154,14 +154,12 @@ def keep_controller(
     return loop.point.applied_to(policy)
 
 
-def drops(network: Network, link: LinkName) -> bool:
+def drops(network: Network, link: str) -> bool:
     """Return whether a link drops packets and acknowledges those that arrive."""
-    return network.protocol == "tcp" and network.loss(link) > 0
+    return network.acknowledges(link) and network.loss(link) > 0
 
 
-def _attempts(
-    problem: Discrete, route: Route, network: Network, link: LinkName, time: StepCounter, lossy: bool
-) -> Attempts:
+def _attempts(problem: Discrete, route: Route, network: Network, link: str, time: StepCounter, lossy: bool) -> Attempts:
     """Return the attempts of the base, with the weight of the final state over a horizon."""
     turns, losses = network.chain(link) if lossy else (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses)
     cost, terminal = problem.cost, None
@@ -201,7 +199,7 @@ def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: fl
     return (*before, Evaluate(made.at, name, (silent, *others), decision)), Form(plus={name: 1.0})
 
 
-def _at_limits(plant: Plant, controller: Controller, steady: Array, at: NodeName) -> tuple[Step, ...]:
+def _at_limits(plant: Plant, controller: Controller, steady: Array, at: str) -> tuple[Step, ...]:
     """Return the steps that decide whether the command that a packet causes is beyond a limit of an input."""
     if plant.input_limit is None:
         return ()
@@ -214,7 +212,7 @@ def _at_limits(plant: Plant, controller: Controller, steady: Array, at: NodeName
     return Assign(at, WOULD, command), Decide(at, LIMIT, Trigger({"within": Form(), **clipped}))
 
 
-def _retried(link: LinkName, at: NodeName) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+def _retried(link: str, at: str) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     """Return the steps that decide whether the last packet was acknowledged, and those that remember it."""
     none, one = np.zeros((1, 1)), np.ones((1, 1))
     missing = Trigger({"arrived": Form(plus={MISSING: 1.0}), "missing": Form(constant=0.5)})

@@ -16,7 +16,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.kept import Kept
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import NodeName, Policy, Step
+from taciturn.model.policy import Policy, Step
 from taciturn.model.theory import Theory
 
 
@@ -55,7 +55,7 @@ class KeptLoop(Displayed):
         kind: str,
         base: Base,
         steps: tuple[Step, ...],
-        sites: tuple[frozenset[NodeName], ...],
+        sites: tuple[frozenset[str], ...],
         initial: dict[str, Array],
     ) -> Policy:
         """Return a policy without a proven bound.

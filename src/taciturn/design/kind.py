@@ -19,7 +19,7 @@ from taciturn.errors import ProblemError, TaciturnError
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
     from taciturn.model.plant import ContinuousPlant, Plant
-    from taciturn.model.policy import LinkName, Policy
+    from taciturn.model.policy import Policy
     from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
@@ -45,7 +45,7 @@ class TradeoffParameter(Displayed):
     """
 
     name: str
-    link: LinkName | None = None
+    link: str | None = None
     least: float = 0.0
     whole: bool = False
     falls: bool = True

@@ -19,7 +19,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.controller import Controller
 from taciturn.model.plant import Plant
-from taciturn.model.policy import ONE, Apply, Assign, Condition, NodeName, Policy, Step
+from taciturn.model.policy import ONE, Apply, Assign, Condition, Policy, Step
 from taciturn.model.reference import Tracking
 from taciturn.model.trigger import Matrix, Scheduled
 
@@ -193,7 +193,7 @@ def _solved(matrix: Array, right: Array, what: str) -> Array:
     return found
 
 
-def _assigned(at: NodeName, signal: str, branches: tuple[dict[str, Matrix], ...], on: Condition | None) -> Assign:
+def _assigned(at: str, signal: str, branches: tuple[dict[str, Matrix], ...], on: Condition | None) -> Assign:
     return Assign(at, signal, branches if on else branches[0], on)
 
 

@@ -21,7 +21,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter
 from taciturn.model.controller import Controller
-from taciturn.model.policy import Acknowledged, Assign, Condition, LinkName, NodeName, Received, Send, Step
+from taciturn.model.policy import Acknowledged, Assign, Condition, Received, Send, Step
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
 CANDIDATE = "candidate"
@@ -44,8 +44,8 @@ class Route(Displayed):
     """
 
     base: Base
-    node: NodeName
-    sites: tuple[frozenset[NodeName], ...]
+    node: str
+    sites: tuple[frozenset[str], ...]
     error: dict[str, Array]
     before: tuple[Step, ...]
     after: tuple[Step, ...]
@@ -78,7 +78,7 @@ class Route(Displayed):
 
 
 def route_over(
-    link: LinkName,
+    link: str,
     problem: Discrete,
     controller: Controller,
     actuation: Actuation,

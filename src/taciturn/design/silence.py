@@ -14,7 +14,7 @@ from taciturn.design.base import Advantage, Attempts
 from taciturn.design.certainty import SEND
 from taciturn.design.prices import by_clock
 from taciturn.design.routes import Route
-from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Evaluate, LinkName, Step
+from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Evaluate, Step
 from taciturn.model.trigger import Form
 
 BELIEF = "belief"
@@ -41,7 +41,7 @@ class Silence(Displayed):
 
 
 def cost_of_silence(
-    found: Advantage, route: Route, attempts: Attempts, link: LinkName, phases: Sequence[int], unit: float
+    found: Advantage, route: Route, attempts: Attempts, link: str, phases: Sequence[int], unit: float
 ) -> Silence:
     """Return the cost of silence for the node that decides.
 

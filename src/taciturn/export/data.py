@@ -69,7 +69,7 @@ class NodeData(Displayed):
     @cached_property
     def _numbers(self) -> dict[str, int]:
         """Return the fields that are integers, in the order of their type."""
-        layout, program, model = self.layout, self.program, self.policy.model
+        layout, program = self.layout, self.program
         return {
             "constant_count": len(self.constants),
             "remembers": min(layout.remembers, UINT32_MAX),
@@ -80,8 +80,8 @@ class NodeData(Displayed):
             "drawn_at": layout.drawn.start,
             "drawn_count": layout.drawn.stop - layout.drawn.start,
             "applied": -1 if layout.applied is None else layout.applied.start,
-            "measurement_count": model.outputs if "sensor" in program.site else 0,
-            "applied_count": 0 if layout.applied is None else model.inputs,
+            "measurement_count": layout.measured,
+            "applied_count": 0 if layout.applied is None else layout.applied.stop - layout.applied.start,
             "channel_count": len(layout.arrivals),
             "send_count": len(layout.departures),
             "clock_count": len(program.clocks),

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as Xml
 from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.loop import Loop
-from taciturn.model.policy import LinkName, Send
+from taciturn.model.policy import Send
 from taciturn.model.wire import LINKS
 
 Version = Literal["3.0", "2.0"]
@@ -42,9 +42,9 @@ class UnitVariable(Displayed):
     text: str
 
 
-def used_links(loop: Loop) -> tuple[LinkName, ...]:
+def used_links(loop: Loop) -> tuple[str, ...]:
     """Return the links between nodes over which packets are sent, in the order of their numbers."""
-    found: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
+    found: set[str] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     return tuple(sorted(found, key=LINKS.index))
 
 

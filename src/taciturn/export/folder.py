@@ -20,7 +20,6 @@ from taciturn.export.vector import RecordedRun, record_loop
 from taciturn.loop import Loop
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import place_of, roles
-from taciturn.model.policy import NodeName
 from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, c_literal, constant_array
 
@@ -139,7 +138,7 @@ def _first_line(path: Path) -> str:
         return file.readline(1000)
 
 
-def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows: int = ROWS, seed: int = 0) -> CFolder:
+def print_folder(loop: Loop, name: str, *, nodes: Sequence[str] = (), rows: int = ROWS, seed: int = 0) -> CFolder:
     """Return the nodes of a loop's policy as a folder of C99 sources.
 
     Args:

@@ -14,7 +14,7 @@ from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import place_of
-from taciturn.model.policy import NodeName, Policy
+from taciturn.model.policy import Policy
 from taciturn.program.c import ROOT, print_c, print_root
 from taciturn.program.ir import Program
 from taciturn.program.layout import Layout, lay_out
@@ -44,7 +44,7 @@ class CNode(Displayed):
         constants: number of constants.
     """
 
-    role: NodeName
+    role: str
     name: str
     header: str
     source: str
@@ -65,7 +65,7 @@ def identifier(text: str) -> str:
 
 def print_node(
     policy: Policy,
-    role: NodeName,
+    role: str,
     network: Network,
     name: str,
     *,

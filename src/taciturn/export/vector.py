@@ -11,7 +11,7 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.policy import LinkName, Received, Send
+from taciturn.model.policy import Received, Send
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
@@ -31,7 +31,7 @@ class RecordedRun(Displayed):
         applied: inputs u that the actuator applied, (steps, m).
     """
 
-    links: tuple[LinkName, ...]
+    links: tuple[str, ...]
     measured: Array
     drawn: Array
     arrived: Array
@@ -70,7 +70,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
     outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
-    links: tuple[LinkName, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
+    links: tuple[str, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     vector = RecordedRun(
         links,
         _columns([found[Entry("y", i)] for i in range(plant.outputs)], ticks),

@@ -20,12 +20,11 @@ import numpy.typing as npt
 
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.network import Network
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
 _OWN = ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking", "Controller", "Disturbance")
-_PREFIXES |= {name: name.lower() for name in _OWN}
+_PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "LinkLaw": "links"}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _OPAQUE = ("plant.function", "Apply.function")  # callables
 _PLAIN = (str, int, float, np.ndarray, type(None))
@@ -41,10 +40,12 @@ FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit"}
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
 WEIGHTS = names("cost", "Q R N")
 ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
-LINKS = names("network", "protocol delay actuator_range sensor_range")  # a range has an effect only with a payload
-LOSSES = frozenset({"network.actuator_loss", "network.sensor_loss"})
-BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"network.actuator_burst", "network.sensor_burst"}
-ROUNDING = frozenset({"network.payload"})
+# a range has an effect only with a payload; prices and energies affect no packet
+LINKS = names("network", "links delay") | names("links", "acknowledged range price energy battery")
+GRAPH = names("nodes", "measures applies controls site") | {"network.nodes"}
+LOSSES = frozenset({"links.loss"})
+BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"links.burst"}
+ROUNDING = frozenset({"links.payload"})
 CONTROLLER = names("controller", "A B C D E dt disturbance setpoint rest start_input") | (
     names("disturbance", "time_constant deviation")
 )
@@ -65,10 +66,10 @@ BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
 DRAWS = names("Draw", "at signal")
 FUNCTIONS = names("Apply", "at signals function reads")
 
-LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | LINEAR_STEPS
+LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FUNCTIONS
 PLANTS = LINEAR_PLANT | FUNCTION | LIMIT | JUMPS
-NETWORKS = LINKS | LOSSES | BURSTS | ROUNDING
+NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself
 GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS
@@ -131,11 +132,10 @@ def _uncovered(covered: AbstractSet[str], thing: object) -> Iterator[str]:
         if owner not in covered:
             yield owner
             return
-        here = thing.without_constant_bursts() if isinstance(thing, Network) else thing
         own = (f"{owner}.{name}" for name in vars(thing) if not hasattr(type(thing), name))
         yield from (name for name in (*more, *own) if name not in covered and name not in listed)
         for name, field in listed.items():
-            value: object = getattr(here, field.name)
+            value: object = getattr(thing, field.name)
             if name in covered:
                 yield from () if name in _OPAQUE else _uncovered(covered, value)
             elif not _is_neutral(name, field, value):

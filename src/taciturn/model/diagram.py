@@ -13,24 +13,19 @@ from taciturn._display import Displayed
 from taciturn._figure import Arrow, Size, draw_lanes
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.location import Location
-from taciturn.model.plant import Prediction
 from taciturn.model.steps import (
-    ENDS,
-    NODES,
     Acknowledged,
     Assign,
     Decide,
     Evaluate,
-    LinkName,
-    NodeName,
     Send,
-    Step,
-    site_of,
 )
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from taciturn.model.policy import Policy
 
 DRAWN = Coverage(LOOPS, "diagrams do not show")
 When = Literal["always", "decision", "schedule"]
@@ -43,14 +38,14 @@ class Place(Displayed):
     """A site of one or more nodes, with the signals that it measures and applies and the decisions that it takes.
 
     Args:
-        nodes: nodes at the site, in the order sensor, controller, actuator.
-        measures: number of entries of ``y``, 0 without a sensor.
+        nodes: nodes at the site, in the order of the network.
+        measures: number of measured outputs, 0 without a sensor.
         decides: names of the decisions taken at the site.
         applies: number of inputs of the plant, 0 without an actuator.
         predicts: number of states that the actuator's model predicts between steps, 0 without such a model.
     """
 
-    nodes: tuple[NodeName, ...]
+    nodes: tuple[str, ...]
     measures: int
     decides: tuple[str, ...]
     applies: int
@@ -91,9 +86,9 @@ class Link(Displayed):
         acknowledged: whether the sender uses acknowledgements of the packets.
     """
 
-    name: LinkName
-    sender: NodeName
-    receiver: NodeName
+    name: str
+    sender: str
+    receiver: str
     payload: Mapping[str, int]
     when: When
     decision: str | None = None
@@ -163,7 +158,7 @@ class Diagram(Displayed):
     places: tuple[Place, ...]
     links: tuple[Link, ...]
 
-    def place_of(self, node: NodeName) -> int:
+    def place_of(self, node: str) -> int:
         """Return the index of the site of a node."""
         return next(i for i, place in enumerate(self.places) if node in place.nodes)
 
@@ -203,50 +198,36 @@ class Diagram(Displayed):
         return draw_lanes([place.lines for place in self.places], arrows, ax, figsize)
 
 
-def draw_diagram(
-    steps: Sequence[Step],
-    sites: Sequence[frozenset[NodeName]],
-    locations: Sequence[Location],
-    sizes: Mapping[str, int],
-    prediction: Prediction | None = None,
-) -> Diagram:
+def draw_diagram(policy: Policy) -> Diagram:
     """Return the nodes of a policy and the links between them, derived from its policy steps.
-
-    Args:
-        steps: policy steps within a sampling step, in order.
-        sites: groups of nodes at the same site; other nodes are alone.
-        locations: finite discrete states.
-        sizes: number of entries of each signal, by name.
-        prediction: the model of an actuator that predicts between steps, or None.
-
-    Returns:
-        The diagram, which can be printed or plotted.
 
     Example:
         >>> from taciturn import Cost, Plant, design
         >>> policy = design.lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
-        >>> draw_diagram(policy.steps, policy.sites, policy.locations, policy.sizes).links[0].condition
+        >>> draw_diagram(policy).links[0].condition
         'if send, by estimate, candidate, error'
     """
-    applied, predicted = (sizes["input"], 0) if prediction is None else prediction.L.shape
-    places = tuple(
-        Place(
-            tuple(node for node in NODES if node in site),
-            sizes["y"] if "sensor" in site else 0,
-            tuple(step.decision for step in steps if isinstance(step, Decide) and step.at in site),
-            *((applied, predicted) if "actuator" in site else (0, 0)),
-        )
-        for site in dict.fromkeys(site_of(node, sites) for node in NODES)
-    )
-    return Diagram(places, tuple(_link(step, steps, locations, sizes) for step in steps if isinstance(step, Send)))
+    sends = [step for step in policy.steps if isinstance(step, Send)]
+    sites = dict.fromkeys(policy.site(node) for node in policy.network.nodes)
+    return Diagram(tuple(_place(policy, site) for site in sites), tuple(_link(policy, step) for step in sends))
 
 
-def _link(step: Send, steps: Sequence[Step], locations: Sequence[Location], sizes: Mapping[str, int]) -> Link:
-    payload = {name: sizes[name] for name in step.payload}
+def _place(policy: Policy, site: frozenset[str]) -> Place:
+    measures = sum(len(entries) for node, entries in policy.measured.values() if node in site)
+    applies = sum(len(entries) for node, entries in policy.applied.values() if node in site)
+    applied, predicted = (applies, 0) if policy.prediction is None or not applies else policy.prediction.L.shape
+    decisions = [step.decision for step in policy.steps if isinstance(step, Decide) and step.at in site]
+    nodes = tuple(node for node in policy.network.nodes if node in site)
+    return Place(nodes, measures, tuple(decisions), applied, predicted)
+
+
+def _link(policy: Policy, step: Send) -> Link:
+    steps, locations = policy.steps, policy.locations
+    payload = {name: policy.sizes[name] for name in step.payload}
     conditions = [other.on for other in steps if isinstance(other, Assign | Evaluate)]
     conditions += [location.on for location in locations]
     told = any(isinstance(on, Acknowledged) and on.link == step.link for on in conditions)
-    ends = (step.link, step.at, ENDS[step.link], payload)
+    ends = (step.link, step.at, policy.network.receiver(step.link), payload)
     if step.on is None:
         return Link(*ends, "always", acknowledged=told)
     trigger = next(other.trigger for other in steps if isinstance(other, Decide) and other.decision == step.on)

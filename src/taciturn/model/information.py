@@ -11,7 +11,6 @@ from taciturn.model.coverage import STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import (
-    ENDS,
     ONE,
     Acknowledged,
     Apply,
@@ -20,8 +19,6 @@ from taciturn.model.policy import (
     Decide,
     Draw,
     Evaluate,
-    LinkName,
-    NodeName,
     Policy,
     Received,
     Send,
@@ -31,7 +28,7 @@ from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
 
 INFORMED = Coverage(STEPS | TRACKING, "the check of the information pattern does not know")
-Site: TypeAlias = frozenset[NodeName]
+Site: TypeAlias = frozenset[str]
 
 
 def check_network(policy: Policy, network: Network) -> None:
@@ -51,31 +48,32 @@ def check_network(policy: Policy, network: Network) -> None:
         )
     packet_shapes(policy, network)
     carrying = links_of(policy)
-    if network.payload != "float64" and not any(told_by(policy, link) for link in carrying):
+    if network.rounded and not any(told_by(policy, link) for link in carrying):
         raise ProblemError(
             f"network.payload is {network.payload!r}, but each receiver of {policy.kind} already has the signals in "
             "its packets, so rounding has no effect; expected payload = 'float64', the default"
         )
-    for link in ENDS:
-        given = [name for name in network.given(link) if link not in carrying]
-        if given:
+    for link in network.links:
+        stated = [] if link in carrying else network.stated(link)
+        if stated:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
-                f"network.{given[0]} is given, but no node of {policy.kind} receives a packet on the {link} link; "
-                f"expected properties of {others or 'no link'} only: remove network.{given[0]}"
+                f"{stated[0]} is given, but no node of {policy.kind} receives a packet on the {link} link; "
+                f"expected properties of {others or 'no link'} only: remove {stated[0]}"
             )
 
 
-def links_of(policy: Policy) -> tuple[LinkName, ...]:
+def links_of(policy: Policy) -> tuple[str, ...]:
     """Return the links on which packets are sent and whose arrivals are a condition of a policy step."""
-    sent: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
+    sent: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
     heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
     return tuple([link for link in sent if link in heard])
 
 
 def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
     """Return whether the network acknowledges packets but no node uses the acknowledgements."""
-    return network.protocol == "tcp" and not any(isinstance(on, Acknowledged) for on in _conditions(policy))
+    told = any(isinstance(on, Acknowledged) for on in _conditions(policy))
+    return any(network.acknowledges(link) for link in network.links) and not told
 
 
 def _conditions(policy: Policy) -> list[Condition | None]:
@@ -110,7 +108,7 @@ class _Knowledge:
 
     def __init__(self, policy: Policy, network: Network) -> None:
         self.policy, self.network = policy, network
-        self.home: dict[str, Site] = {"y": policy.site("sensor")}  # ONE is available everywhere
+        self.home: dict[str, Site] = {name: policy.site(node) for name, (node, _) in policy.measured.items()}
         self.decided: dict[str, Site] = {}
         self.packets: dict[str, tuple[Site, tuple[str, ...]]] = {}
         for step in policy.steps:
@@ -139,7 +137,7 @@ class _Knowledge:
             for weight in weights:
                 self._check_schedule(weight, step.at)
 
-    def check_condition(self, condition: Condition | None, at: NodeName) -> None:
+    def check_condition(self, condition: Condition | None, at: str) -> None:
         """Check that the outcome of a condition is available at a node."""
         site = self.policy.site(at)
         if isinstance(condition, str) and self.decided[condition] != site:
@@ -147,7 +145,7 @@ class _Knowledge:
                 f"{at} uses the decision {condition!r} of another node; "
                 "expected its own decisions, or a received packet"
             )
-        if isinstance(condition, Received) and ENDS[condition.link] not in site:
+        if isinstance(condition, Received) and self.network.receiver(condition.link) not in site:
             raise InformationError(
                 f"{at} uses packets of the {condition.link} link, which it does not receive; expected a link on which "
                 "it receives packets"
@@ -157,13 +155,16 @@ class _Knowledge:
                 raise InformationError(
                     f"{at} uses an acknowledgement of the {condition.link} link; expected a link on which it sends"
                 )
-            if self.network.protocol == "udp":
+            if self.network.links[condition.link].acknowledged is False:
                 raise InformationError(
                     f"{at} uses an acknowledgement of the {condition.link} link, but protocol 'udp' sends none; "
                     "expected protocol 'tcp'"
+                    if self.network.triangle
+                    else f"{at} uses an acknowledgement of the {condition.link} link, which sends none; "
+                    f"expected links.{condition.link}.acknowledged = true"
                 )
 
-    def _check_read(self, name: str, at: NodeName, arrived: str | None) -> None:
+    def _check_read(self, name: str, at: str, arrived: str | None) -> None:
         packet = self.packets[arrived][1] if arrived in self.packets else ()
         if name != ONE and self.home.get(name) != self.policy.site(at) and name not in packet:
             raise InformationError(
@@ -171,10 +172,10 @@ class _Knowledge:
                 "packet"
             )
 
-    def _check_schedule(self, weight: object, at: NodeName) -> None:
+    def _check_schedule(self, weight: object, at: str) -> None:
         if not isinstance(weight, Scheduled):
             return
-        owner: NodeName | None = next(
+        owner: str | None = next(
             (location.at for location in self.policy.locations if location.name == weight.by), None
         )
         if owner is not None and self.policy.site(owner) != self.policy.site(at):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from taciturn._arrays import array
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.steps import Condition, NodeName
+from taciturn.model.steps import Condition
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 LONGEST = 1_000_000  # steps for which several locations are followed jointly; longer cycles are not detected
@@ -32,7 +32,7 @@ class Location(Displayed):
 
     name: str
     table: npt.NDArray[np.int64]
-    at: NodeName | None = None
+    at: str | None = None
     on: Condition | None = None
     initial: int = 0
 

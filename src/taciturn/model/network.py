@@ -1,10 +1,11 @@
-"""The network between sensor, controller and actuator."""
+"""The network of a control loop as a graph: nodes that measure, control or apply inputs, and the links between them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, cast
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,52 +13,26 @@ from taciturn._arrays import Array, choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
-from taciturn.model.wire import CODES, Encoding, EncodingName
+from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
+from taciturn.model.link import Burst as Burst
+from taciturn.model.link import LinkLaw as LinkLaw
+from taciturn.model.roles import TRIANGLE, RoleName
+from taciturn.model.roles import NodeRole as NodeRole
+from taciturn.model.wire import PLANT, Encoding, EncodingName
 
 ProtocolName = Literal["udp", "tcp", "ideal"]
+TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
+ACKNOWLEDGED: Mapping[str, bool | None] = {"udp": False, "tcp": True, "ideal": None}  # by protocol
+NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
 
 
-@dataclass(frozen=True, repr=False)
-class Burst(Displayed):
-    """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
-
-    Args:
-        to_bad: probability per step of a transition from good to bad, in [0, 1].
-        to_good: probability per step of a transition from bad to good, in [0, 1].
-        loss_good: loss probability in the good state, in [0, 1].
-        loss_bad: loss probability in the bad state, in [0, 1].
-
-    Raises:
-        ProblemError: if a probability is outside [0, 1].
-
-    Source: gilbert1960, elliott1963
-    """
-
-    to_bad: float
-    to_good: float
-    loss_good: float
-    loss_bad: float
-
-    def __post_init__(self) -> None:
-        """Check the ranges of the arguments."""
-        for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
-            object.__setattr__(self, name, number(name, getattr(self, name), 0.0, 1.0, closed=True))
-
-    @property
-    def share_bad(self) -> float:
-        """Stationary probability of the bad state; 0 for a link that remains in its initial good state."""
-        turns = self.to_bad + self.to_good
-        return 0.0 if turns == 0 else self.to_bad / turns
-
-    @property
-    def loss(self) -> float:
-        """Stationary loss probability."""
-        return (1 - self.share_bad) * self.loss_good + self.share_bad * self.loss_bad
-
-
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, init=False, repr=False)
 class Network(Displayed):
-    """A network of two links, from sensor to controller and from controller to actuator.
+    """A network: nodes with their roles, and one link for each node that is not at the controller's place.
+
+    A link has the name of its node. A node that measures sends to the controller; a node that applies inputs receives
+    from the controller. Without ``nodes``, the network has a sensor, a controller and an actuator, and the other
+    arguments describe its two links.
 
     Args:
         protocol: ``"udp"`` (without acknowledgement), ``"tcp"`` (with acknowledgement) or ``"ideal"``.
@@ -69,71 +44,236 @@ class Network(Displayed):
         payload: encoding of the numbers in a packet: ``"float64"`` (exact), or ``"float32"`` or ``"int16"`` (rounded).
         actuator_range: with ``"int16"``, full-scale value of packets to the actuator: one number, or one per entry.
         sensor_range: with ``"int16"``, full-scale value of packets from the sensor: one number, or one per entry.
+        nodes: the roles of the nodes by name, of which one controls.
+        links: the laws of the links by node; a link that is not listed is ideal.
 
     Raises:
         ProblemError: if a probability is outside [0, 1], an ideal network has losses, a link has both loss and burst,
-            or a range is not positive or is given without ``"int16"``.
+            a range is not positive or is given without ``"int16"``, or the nodes and links do not form a network.
+
+    Example:
+        >>> tank = Network(nodes={"level": NodeRole(measures=True), "plc": NodeRole(controls=True),
+        ...                       "pump": NodeRole(applies=True, site="plc")}, links={"level": LinkLaw(loss=0.1)})
+        >>> tank.receiver("level"), list(tank.links)
+        ('plc', ['level'])
     """
 
-    protocol: ProtocolName = "ideal"
-    actuator_loss: float = 0.0
-    sensor_loss: float = 0.0
+    nodes: Mapping[str, NodeRole] = field(default_factory=lambda: TRIANGLE)
+    links: Mapping[str, LinkLaw] = field(default_factory=lambda: {"sensor": IDEAL_LINK, "actuator": IDEAL_LINK})
     delay: int = 0
-    actuator_burst: Burst | None = None
-    sensor_burst: Burst | None = None
-    payload: EncodingName = "float64"
-    actuator_range: float | tuple[float, ...] | None = None
-    sensor_range: float | tuple[float, ...] | None = None
 
-    def __post_init__(self) -> None:
-        """Check the ranges of the arguments."""
-        if self.protocol not in ("udp", "tcp", "ideal"):
-            raise ProblemError(f"network.protocol is {self.protocol!r}; expected 'udp', 'tcp' or 'ideal'")
-        count("network.delay", self.delay, 0)
-        for link in ("actuator", "sensor"):
-            loss = number(f"network.{link}_loss", getattr(self, f"{link}_loss"), 0.0, 1.0, closed=True)
-            object.__setattr__(self, f"{link}_loss", loss)  # a float even if the integer 0 was given
-            burst = getattr(self, f"{link}_burst")
-            if burst is not None:
-                instance(f"network.{link}_burst", burst, Burst)
-            if burst is not None and loss > 0:
-                raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
-            if self.protocol == "ideal" and (loss > 0 or burst is not None):
-                raise ProblemError(
-                    f"network.{link}_{'loss' if burst is None else 'burst'} is given for an ideal network; "
-                    "expected protocol = 'udp' or 'tcp' for a network with packet losses"
-                )
-        self._check_payload()
+    def __init__(
+        self,
+        protocol: ProtocolName = "ideal",
+        actuator_loss: float = 0.0,
+        sensor_loss: float = 0.0,
+        delay: int = 0,
+        actuator_burst: Burst | None = None,
+        sensor_burst: Burst | None = None,
+        payload: EncodingName = "float64",
+        actuator_range: float | Sequence[float] | None = None,
+        sensor_range: float | Sequence[float] | None = None,
+        *,
+        nodes: Mapping[str, NodeRole] | None = None,
+        links: Mapping[str, LinkLaw] | None = None,
+    ) -> None:
+        """Check the arguments and store the graph."""
+        object.__setattr__(self, "delay", count("network.delay", delay, 0))
+        stated = {
+            "sensor": {"loss": sensor_loss, "burst": sensor_burst, "range": sensor_range},
+            "actuator": {"loss": actuator_loss, "burst": actuator_burst, "range": actuator_range},
+        }
+        if nodes is None and links is None:
+            object.__setattr__(self, "nodes", TRIANGLE)
+            object.__setattr__(self, "links", _two_links(protocol, payload, stated))
+            return
+        if protocol != "ideal" or payload != "float64" or any(any(law.values()) for law in stated.values()):
+            raise ProblemError(
+                "nodes or links are given with a protocol, losses or encodings of a network of three nodes; expected "
+                "these properties in links"
+            )
+        object.__setattr__(self, "nodes", dict(TRIANGLE if nodes is None else nodes))
+        self._check_nodes()
+        object.__setattr__(self, "links", self._checked_links(links or {}))
 
-    def _check_payload(self) -> None:
-        choice("network.payload", self.payload, CODES)
-        for link in ("actuator", "sensor"):
-            given = getattr(self, f"{link}_range")
-            if given is None:
-                continue
-            name = f"network.{link}_range"
-            if self.payload != "int16":
+    def summary(self) -> Mapping[str, object]:
+        """Return the roles of the nodes, the laws of the links, and the delay."""
+        nodes = ", ".join(f"{name} {role.short()}" for name, role in self.nodes.items())
+        return {"links": self.short(), "nodes": nodes, "delay": self.delay}
+
+    def __hash__(self) -> int:
+        """Return the hash of the nodes, the links and the delay."""
+        return hash((*self.nodes.items(), *self.links.items(), self.delay))
+
+    def _check_nodes(self) -> None:
+        for name, role in self.nodes.items():
+            instance(f"nodes.{name}", role, NodeRole)
+            if not re.fullmatch(NAME, name) or name == PLANT:
                 raise ProblemError(
-                    f"{name} is given with payload = {self.payload!r}; expected a range with 'int16' only"
+                    f"nodes.{name} has the name {name!r}; expected at most 32 letters, digits, hyphens and "
+                    f"underscores, with a letter first, and not {PLANT!r}"
                 )
-            entries = cast("Sequence[object]", given if isinstance(given, list | tuple) else (given,))
-            checked = tuple(number(name, entry, 0.0) for entry in entries)
-            object.__setattr__(self, f"{link}_range", checked)
+            home = None if role.site is None else self.nodes.get(role.site)
+            if role.site is not None and (home is None or home.site is not None or role.site == name):
+                first = [other for other, one in self.nodes.items() if one.site is None]
+                raise ProblemError(f"nodes.{name}.site is {role.site!r}; expected one of {', '.join(first)}")
+        controllers = [name for name, role in self.nodes.items() if role.controls]
+        if len(controllers) != 1:
+            raise ProblemError(
+                f"{len(controllers)} nodes control ({', '.join(controllers) or 'none'}); expected one node with "
+                "controls = true"
+            )
+        for name in self._remote():
+            if self.nodes[name].measures and self.nodes[name].applies:
+                raise ProblemError(
+                    f"nodes.{name} measures and applies, but a link has one direction; expected two nodes, the second "
+                    f'with site = "{name}"'
+                )
+
+    def _checked_links(self, links: Mapping[str, LinkLaw]) -> dict[str, LinkLaw]:
+        remote = self._remote()
+        for name, law in links.items():
+            instance(f"links.{name}", law, LinkLaw)
+            if name not in self.nodes:
+                raise ProblemError(f"links.{name} has no node; expected one of {', '.join(remote)}")
+            if name not in remote:
+                raise ProblemError(
+                    f"links.{name} is given, but {name} is at the controller's place; expected no link: remove it, or "
+                    f"remove nodes.{name}.site"
+                )
+        return {name: links.get(name, IDEAL_LINK) for name in remote}
+
+    def _remote(self) -> list[str]:
+        return [name for name in self.nodes if self.place(name) != self.place(self.controller)]
+
+    @property
+    def controller(self) -> str:
+        """The name of the node that controls."""
+        return next(name for name, role in self.nodes.items() if role.controls)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """The names of the nodes that measure."""
+        return tuple(name for name, role in self.nodes.items() if role.measures)
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """The names of the nodes that apply inputs."""
+        return tuple(name for name, role in self.nodes.items() if role.applies)
+
+    @property
+    def sites(self) -> tuple[frozenset[str], ...]:
+        """The groups of nodes that share a place."""
+        groups: dict[str, list[str]] = {}
+        for name in self.nodes:
+            groups.setdefault(self.place(name), []).append(name)
+        return tuple(frozenset(group) for group in groups.values() if len(group) > 1)
+
+    @property
+    def triangle(self) -> bool:
+        """True if the nodes are a sensor, a controller and an actuator, which a policy kind may place together."""
+        return self.nodes == TRIANGLE
+
+    def place(self, node: str) -> str:
+        """Return the node that names the place of a node."""
+        return self.nodes[node].site or node
+
+    def sender(self, link: str) -> str:
+        """Return the node that sends on a link."""
+        return link if self.nodes[link].measures else self.controller
+
+    def receiver(self, link: str) -> str:
+        """Return the node that receives the packets of a link."""
+        return self.controller if self.nodes[link].measures else link
+
+    def measurements(self, outputs: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
+        """Return the node and the outputs of each measured signal by name.
+
+        The signal is ``y`` if one node measures all outputs in their order, and ``y_NODE`` otherwise.
+
+        Raises:
+            ProblemError: an output is measured by no node or by several nodes.
+        """
+        return self._signals("measures", "y", "output", outputs)
+
+    def applications(self, inputs: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
+        """Return the node and the inputs of each applied signal by name: ``input``, or ``input_NODE``.
+
+        Raises:
+            ProblemError: an input is applied by no node or by several nodes.
+        """
+        return self._signals("applies", "input", "input", inputs)
+
+    def _signals(self, role: RoleName, signal: str, entry: str, size: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
+        held = {name: one.entries(role, size) for name, one in self.nodes.items() if getattr(one, role)}
+        for index in range(max([size, *(i + 1 for listed in held.values() for i in listed)])):
+            by = [name for name, listed in held.items() if index in listed]
+            if index >= size:
+                raise ProblemError(
+                    f"nodes.{by[0]}.{role} contains {index}; expected indices below {size}, the {entry}s of the plant"
+                )
+            if len(by) != 1:
+                raise ProblemError(
+                    f"{entry} {index} of the plant belongs to {' and '.join(by) or 'no node'}; expected one node that "
+                    f"{role} it"
+                )
+        if any(listed == tuple(range(size)) for listed in held.values()):
+            return {signal: next(iter(held.items()))}
+        return {f"{signal}_{name}": (name, listed) for name, listed in held.items()}
+
+    @property
+    def protocol(self) -> str:
+        """The protocol of all links, or those of the links in their order: ``"udp"``, ``"tcp"`` or ``"ideal"``."""
+        found = [law.protocol for law in self.links.values()]
+        return found[0] if len(set(found)) == 1 else ", ".join(found) or "ideal"
+
+    @property
+    def payload(self) -> str:
+        """The encoding of the numbers on all links, or those of the links in their order."""
+        found = [law.payload for law in self.links.values()]
+        return found[0] if len(set(found)) == 1 else ", ".join(found) or "float64"
+
+    @property
+    def ideal(self) -> bool:
+        """True if every packet arrives."""
+        return all(law.ideal for law in self.links.values())
 
     def short(self) -> str:
-        """Return the protocol, losses, delay and encoding of the network as text."""
-        if self.protocol == "ideal":
+        """Return the losses, acknowledgements, delay and encodings of the links as text."""
+        protocols = {law.protocol for law in self.links.values()}
+        if protocols <= {"ideal"}:
             text = "ideal: every packet arrives"
         else:
-            told = "acknowledged" if self.protocol == "tcp" else "no acknowledgement"
+            alike = len(protocols) == 1
             losses = [
-                f"{link} drops {percent(self.loss(link))}{' in bursts' if self.burst(link) else ''}"
-                for link in ("actuator", "sensor")
+                f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
+                f"{'' if alike else TOLD[law.protocol]}"
+                for link, law in self.links.items()
+                if not law.ideal
             ]
-            text = f"{self.protocol} ({told}); {', '.join(losses)}"
+            text = f"{self.protocol}{TOLD[self.protocol]}; " * alike + ", ".join(losses)
         if self.delay:
             text += f"; {self.delay} step{'s' * (self.delay > 1)} of delay"
-        return text + (f"; numbers as {self.payload}" if self.payload != "float64" else "")
+        return text + (f"; numbers as {self.payload}" if self.rounded else "")
+
+    def key(self, link: str, name: str) -> str:
+        """Return the key of a problem file that states a property of a link."""
+        if self.triangle and name not in ("acknowledged", "price"):
+            return "network.payload" if name == "payload" else f"network.{link}_{name}"
+        return f"links.{link}.{name}"
+
+    def stated(self, link: str) -> list[str]:
+        """Return the keys of the properties of a link that differ from those of an ideal link."""
+        law = self.links[link]
+        return [self.key(link, name) for name in ("loss", "burst", "range") if getattr(law, name) not in (None, 0.0)]
+
+    @property
+    def unusual(self) -> list[str]:
+        """The keys by which the delivery of packets differs from that of ideal links of a sensor and an actuator."""
+        if not self.triangle:
+            return ["nodes"]
+        keys = [key for link in reversed(tuple(self.links)) for key in self.stated(link) if not key.endswith("_range")]
+        return ["network.protocol"] * (not self.ideal) + keys + ["network.delay"] * (self.delay > 0)
 
     def encoding(self, link: str) -> Encoding:
         """Return the encoding of the payloads of a link.
@@ -141,37 +281,25 @@ class Network(Displayed):
         Raises:
             ProblemError: if the payload is ``"int16"`` and the link has no range.
         """
-        if self.payload != "int16":
-            return Encoding(self.payload)
-        scale = {"actuator": self.actuator_range, "sensor": self.sensor_range}[link]
-        if scale is None:
+        law = self.links[link]
+        if law.payload == "int16" and law.range is None:
             raise ProblemError(
-                f"network.{link}_range is missing, but network.payload is 'int16'; expected the largest absolute "
-                "value of "
-                f"the numbers in a packet of the {link} link"
+                f"{self.key(link, 'range')} is missing, but {self.key(link, 'payload')} is 'int16'; expected the "
+                f"largest absolute value of the numbers in a packet of the {link} link"
             )
-        return Encoding("int16", cast("tuple[float, ...]", scale))
-
-    def given(self, link: str) -> list[str]:
-        """Return the names of the properties of a link that differ from those of an ideal link."""
-        names = [f"{link}_{what}" for what in ("loss", "burst", "range")]
-        return [name for name in names if getattr(self, name) != getattr(IDEAL, name)]
+        return Encoding(law.payload, law.range or ())
 
     def burst(self, link: str) -> Burst | None:
-        """Return the burst model of a link, or None if its loss probability is constant.
-
-        The loss probability is also constant if the link never leaves its initial state.
-        """
-        burst = self._given_burst(link)
-        return None if burst is None or burst.share_bad in (0.0, 1.0) else burst
+        """Return the burst model of a link, or None if its loss probability is constant."""
+        return self.links[link].burst
 
     def loss(self, link: str) -> float:
         """Return the loss probability of a link; for bursty losses, the stationary loss probability."""
-        burst = self._given_burst(link)
-        return {"actuator": self.actuator_loss, "sensor": self.sensor_loss}[link] if burst is None else burst.loss
+        return self.links[link].mean_loss
 
-    def _given_burst(self, link: str) -> Burst | None:
-        return {"actuator": self.actuator_burst, "sensor": self.sensor_burst}[link]
+    def acknowledges(self, link: str) -> bool:
+        """Return whether the sender learns whether each packet of the link arrives, for a link that drops packets."""
+        return self.links[link].acknowledged is True
 
     def outage(self, link: str) -> float:
         """Return the long-run probability that a link drops a packet, given that it has dropped all packets before."""
@@ -189,25 +317,55 @@ class Network(Displayed):
         turns = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
         return turns, np.array([burst.loss_good, burst.loss_bad])
 
+    def with_laws(self, changes: Mapping[str, Any]) -> Network:
+        """Return the network with changed properties of every link, such as ``loss`` or ``payload``."""
+        return self.changed(dict.fromkeys(self.links, changes))
+
+    def changed(self, laws: Mapping[str, Mapping[str, Any]]) -> Network:
+        """Return the network with changed properties of some links, by link and property."""
+        links = {name: replace(law, **laws.get(name, {})) for name, law in self.links.items()}
+        return replace(self, links=links)
+
     def without_bursts(self) -> Network:
         """Return the network with independent losses of the same mean probability on each link."""
-        return replace(
-            self,
-            actuator_loss=self.loss("actuator"),
-            sensor_loss=self.loss("sensor"),
-            actuator_burst=None,
-            sensor_burst=None,
-        )
+        bursty = {name: law for name, law in self.links.items() if law.burst is not None}
+        return self.changed({name: {"loss": law.mean_loss, "burst": None} for name, law in bursty.items()})
 
-    def without_constant_bursts(self) -> Network:
-        """Return the network in which a burst model that never changes its state is a loss probability."""
-        constant = [f"{link}_" for link in ("actuator", "sensor") if self._given_burst(link) and not self.burst(link)]
-        changes = {f"{link}loss": self.loss(link[:-1]) for link in constant}
-        return replace(self, **{**dict.fromkeys(f"{link}burst" for link in constant), **changes}) if constant else self
+    @property
+    def rounded(self) -> bool:
+        """True if the packets of a link contain rounded numbers."""
+        return any(law.payload != "float64" for law in self.links.values())
 
-    def without_rounding(self) -> Network:
-        """Return the network whose packets transmit numbers without rounding."""
-        return replace(self, payload="float64", actuator_range=None, sensor_range=None)
+    @property
+    def delivery(self) -> Network:
+        """The network that delivers the same packets, without rounding, prices and energies."""
+        return self.with_laws({"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None})
+
+
+def _two_links(
+    protocol: ProtocolName, payload: EncodingName, stated: Mapping[str, Mapping[str, Any]]
+) -> dict[str, LinkLaw]:
+    """Return the links of a sensor and an actuator, with messages in the words of ``[network]``."""
+    if protocol not in ACKNOWLEDGED:
+        raise ProblemError(f"network.protocol is {protocol!r}; expected 'udp', 'tcp' or 'ideal'")
+    choice("network.payload", payload, ("float64", "float32", "int16"))
+    found: dict[str, LinkLaw] = {}
+    for link, law in reversed(tuple(stated.items())):
+        loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
+        if law["burst"] is not None:
+            instance(f"network.{link}_burst", law["burst"], Burst)
+        if law["burst"] is not None and loss > 0:
+            raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
+        if protocol == "ideal" and (loss > 0 or law["burst"] is not None):
+            raise ProblemError(
+                f"network.{link}_{'loss' if law['burst'] is None else 'burst'} is given for an ideal network; "
+                "expected protocol = 'udp' or 'tcp' for a network with packet losses"
+            )
+        try:
+            found[link] = LinkLaw(loss, law["burst"], ACKNOWLEDGED[protocol], payload, law["range"])
+        except ProblemError as error:
+            raise ProblemError(f"network.{link}_{error}") from None
+    return {link: found[link] for link in stated}
 
 
 IDEAL = Network()

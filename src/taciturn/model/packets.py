@@ -11,7 +11,7 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
-from taciturn.model.policy import ENDS, ONE, Apply, Policy, Send
+from taciturn.model.policy import ONE, Apply, Policy, Send
 from taciturn.model.steps import assigned
 from taciturn.model.wire import PERSON, Encoding, PacketKind
 
@@ -44,9 +44,11 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
     """Return the signals in the packets of a link that are not otherwise available to the receiver."""
-    homes = {name: step.at for step in policy.steps for name in assigned(step)} | {"y": "sensor", ONE: ENDS[link]}
+    receiver = policy.network.receiver(link)
+    homes = {name: step.at for step in policy.steps for name in assigned(step)} | {ONE: receiver}
+    homes |= {signal: node for signal, (node, _) in policy.measured.items()}
     names = [name for step in policy.steps if isinstance(step, Send) and step.link == link for name in step.payload]
-    return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(ENDS[link]))
+    return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(receiver))
 
 
 def fingerprint(policy: Policy, network: Network) -> int:

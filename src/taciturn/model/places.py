@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from taciturn.errors import ProblemError
-from taciturn.model.policy import ENDS, NODES, LinkName, NodeName, Policy, Send
+from taciturn.model.policy import Policy, Send
 
 
-def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
+def place_of(policy: Policy, role: str) -> frozenset[str]:
     """Return the roles that are at the same site as the given role.
 
     Raises:
@@ -20,40 +20,46 @@ def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
     return policy.site(role)
 
 
-def roles(policy: Policy) -> tuple[NodeName, ...]:
+def roles(policy: Policy) -> tuple[str, ...]:
     """Return the nodes that run as separate processes, one for each site, in the order of a step."""
-    return tuple(role for role in NODES if role == "controller" or "controller" not in policy.site(role))
+    controller, named = policy.network.controller, dict[frozenset[str], str]()
+    for node in policy.network.nodes:
+        site = policy.site(node)
+        named[site] = controller if controller in site else named.get(site, node)
+    return tuple(named.values())
 
 
-def links_to(policy: Policy, role: NodeName) -> tuple[LinkName, ...]:
+def links_to(policy: Policy, role: str) -> tuple[str, ...]:
     """Return the links on which a node receives data."""
     site = place_of(policy, role)
-    return tuple(step.link for step in policy.steps if isinstance(step, Send) and ENDS[step.link] in site)
+    return tuple(
+        step.link for step in policy.steps if isinstance(step, Send) and policy.network.receiver(step.link) in site
+    )
 
 
-def role_at(policy: Policy, node: str) -> NodeName:
+def role_at(policy: Policy, node: str) -> str:
     """Return the role of the process that runs a node."""
     return next(role for role in roles(policy) if node in policy.site(role))
 
 
-def sender_of(policy: Policy, link: LinkName) -> NodeName:
+def sender_of(policy: Policy, link: str) -> str:
     """Return the role of the process that sends data on a link."""
     return role_at(policy, next(step.at for step in policy.steps if isinstance(step, Send) and step.link == link))
 
 
-def receiver_of(policy: Policy, link: LinkName) -> NodeName:
+def receiver_of(policy: Policy, link: str) -> str:
     """Return the role of the process that receives data on a link."""
-    return role_at(policy, ENDS[link])
+    return role_at(policy, policy.network.receiver(link))
 
 
-def link_of(policy: Policy, role: NodeName) -> LinkName | None:
+def link_of(policy: Policy, role: str) -> str | None:
     """Return the link on which a process sends data, or else the one on which it may acknowledge data."""
     site = place_of(policy, role)
-    sends: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send) and step.at in site]
+    sends: list[str] = [step.link for step in policy.steps if isinstance(step, Send) and step.at in site]
     return next(iter(sends + list(links_to(policy, role))), None)
 
 
-def peer_of(policy: Policy, role: NodeName) -> NodeName | None:
+def peer_of(policy: Policy, role: str) -> str | None:
     """Return the process that receives a process's packets: the next node, or the sender that it acknowledges."""
     link = link_of(policy, role)
     if link is None:

@@ -25,8 +25,6 @@ from taciturn.model.network import Network
 from taciturn.model.plant import Plant, Prediction
 from taciturn.model.reference import Tracking
 from taciturn.model.schedule import Schedule
-from taciturn.model.steps import ENDS as ENDS
-from taciturn.model.steps import NODES as NODES
 from taciturn.model.steps import (
     ONE,
     Apply,
@@ -35,8 +33,6 @@ from taciturn.model.steps import (
     Decide,
     Draw,
     Evaluate,
-    LinkName,
-    NodeName,
     Send,
     Step,
     assigned,
@@ -81,7 +77,7 @@ class Policy(Displayed):
     steps: tuple[Step, ...]
     model: Plant
     theory: Theory = field(default_factory=Theory)
-    sites: tuple[frozenset[NodeName], ...] = ()
+    sites: tuple[frozenset[str], ...] = ()
     locations: tuple[Location, ...] = ()
     initial: Mapping[str, Array] = field(default_factory=lambda: {})
     tick: float = 1.0
@@ -98,7 +94,7 @@ class Policy(Displayed):
         number("tick", self.tick, 0.0)
         computed = [name for step in self.steps if isinstance(step, Apply) for name in step.signals]
         self.theory.check(self.kind, computed)
-        sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
+        sizes = {ONE: 1, **{signal: len(entries) for signal, (_, entries) in self.measured.items()}}
         for step in self.steps:
             for name, size in assigned(step).items():
                 if name == ONE:
@@ -135,11 +131,12 @@ class Policy(Displayed):
                     f"location {location.name} has {location.table.shape[1]} columns; "
                     f"expected {self.outcomes(location.on)}, one per outcome of {location.on}"
                 )
-        if sizes.get("input") != self.model.inputs:
-            got = f"has {sizes['input']} entries" if "input" in sizes else "is never assigned"
-            raise ProblemError(
-                f"input {got}; expected a signal with {self.model.inputs} entries that is assigned at the actuator"
-            )
+        for signal, (node, entries) in self.applied.items():
+            if sizes.get(signal) != len(entries):
+                got = f"has {sizes[signal]} entries" if signal in sizes else "is never assigned"
+                raise ProblemError(
+                    f"{signal} {got}; expected a signal with {len(entries)} entries that is assigned at the {node}"
+                )
 
     def summary(self) -> Mapping[str, object]:
         """Return the kind, cost, guarantee, plant, decisions, links and network of the policy by name."""
@@ -196,7 +193,17 @@ class Policy(Displayed):
         return None if uncovered(self.theory.covers, self.parts) else self.theory.guarantee
 
     @property
-    def scheduled(self) -> tuple[LinkName, ...]:
+    def measured(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
+        """The node and the outputs of each measured signal by name: ``y``, or ``y_NODE``."""
+        return self.network.measurements(self.model.outputs)
+
+    @property
+    def applied(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
+        """The node and the inputs of each applied signal by name: ``input``, or ``input_NODE``."""
+        return self.network.applications(self.model.inputs)
+
+    @property
+    def scheduled(self) -> tuple[str, ...]:
         """The links on which a decision sends; without decisions, all links."""
         sends = [step for step in self.steps if isinstance(step, Send)]
         return tuple(step.link for step in sends if step.on is not None) or tuple(step.link for step in sends)
@@ -219,7 +226,7 @@ class Policy(Displayed):
             raise ProblemError(f"the condition {condition!r} is not a decision; expected one of {list(self.decisions)}")
         return len(self.decisions[condition].labels)
 
-    def site(self, node: NodeName) -> frozenset[NodeName]:
+    def site(self, node: str) -> frozenset[str]:
         """Return the nodes at the same site as this node."""
         return site_of(node, self.sites)
 
@@ -232,7 +239,7 @@ class Policy(Displayed):
             ['command (1)', 'y (1)']
         """
         DRAWN.check(self.parts, self.designed_for)
-        return draw_diagram(self.steps, self.sites, self.locations, self.sizes, self.prediction)
+        return draw_diagram(self)
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of the nodes and of the packets that they exchange within a step."""

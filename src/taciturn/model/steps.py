@@ -4,32 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 from taciturn._arrays import ArrayLike, count, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
 
-NodeName = Literal["sensor", "controller", "actuator"]
-LinkName = Literal["sensor", "actuator"]
-NODES: tuple[NodeName, ...] = ("sensor", "controller", "actuator")
 ONE = "one"
-ENDS: dict[str, NodeName] = {"sensor": "controller", "actuator": "actuator"}  # the receiver of each link
 
 
 @dataclass(frozen=True, repr=False)
 class Received(Displayed):
     """The condition "a packet of this link arrived", available at the receiving node."""
 
-    link: LinkName
+    link: str
 
 
 @dataclass(frozen=True, repr=False)
 class Acknowledged(Displayed):
     """The condition "my packet on this link arrived", available at the sender if the network acknowledges packets."""
 
-    link: LinkName
+    link: str
 
 
 Condition: TypeAlias = str | Received | Acknowledged  # a string is the name of a decision
@@ -47,14 +43,14 @@ class Assign(Displayed):
         on: the condition that selects the branch.
     """
 
-    at: NodeName
+    at: str
     signal: str
     branches: tuple[Terms, ...]
     on: Condition | None = None
 
     def __init__(
         self,
-        at: NodeName,
+        at: str,
         signal: str,
         branches: Mapping[str, ArrayLike | Scheduled] | tuple[Mapping[str, ArrayLike | Scheduled], ...],
         on: Condition | None = None,
@@ -88,7 +84,7 @@ class Assign(Displayed):
 class Evaluate(Displayed):
     """An assignment of a quadratic form to a scalar signal at a node; with ``on``, one form for each outcome."""
 
-    at: NodeName
+    at: str
     signal: str
     forms: tuple[Form, ...]
     on: Condition | None = None
@@ -127,7 +123,7 @@ class Apply(Displayed):
         ('estimate',)
     """
 
-    at: NodeName
+    at: str
     signals: Mapping[str, int]
     function: Callable[..., object]
     reads: tuple[str, ...]
@@ -155,7 +151,7 @@ class Draw(Displayed):
     A trigger that compares a form q with ξ stays silent with probability e^{−q}.
     """
 
-    at: NodeName
+    at: str
     signal: str
 
 
@@ -163,7 +159,7 @@ class Draw(Displayed):
 class Decide(Displayed):
     """A decision at a node: the label that the trigger selects."""
 
-    at: NodeName
+    at: str
     decision: str
     trigger: Trigger
 
@@ -172,8 +168,8 @@ class Decide(Displayed):
 class Send(Displayed):
     """A packet on a link; with ``on``, sent only if the decision is one of ``labels`` (default: all but the first)."""
 
-    at: NodeName
-    link: LinkName
+    at: str
+    link: str
     payload: tuple[str, ...]
     on: str | None = None
     labels: tuple[str, ...] = ()
@@ -182,7 +178,7 @@ class Send(Displayed):
 Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 
 
-def site_of(node: NodeName, sites: Sequence[frozenset[NodeName]]) -> frozenset[NodeName]:
+def site_of(node: str, sites: Sequence[frozenset[str]]) -> frozenset[str]:
     """Return the nodes at the same site as a node; a node that is in none of the given sites is alone."""
     return next((site for site in sites if node in site), frozenset({node}))
 

@@ -12,7 +12,6 @@ from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY
-from taciturn.model.steps import LinkName
 from taciturn.model.trigger import Form
 
 
@@ -158,7 +157,7 @@ class Theory(Displayed):
     innovations: Innovations | None = None
     closed_form: ClosedForm | None = None
     reset: Reset | None = None
-    fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
+    fixed_rates: Mapping[str, float] = field(default_factory=lambda: {})
     covers: frozenset[str] = GAUSSIAN_THEORY
     functions: frozenset[str] = frozenset()
     periodic: Callable[[int], float] | None = None

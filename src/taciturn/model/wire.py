@@ -17,7 +17,8 @@ from taciturn.errors import ProblemError
 EncodingName = Literal["float64", "float32", "int16"]
 PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer"]
 KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer")
-LINKS = ("sensor", "actuator", "plant")
+PLANT = "plant"  # the link between the plant and its nodes
+LINKS = ("sensor", "actuator", PLANT)
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
 BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input"})  # kinds that travel against their link

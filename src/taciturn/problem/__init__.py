@@ -35,14 +35,13 @@ from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.energy import PacketEnergy
 from taciturn.model.information import check_network
 from taciturn.model.kept import Kept
 from taciturn.model.network import Burst as Burst
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
-from taciturn.model.policy import LinkName, Policy
+from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, refuse_functions
 from taciturn.problem.functions import read_function as read_function
@@ -51,7 +50,6 @@ from taciturn.problem.parts import (
     actual_of,
     controller_of,
     cost_of,
-    energy_of,
     expect_argument,
     expect_network,
     network_of,
@@ -82,9 +80,12 @@ from taciturn.problem.tables import (
 )
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
-# attributes that a problem reads from each table of its file; attributes of unchanged tables are not read again
-PARTS = {"plant": ("plant", "actual"), **{name: (name,) for name in ("cost", "reference", "controller")}}
-PARTS["network"] = ("network", "energy")
+# tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
+PARTS: dict[str, tuple[str, ...]] = {
+    "actual": ("plant",),
+    **{name: (name,) for name in ("plant", "cost", "reference", "controller")},
+}
+PARTS["network"] = ("network", "nodes", "links")
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -105,7 +106,6 @@ class Problem(Displayed):
         source: tables of the problem file, needed to change single keys.
         name: name of the problem file, for messages.
         own: the policy kind, if the catalogue does not contain it.
-        energy: energy per packet and of batteries, for ``evaluate``, or None.
 
     Raises:
         ProblemError: if ``network`` is not a Network, or the policy kind is unknown.
@@ -122,7 +122,6 @@ class Problem(Displayed):
     name: str = ""
     own: Kind | None = None
     controller: Kept | None = None
-    energy: PacketEnergy | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
@@ -190,13 +189,11 @@ class Problem(Displayed):
         parameters = check_parameters(kind, self.parameters)
         used = _used(kind, self.network, {"reference": self.reference, "controller": self.controller})
         policy = kind.make(self.plant, self.cost, {**used, **parameters})
-        if self.energy is not None:
-            _expect_packets(policy, self.energy)
+        _expect_packets(policy, self.network)
         if isinstance(policy, Policy):
             check_network(policy, self.network)
         else:
-            rounded = self.network != self.network.without_rounding()
-            policy.refuse({"[plant.actual]": self.actual is not None, "network.payload": rounded})
+            policy.refuse({"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded})
         return policy
 
     def close(self, policy: Policy) -> Loop:
@@ -250,7 +247,7 @@ class Problem(Displayed):
         tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}
         if touched:
             parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own)
-            kept = [name for table, names in PARTS.items() if table not in touched for name in names]
+            kept = [name for name, read in PARTS.items() if touched.isdisjoint(read)]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
         kind, parameters = read_policy(tables["policy"], CHANGED, self.own)  # plant, cost and network are unchanged
         source = None if self.source is None else tables
@@ -331,11 +328,10 @@ def parse(
         reference = None if file.reference is None else Reference(**vars(file.reference))
         controller = None if file.controller is None else controller_of(file.controller)
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
-        network = network_of(file.network, record)
+        network = network_of(file, record, plant)
         return Problem(
-            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller,
-            energy_of(file.network, plant),
-        )  # fmt: skip
+            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller
+        )
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 
@@ -346,22 +342,20 @@ def _used(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[st
     Raises:
         ProblemError: if the kind does not use the given network, reference or controller.
     """
-    exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
-    unusual = [key for key in Network.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
-    if unusual:
-        expect_network(kind, unusual[0])
+    for key in network.unusual[:1]:
+        expect_network(kind, key)
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
     return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
 
 
-def _expect_packets(policy: AnyPolicy, energy: PacketEnergy) -> None:
+def _expect_packets(policy: AnyPolicy, network: Network) -> None:
     """Raise a ``ProblemError`` if an energy is given for a link on which the policy decides on no packet."""
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    carrying: tuple[LinkName, ...] = nodes.scheduled if isinstance(nodes, Policy) else ("sensor",)
-    for link in (link for link in energy.links() if link not in carrying):
+    carrying: tuple[str, ...] = nodes.scheduled if isinstance(nodes, Policy) else ("sensor",)
+    for link in (link for link, law in network.links.items() if law.energy is not None and link not in carrying):
         raise ProblemError(
-            f"network.{link}_energy is given, but {policy.kind} decides on no packet of the {link} link; "
+            f"{network.key(link, 'energy')} is given, but {policy.kind} decides on no packet of the {link} link; "
             f"expected the energy of the {' and '.join(carrying)} link"
         )
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, number
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kept import cost_as_kept
 from taciturn.design.kind import Kind
@@ -17,9 +17,9 @@ from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.energy import PacketEnergy
 from taciturn.model.kept import Kept
-from taciturn.model.network import Burst, Network
+from taciturn.model.link import Burst, LinkLaw
+from taciturn.model.network import Network, NodeRole
 from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.problem.functions import read_function
@@ -28,6 +28,7 @@ from taciturn.problem.tables import (
     BurstTable,
     ControllerTable,
     CostTable,
+    File,
     InitialTable,
     JumpsTable,
     NetworkTable,
@@ -48,7 +49,7 @@ def expect_network(kind: Kind, key: str) -> None:
 
     Args:
         kind: the policy kind.
-        key: the key of ``[network]`` that is given.
+        key: the key that is given, such as ``network.delay``.
     """
     if "network" in kind.tables:
         return
@@ -57,7 +58,7 @@ def expect_network(kind: Kind, key: str) -> None:
     expect_argument(
         kind,
         "network",
-        f"network.{key}",
+        key,
         f"ideal links: remove it, or use {' or '.join(able)}, which {'keep the controller and ' * kept}use the "
         "network; `taciturn network FILE --loss P` drops packets of policies of any kind",
     )
@@ -193,40 +194,77 @@ def _jumps(table: JumpsTable) -> Jumps:
     return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
 
 
-def network_of(table: NetworkTable | None, kind: Kind) -> Network:
-    """Return the network of a table, or ideal links; ``kind`` must use losses that no protocol states."""
-    if table is None:
-        return Network()
+def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Network:
+    """Return the network of a file, or ideal links; ``kind`` must use losses that no protocol states."""
+    network = _graph_of(file) if file.nodes or file.links else _two_links_of(file.network or NetworkTable(), kind)
+    if any(law.energy is not None for law in network.links.values()) and isinstance(plant, Plant) and plant.dt is None:
+        raise ProblemError("the energy of a packet is given without plant.dt; expected the seconds per step")
+    return network
+
+
+def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
-        expect_network(kind, lost[0])
-    return Network(
+        expect_network(kind, f"network.{lost[0]}")
+    network = Network(
         cast("Any", table.protocol),
         table.actuator_loss,
         table.sensor_loss,
         table.delay,
-        _burst("actuator", table.actuator_burst),
-        _burst("sensor", table.sensor_burst),
+        _burst("network.actuator_burst", table.actuator_burst),
+        _burst("network.sensor_burst", table.sensor_burst),
         cast("Any", table.payload),
-        cast("Any", table.actuator_range),
-        cast("Any", table.sensor_range),
+        table.actuator_range,
+        table.sensor_range,
     )
+    for link in network.links:
+        for name in ("energy", "battery"):
+            value = getattr(table, f"{link}_{name}")
+            if value is None:
+                continue
+            number(f"network.{link}_{name}", value, 0.0)
+            if getattr(table, f"{link}_energy") is None:
+                raise ProblemError(
+                    f"network.{link}_battery is given without network.{link}_energy; expected the joules per packet"
+                )
+            network = network.changed({link: {name: value}})
+    return network
 
 
-def energy_of(table: NetworkTable | None, plant: Plant | ContinuousPlant) -> PacketEnergy | None:
-    """Return the energies of a table, or None if it states none."""
-    names = ("sensor", "actuator")
-    given = {} if table is None else {name: getattr(table, f"{name}_energy") for name in names}
-    given |= {} if table is None else {f"{name}_battery": getattr(table, f"{name}_battery") for name in names}
-    if all(value is None for value in given.values()):
-        return None
-    if isinstance(plant, Plant) and plant.dt is None:
-        raise ProblemError("an energy is given in [network] without plant.dt; expected the seconds per step")
-    return PacketEnergy(**given)
+def _graph_of(file: File) -> Network:
+    """Return the network of the tables [nodes] and [links]; [network] may still state the delay of computations."""
+    stated = (
+        [] if file.network is None else [key for key, value in vars(file.network).items() if value != _DEFAULTS[key]]
+    )
+    for key in (key for key in stated if key != "delay"):
+        raise ProblemError(
+            f"network.{key} is given with [nodes] or [links]; expected the properties of each link in [links.NAME]"
+        )
+    nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
+    for name, table in (file.nodes or {}).items():
+        try:
+            nodes[name] = NodeRole(cast("Any", table.measures), cast("Any", table.applies), table.controls, table.site)
+        except ProblemError as error:
+            raise ProblemError(f"nodes.{name}: {error}") from None
+    for name, table in (file.links or {}).items():
+        for key in (key for key in ("delay", "buffer") if getattr(table, key) is not None):
+            raise ProblemError(
+                f"links.{name}.{key} is given, but links model no delay yet; expected no {key}: remove it"
+            )
+        law = {key: value for key, value in vars(table).items() if key not in ("delay", "buffer", "burst")}
+        try:
+            links[name] = LinkLaw(burst=_burst("burst", table.burst), **law)
+        except ProblemError as error:
+            raise ProblemError(f"links.{name}.{error}") from None
+    delay = 0 if file.network is None else file.network.delay
+    return Network(delay=delay, nodes=nodes or None, links=links)
 
 
-def _burst(link: str, table: BurstTable | None) -> Burst | None:
+def _burst(key: str, table: BurstTable | None) -> Burst | None:
     try:
         return None if table is None else Burst(**vars(table))
     except ProblemError as error:
-        raise ProblemError(f"network.{link}_burst: {error}") from None
+        raise ProblemError(f"{key}: {error}") from None
+
+
+_DEFAULTS = vars(NetworkTable())

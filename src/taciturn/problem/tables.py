@@ -99,6 +99,32 @@ class NetworkTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class NodeTable(Displayed):
+    """The keys of the tables ``[nodes.NAME]``."""
+
+    measures: bool | list[int] = False
+    applies: bool | list[int] = False
+    controls: bool = False
+    site: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LinkTable(Displayed):
+    """The keys of the tables ``[links.NAME]``."""
+
+    loss: float = 0.0
+    burst: BurstTable | None = None
+    acknowledged: bool | None = None
+    payload: str = "float64"
+    range: float | list[float] | None = None
+    price: float = 1.0
+    energy: float | None = None
+    battery: float | None = None
+    delay: float | list[float] | None = None
+    buffer: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ReferenceTable(Displayed):
     """The keys of the table ``[reference]``."""
 
@@ -155,6 +181,8 @@ class File(Displayed):
     plant: NominalPlantTable
     cost: CostTable
     network: NetworkTable | None = None
+    nodes: dict[str, NodeTable] | None = None
+    links: dict[str, LinkTable] | None = None
     reference: ReferenceTable | None = None
     controller: ControllerTable | None = None
     policy: dict[str, Any]

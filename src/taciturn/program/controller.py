@@ -9,10 +9,10 @@ from typing import TypeAlias
 from taciturn._arrays import Array
 from taciturn.model.network import Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import ENDS, Assign, Policy, Step
+from taciturn.model.policy import Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import TimeStep, encode_payloads, is_bad
+from taciturn.program.lower import Operands, TimeStep, encode_payloads, is_bad
 from taciturn.program.names import named
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
@@ -33,11 +33,27 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     NODES.check(policy.parts, policy.designed_for, network)
     tick = begin_time_step(policy, network, {}, {})
     tick.draw_losses(policy, network)
-    tick.signals["y"] = tick.supplied("y", policy.model.outputs)
+    measure(tick, policy, tick.supplied("y", policy.model.outputs))
     for step in policy.steps:
         tick.take(step)
-    applied = tick.clipped(tick.signals["input"], policy.model.input_limit)
+    applied = tick.clipped(gather_input(tick, policy), policy.model.input_limit)
     return tick.finish({}, {**named("applied", applied), **tick.packets()})
+
+
+def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:
+    """Set the signals that the nodes measure to the outputs of the plant."""
+    for signal, (_, outputs) in policy.measured.items():
+        tick.signals[signal] = [y[index] for index in outputs]
+
+
+def gather_input(tick: TimeStep, policy: Policy) -> Operands:
+    """Return the input of the plant, from the signals that the nodes apply."""
+    found = {
+        index: operand
+        for signal, (_, inputs) in policy.applied.items()
+        for index, operand in zip(inputs, tick.signals[signal], strict=True)
+    }
+    return [found[index] for index in range(policy.model.inputs)]
 
 
 def begin_time_step(
@@ -52,7 +68,7 @@ def begin_time_step(
 
     ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
     """
-    bad = [is_bad(link) for link in ENDS]
+    bad = [is_bad(link) for link in network.links]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
     sizes = {**policy.sizes, **sizes, **dict.fromkeys(bad, 1)}

@@ -57,6 +57,7 @@ class Layout:
 
     Args:
         inputs: names of all inputs: measurement, step counters, packets, and random numbers.
+        measured: number of entries of the measurement; 0 without a sensor.
         wiring: for each part of the step, the positions of its inputs among all inputs.
         clocks: position of the first step counter among the inputs.
         drawn: positions of the random numbers among the inputs.
@@ -68,6 +69,7 @@ class Layout:
     """
 
     inputs: tuple[Name, ...]
+    measured: int
     wiring: tuple[tuple[int, ...], ...]
     clocks: int
     drawn: slice
@@ -81,7 +83,8 @@ class Layout:
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     """Return the positions of all inputs and outputs in the time step of a node."""
     sizes, arrivals = policy.sizes, list[Arrival]()
-    names: list[Name] = [Entry("y", i) for i in range(sizes["y"])]
+    measured = [signal for signal, (node, _) in policy.measured.items() if node in program.site]
+    names: list[Name] = [Entry(signal, i) for signal in measured for i in range(sizes[signal])]
     clocks = len(names)
     names += [StepCounter(place.name) for place in program.clocks]
     for link, signals in program.hears.items():
@@ -98,9 +101,11 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         {name: i for i, name in enumerate(names)},
         {name: i for i, name in enumerate(program.parts[0].outputs)},
     )
-    first = outputs.get(Entry("input", 0))
+    applied = [signal for signal, (node, _) in policy.applied.items() if node in program.site]
+    first, number = (outputs[Entry(applied[0], 0)], sum(sizes[name] for name in applied)) if applied else (0, 0)
     return Layout(
         inputs=tuple(names),
+        measured=sum(sizes[signal] for signal in measured),
         wiring=tuple(tuple(places[name] for name in part.inputs) for part in program.parts),
         clocks=clocks,
         drawn=drawn,
@@ -109,7 +114,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
             Departure(link, outputs[Sent(link)], sum(sizes[name] for name in payload))
             for link, payload in program.sends.items()
         ),
-        applied=None if first is None else slice(first, first + policy.model.inputs),
+        applied=slice(first, first + number) if applied else None,
         options={name: i for name, i in outputs.items() if isinstance(name, Option)},
         remembers=steps_of_a_fault(policy),
     )

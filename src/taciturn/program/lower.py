@@ -18,7 +18,6 @@ from taciturn._arrays import Array
 from taciturn.model.coverage import NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.policy import (
-    ENDS,
     ONE,
     Apply,
     Assign,
@@ -26,7 +25,6 @@ from taciturn.model.policy import (
     Decide,
     Draw,
     Evaluate,
-    LinkName,
     Location,
     Policy,
     Received,
@@ -44,7 +42,7 @@ from taciturn.program.ops import State
 from taciturn.program.trace import trace
 
 Operands = list[int]
-Payloads: TypeAlias = Mapping[LinkName, Mapping[str, Encoding]]
+Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
 
 LOWERED = Coverage(STEPS | TRACKING | NETWORKS, "programs do not carry out")
 
@@ -77,8 +75,8 @@ class TimeStep:
         self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Operands] = {}
         self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
-        self.arrived: dict[LinkName, Truth] = {}
-        self.sent: dict[LinkName, Truth] = {}
+        self.arrived: dict[str, Truth] = {}
+        self.sent: dict[str, Truth] = {}
         self.options: dict[str, dict[str, int]] = {}  # value of each option of each trigger
         self.losses: dict[str, Coefficient] = {}  # loss probability of each link
         self.thresholds: list[int] = []  # uniform numbers that the policy draws; all others determine losses and noise
@@ -129,7 +127,7 @@ class TimeStep:
 
     def draw_losses(self, policy: Policy, network: Network) -> None:
         """Set the loss probability of each link: a constant, or a value that depends on the state of a bursty link."""
-        for link in ENDS:
+        for link in network.links:
             burst, b = network.burst(link), self.builder
             self.losses[link] = network.loss(link)
             if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
@@ -322,14 +320,14 @@ class TimeStep:
                     sent = self._and(sent, self._not(truth))
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
-    def arrives(self, link: LinkName, sent: Truth) -> Truth:
+    def arrives(self, link: str, sent: Truth) -> Truth:
         """Return whether a packet arrives: it is sent, and a uniform random number is above the loss probability."""
         loss = self.losses[link]
         if isinstance(loss, float) and loss == 0.0:
             return sent
         return self._and(sent, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
 
-    def _arrived(self, link: LinkName) -> Truth:
+    def _arrived(self, link: str) -> Truth:
         """Return whether the packet of this step has arrived, or before its Send, the packet of the previous step."""
         if link not in self.arrived:
             name = _arrival(link)
@@ -351,14 +349,14 @@ class TimeStep:
         return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
 
 
-def encode_payloads(policy: Policy, network: Network) -> dict[LinkName, dict[str, Encoding]]:
+def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
     """Return how each signal is encoded in the packets of a policy, by link and signal.
 
     Raises:
         ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.
     """
     LOWERED.check(policy.parts, network)
-    payloads: dict[LinkName, dict[str, Encoding]] = {}
+    payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:
         if isinstance(step, Send):
             sizes = [policy.sizes[name] for name in step.payload]

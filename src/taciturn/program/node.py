@@ -15,14 +15,11 @@ from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import (
-    ENDS,
     Acknowledged,
     Assign,
     Condition,
     Evaluate,
-    LinkName,
     Location,
-    NodeName,
     Policy,
     Received,
     Send,
@@ -58,20 +55,18 @@ class NodeProgram:
         sends: for each link that begins at the site, the signals of its packet.
     """
 
-    site: frozenset[NodeName]
+    site: frozenset[str]
     parts: tuple[Program, ...]
     draws: Program | None
     clocks: tuple[Location, ...]
-    hears: Mapping[LinkName, tuple[str, ...]]
-    lag: Mapping[LinkName, int]
-    late: frozenset[LinkName]
-    acknowledged: tuple[LinkName, ...]
-    sends: Mapping[LinkName, tuple[str, ...]]
+    hears: Mapping[str, tuple[str, ...]]
+    lag: Mapping[str, int]
+    late: frozenset[str]
+    acknowledged: tuple[str, ...]
+    sends: Mapping[str, tuple[str, ...]]
 
 
-def lower_node(
-    policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision = "float64"
-) -> NodeProgram:
+def lower_node(policy: Policy, site: frozenset[str], network: Network, precision: Precision = "float64") -> NodeProgram:
     """Return the programs of one time step of the nodes at one site of a policy.
 
     Args:
@@ -100,7 +95,7 @@ def check_separable(policy: Policy) -> None:
     for place, step in enumerate(policy.steps):
         if not isinstance(step, Send):
             continue
-        if ENDS[step.link] in policy.site(step.at):
+        if policy.network.receiver(step.link) in policy.site(step.at):
             raise ProblemError(
                 f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
                 "site; expected different sites at its two ends, or no packets on this link"
@@ -133,7 +128,7 @@ class _Part(TimeStep):
         self.drawn = drawn
         self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
         self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
-        self._link = ""
+        self._link, self._measured = "", policy.measured
 
     def take(self, step: Step) -> None:
         on = _condition(step)
@@ -147,7 +142,7 @@ class _Part(TimeStep):
         return self.supplied(name, self.sizes[name], link=self._link)
 
     def recall(self, name: str) -> Operands:
-        if name == "y" and name not in self.signals:
+        if name in self._measured and name not in self.signals:
             self.signals[name] = self.supplied(name, self.sizes[name])
         return super().recall(name)
 
@@ -169,9 +164,10 @@ class _Part(TimeStep):
 class _Lowering:
     """The policy steps of one site, and their division into parts."""
 
-    def __init__(self, policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision) -> None:
+    def __init__(self, policy: Policy, site: frozenset[str], network: Network, precision: Precision) -> None:
         self.policy, self.site = policy, site
         self.precision: Precision = precision
+        self.applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
         self.payloads = encode_payloads(policy, network)
         self.steps = [step for step in policy.steps if step.at in site]
         if not self.steps:
@@ -203,10 +199,10 @@ class _Lowering:
         programs = tuple(self._program(i, tick, states) for i, tick in enumerate(walked))
         inputs = [set(program.inputs) for program in programs]
         read = {name for names in inputs for name in names}
-        hears: dict[LinkName, tuple[str, ...]] = {
+        hears: dict[str, tuple[str, ...]] = {
             link: self._order(link) for link in self.payloads if Received(link) in read
         }
-        late = frozenset[LinkName](link for link in hears if Received(link) not in inputs[0])
+        late = frozenset[str](link for link in hears if Received(link) not in inputs[0])
         return NodeProgram(
             site=self.site,
             parts=programs,
@@ -221,7 +217,7 @@ class _Lowering:
 
     def _leaves(self, step: Step) -> bool:
         """Return whether a policy step produces an output of the node."""
-        return isinstance(step, Send) or "input" in assigned(step)
+        return isinstance(step, Send) or not self.applied.isdisjoint(assigned(step))
 
     def _order(self, link: str) -> tuple[str, ...]:
         return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
@@ -270,9 +266,10 @@ class _Lowering:
         outputs: dict[Name, int] = {}
         for link, truth in tick.sent.items():
             outputs |= {Sent(link): tick.as_number(truth), **named(link, tick.payload[link])}
-        if "actuator" in self.site:
-            applied = tick.clipped(tick.recall("input"), self.policy.model.input_limit)
-            outputs |= named("input", applied)
+        limit = self.policy.model.input_limit
+        for signal, (_, inputs) in self.policy.applied.items():
+            if signal in self.applied:
+                outputs |= named(signal, tick.clipped(tick.recall(signal), None if limit is None else limit[[*inputs]]))
         return outputs | tick.option_values()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.places import place_of, roles
-from taciturn.model.policy import NodeName, Policy, Send
+from taciturn.model.policy import Policy, Send
 from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, LINKS, OFFSETS, PERSON, TAG_SIZE, VERSION
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program, needed
@@ -63,7 +63,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
     }  # fmt: skip
 
 
-def _node(policy: Policy, network: Network, role: NodeName, seed: int) -> dict[str, Any]:
+def _node(policy: Policy, network: Network, role: str, seed: int) -> dict[str, Any]:
     """Return the inputs, memories, packets and operations of a node."""
     program = lower_node(policy, place_of(policy, role), network)
     layout = lay_out(policy, program)
@@ -72,7 +72,7 @@ def _node(policy: Policy, network: Network, role: NodeName, seed: int) -> dict[s
     return {
         "role": role, "site": sorted(program.site),
         "inputs": [*map(text_of, layout.inputs)], "outputs": [*map(text_of, first.outputs)],
-        "measurement": policy.model.outputs if "sensor" in program.site else 0,
+        "measurement": layout.measured,
         "counters": [
             {"input": layout.clocks + i, "start": place.initial, "next": [int(one) for one in place.table]}
             for i, place in enumerate(program.clocks)
@@ -92,7 +92,9 @@ def _node(policy: Policy, network: Network, role: NodeName, seed: int) -> dict[s
             {"reads": list(wiring), **_steps(part)} for wiring, part in zip(layout.wiring, program.parts, strict=True)
         ],
         "sends": [{"link": LINKS.index(one.link), "output": one.at, "entries": one.size} for one in layout.departures],
-        "applies": None if layout.applied is None else {"output": layout.applied.start, "entries": policy.model.inputs},
+        "applies": None if layout.applied is None else {
+            "output": layout.applied.start, "entries": layout.applied.stop - layout.applied.start,
+        },
     }  # fmt: skip
 
 

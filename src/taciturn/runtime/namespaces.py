@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from taciturn._arrays import count
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.places import role_at, roles
-from taciturn.model.policy import ENDS, LinkName, Policy
+from taciturn.model.places import receiver_of, roles
+from taciturn.model.policy import Policy
 from taciturn.model.wire import HEADER, KINDS, LINKS
 
 NETWORK, PORT = "10.77.0", 9000  # network and port of every node, invisible to other machines
@@ -134,7 +134,7 @@ class Namespaces:
         ProblemError: root rights, a program or a kernel module are missing (raised on entry).
     """
 
-    def __init__(self, policy: Policy, losses: Mapping[LinkName, KernelLoss], places: Sequence[str] = ()) -> None:
+    def __init__(self, policy: Policy, losses: Mapping[str, KernelLoss], places: Sequence[str] = ()) -> None:
         """Choose the name and address of each namespace."""
         self.policy, self.losses = policy, losses
         owner = f"taciturn-{os.getpid()}-{_born(os.getpid())}-{next(_numbers)}"
@@ -180,9 +180,9 @@ class Namespaces:
             finally:
                 _enter(home.fileno())
 
-    def counted(self, link: LinkName) -> Counted:
+    def counted(self, link: str) -> Counted:
         """Return the counters of the kernel for a link."""
-        found = json.loads(_run(*self.before(role_at(self.policy, ENDS[link])), "nft", "-j", "list", "counters"))[
+        found = json.loads(_run(*self.before(receiver_of(self.policy, link)), "nft", "-j", "list", "counters"))[
             "nftables"
         ]
         packets = {entry["counter"]["name"]: entry["counter"]["packets"] for entry in found if "counter" in entry}
@@ -203,7 +203,7 @@ class Namespaces:
                 lines += [f"addr add {hosts[place]} peer {hosts[other]} dev {other}", f"link set {other} up"]
             _run("ip", "-n", name, "-batch", "-", given="\n".join(lines))
         for link, loss in self.losses.items():
-            _run(*self.before(role_at(self.policy, ENDS[link])), "nft", "-f", "-", given=_rules(link, loss))
+            _run(*self.before(receiver_of(self.policy, link)), "nft", "-f", "-", given=_rules(link, loss))
 
     def _clear(self) -> None:
         for name in self.names.values():
@@ -211,7 +211,7 @@ class Namespaces:
                 _remove(name)
 
 
-def _rules(link: LinkName, loss: KernelLoss) -> str:
+def _rules(link: str, loss: KernelLoss) -> str:
     """Return an nftables table that counts the data packets of a link and drops some of them."""
     chosen = {"kind": KINDS.index("data"), "link": LINKS.index(link)}
     data = " ".join(f"{_field(name)} {value}" for name, value in chosen.items())

@@ -20,7 +20,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint
 from taciturn.model.places import place_of
-from taciturn.model.policy import NodeName, Policy
+from taciturn.model.policy import Policy
 from taciturn.program.draws import seed_generators
 from taciturn.program.layout import Layout, lay_out
 from taciturn.program.names import Option
@@ -52,8 +52,7 @@ class Node:
 
     Args:
         policy: policy that contains the node.
-        role: ``"sensor"``, ``"controller"`` or ``"actuator"``; use ``"controller"`` for a node that contains the
-            controller and another role.
+        role: name of the node, such as ``"sensor"``; the controller's name for a node that shares its site.
         network: network between the nodes; default: the network of the design.
         epoch: number that must increase with every start of this node without its state, e.g. Unix time in seconds.
         seed: seed of the policy's random draws.
@@ -78,7 +77,7 @@ class Node:
     def __init__(
         self,
         policy: Policy,
-        role: NodeName,
+        role: str,
         *,
         network: Network | None = None,
         epoch: int = 0,
@@ -108,7 +107,8 @@ class Node:
             raise ProblemError(
                 f"a watchdog is given for the {role}, which receives no packets; expected a node that receives packets"
             )
-        self._safe = None if safe is None else _safe_input(safe, policy.model.inputs)
+        self._applied = 0 if layout.applied is None else layout.applied.stop - layout.applied.start
+        self._safe = None if safe is None else _safe_input(safe, self._applied)
         self._follows = safe is None  # the input of the policy, also while the node is silent
         self.acknowledges = tuple(one.link for one in layout.arrivals if one.acknowledged)
         self.tick = -1
@@ -116,7 +116,7 @@ class Node:
         self._generator: Sequence[Any] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
         self._places = [place.initial for place in program.clocks]
         self._sequences: Counter[str] = Counter()
-        self._input: Values = (0.0,) * policy.model.inputs
+        self._input: Values = (0.0,) * self._applied
         self._heard_at, self._degraded_until = -1, -1
         self._unheard = False  # whether the watchdog has expired while no step begins
         self._sent_at: dict[str, int] = {}  # last step with a packet, by link
@@ -125,7 +125,7 @@ class Node:
     @property
     def measures(self) -> bool:
         """True if the node contains the sensor, so that each step requires a measurement."""
-        return "sensor" in self.program.site
+        return self._layout.measured > 0
 
     @property
     def actuates(self) -> bool:
@@ -293,10 +293,10 @@ class Node:
         if not self.measures:
             return ()
         found = () if measurement is None else tuple(map(float, measurement))
-        if len(found) != self.policy.model.outputs or not all(map(isfinite, found)):
+        if len(found) != self._layout.measured or not all(map(isfinite, found)):
             raise ProblemError(
                 f"the measurement of the {self.role} is {measurement}; "
-                f"expected {self.policy.model.outputs} finite numbers at each step"
+                f"expected {self._layout.measured} finite numbers at each step"
             )
         return found
 
@@ -378,7 +378,7 @@ class _Compiled(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _compile(policy: Policy, role: NodeName, network: Network) -> _Compiled:
+def _compile(policy: Policy, role: str, network: Network) -> _Compiled:
     program = lower_node(policy, place_of(policy, role), network)
     return _Compiled(
         fingerprint(policy, network),

@@ -14,7 +14,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, instance
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
-from taciturn.model.policy import ENDS, Policy, Received
+from taciturn.model.policy import Policy, Received
 from taciturn.program.controller import lower_policy
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
@@ -42,7 +42,7 @@ class StepFunction:
         self._turn = compile_python(program)
         draws = np.random.default_rng(seed)
         drawn: dict[str, float] = {}
-        for link in ENDS:
+        for link in network.links:
             burst, chance = network.burst(link), draws.random()
             drawn[is_bad(link)] = float(burst is not None and chance < burst.share_bad)
         self.states = tuple(f"{state.name}[{state.index}]" for state in program.states)

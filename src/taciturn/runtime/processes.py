@@ -17,7 +17,7 @@ from typing import Any
 from taciturn._ending import ENDED, GRACE, LIFELINE, at_once
 from taciturn.errors import ProblemError
 from taciturn.model.places import link_of, peer_of, place_of, receiver_of, role_at, roles, sender_of
-from taciturn.model.policy import LinkName, NodeName, Policy, Send
+from taciturn.model.policy import Policy, Send
 from taciturn.runtime.keys import KEY, Keys
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.relay import Fate
@@ -178,7 +178,7 @@ class Processes:
         self,
         file: str,
         policy: Policy,
-        fates: Mapping[LinkName, Fate],
+        fates: Mapping[str, Fate],
         *,
         tick: float | None = None,
         folder: Path | None = None,
@@ -186,14 +186,14 @@ class Processes:
         options: Sequence[str] = (),
         key: bytes | Keys | None = None,
         namespaces: Namespaces | None = None,
-        through: Mapping[NodeName, str] | None = None,
+        through: Mapping[str, str] | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
         """Choose all addresses, and form the commands of nodes and relays."""
         self.file, self.policy, self.folder = file, policy, folder or Path()
         through = through or {}
         self._key, self._namespaces, self._environment = key, namespaces, environment
-        self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
+        self.links: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
         relayed = self.links if namespaces is None else []
         names = [*self.roles, *(f"relay {link}" for link in relayed), *through.values(), "plant"]
@@ -224,7 +224,7 @@ class Processes:
         self._flow = [name for name in flow if name in names]
 
     @property
-    def measuring(self) -> NodeName:
+    def measuring(self) -> str:
         """Role of the node that receives the measurements."""
         return role_at(self.policy, "sensor")
 
@@ -264,15 +264,15 @@ class Processes:
             process.kill()
         self.running.clear()
 
-    def sender(self, link: LinkName) -> NodeName:
+    def sender(self, link: str) -> str:
         """Return the role of the node that sends on a link."""
         return sender_of(self.policy, link)
 
-    def receiver(self, link: LinkName) -> NodeName:
+    def receiver(self, link: str) -> str:
         """Return the role of the node that receives on a link."""
         return receiver_of(self.policy, link)
 
-    def peer(self, role: NodeName) -> str | None:
+    def peer(self, role: str) -> str | None:
         """Return the receiver of a node's packets: a relay, the next node, or the sender that it acknowledges."""
         link = link_of(self.policy, role)
         if link is not None and sender_of(self.policy, link) == role and self._namespaces is None:

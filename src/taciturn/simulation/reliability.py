@@ -15,7 +15,7 @@ from taciturn.errors import UnstableError
 from taciturn.loop import Loop
 from taciturn.lqg.riccati import states_with_cost
 from taciturn.model.estimate import Estimate
-from taciturn.model.policy import LinkName, Send
+from taciturn.model.policy import Send
 
 LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
 NEARLY = 1e-9  # least growth above 1 that counts as unstable
@@ -131,10 +131,14 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
     excites grows freely. This applies to linear plants in which all modes that do not decay are visible in the cost.
     """
     policy, growth = loop.policy, _fastest(loop)
-    if growth == 0 or "actuator" in policy.site("sensor"):
+    network = policy.network
+    beside = any(
+        policy.site(sensor) == policy.site(actuator) for sensor in network.sensors for actuator in network.actuators
+    )
+    if growth == 0 or beside:
         return []
-    links: set[LinkName] = {step.link for step in policy.steps if isinstance(step, Send)}
-    needed = [link for link in sorted(links) if "controller" not in policy.site(link)]
+    links: set[str] = {step.link for step in policy.steps if isinstance(step, Send)}
+    needed = [link for link in sorted(links) if network.controller not in policy.site(link)]
     return [(link, loop.network.outage(link), growth) for link in needed]
 
 

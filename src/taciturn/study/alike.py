@@ -11,12 +11,11 @@ import numpy as np
 
 from taciturn._arrays import instance
 from taciturn.errors import ProblemError
-from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 
 
-def comparable(given: Mapping[str, Studied], link: LinkName | None) -> dict[str, Problem]:
+def comparable(given: Mapping[str, Studied], link: str | None) -> dict[str, Problem]:
     """Return the problems to compare by name.
 
     Raises:
@@ -39,7 +38,7 @@ def comparable(given: Mapping[str, Studied], link: LinkName | None) -> dict[str,
     return problems
 
 
-def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
+def _fixed(problem: Problem, link: str | None) -> dict[str, object]:
     """Return the parameters that are not tuned, with their defaults if they are not given."""
     defaults = {
         key: parameter.default

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import LinkName, Policy
+from taciturn.model.policy import Policy
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied
@@ -55,7 +55,7 @@ class Contestant(Displayed):
 
     name: str
     policy: str
-    link: LinkName
+    link: str
     tuned: Tuned
     share: float
     cost: Estimate
@@ -199,7 +199,7 @@ def compare(
     problems: Mapping[str, Studied],
     rate: float,
     *,
-    link: LinkName | None = None,
+    link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
     progress: Progress | None = None,
@@ -253,7 +253,7 @@ def compare(
             for problem in choices:
                 wanted = _wanted(problem) if standard_error is None else standard_error
                 tuned = tune(problem, rate=rate, link=link, seed=seed + index, standard_error=wanted, progress=report)
-                decides = link or cast("LinkName", next(iter(tuned.evaluation.rates)))  # without a name, the only one
+                decides = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
                 alike.append(_at_rate(name, tuned, rate, decides))
             found.append(min(alike, key=lambda one: one.cost.value))
         except TaciturnError as error:
@@ -296,7 +296,7 @@ def _wanted(problem: Problem) -> float | None:
         return None
 
 
-def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName) -> Contestant:
+def _at_rate(name: str, tuned: Tuned, rate: float, link: str) -> Contestant:
     """Return the cost of a policy at exactly this rate."""
     here = tuned.evaluation
     bound = _bound(here)
@@ -325,7 +325,7 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName) -> Contestant
     return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound, share_error)
 
 
-def _shift(tuned: Tuned, rate: float, link: LinkName) -> tuple[float, float]:
+def _shift(tuned: Tuned, rate: float, link: str) -> tuple[float, float]:
     """Return the error of the cost that is due to the error of the rate, and its standard error."""
     if tuned.slope is None:
         return 0.0, 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -102,7 +102,9 @@ class Description(Displayed):
                 "protocol": network.protocol,
                 "delay": network.delay,
                 "payload": network.payload,
-                "losses": {link: network.loss(link) for link in ("actuator", "sensor")},
+                "losses": {link: network.loss(link) for link in network.links},
+                "nodes": {name: vars(role) for name, role in network.nodes.items()},
+                "links": {link: asdict(law) for link, law in network.links.items()},
             },
             "diagram": None if drawn is None else drawn.document(),
             "notes": list(self.notes),

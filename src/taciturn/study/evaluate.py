@@ -240,15 +240,15 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
 def _energy(problem: Problem, found: Evaluation) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     """Return the power of the packets in watts, and the life of the batteries in seconds, by link."""
     power, life = dict[str, Estimate](), dict[str, Estimate]()
-    energy, plant = problem.energy, problem.plant
-    if energy is None:
-        return power, life
+    plant = problem.plant
     seconds = plant.dt if isinstance(plant, Plant) else problem.parameters.get("period")
     per_second = 1.0 if found.rate_unit == "second" else 1 / float(seconds or 1.0)
-    for link in energy.links():
+    for link, law in problem.network.links.items():
+        if law.energy is None:
+            continue
         rate = found.rates[link].scaled(per_second)
-        power[link] = energy.power(link, rate)
-        lasting = energy.life(link, rate)
+        used, lasting = law.power(rate), law.life(rate)
+        power |= {} if used is None else {link: used}
         life |= {} if lasting is None else {link: lasting}
     return power, life
 

@@ -15,7 +15,6 @@ from taciturn.export.fmu import Fmu, check_name, print_fmu
 from taciturn.export.folder import CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.loop import Loop
-from taciturn.model.policy import NodeName
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
@@ -29,7 +28,7 @@ def export_c(
     folder: str | Path,
     *,
     name: str = "policy",
-    nodes: Sequence[NodeName] = (),
+    nodes: Sequence[str] = (),
     precision: Precision = "float64",
     seed: int = 0,
     progress: Progress | None = None,

@@ -21,7 +21,7 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import ENDS, Assign, Policy, Send, Terms
+from taciturn.model.policy import Assign, Policy, Send, Terms
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
@@ -67,7 +67,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the horizon is finite or the cost is discounted, but periodic control is computed for average costs only"
         )
-    if any(problem.network.loss(link) for link in ENDS):
+    if any(problem.network.loss(link) for link in problem.network.links):
         raise NoClockError(
             "the links drop packets, but periodic control is computed for links that deliver every packet"
         )

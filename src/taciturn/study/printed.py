@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from taciturn.study.tradeoff import Tradeoff
     from taciturn.study.tuning.periods import TunedPeriod
 
-RATES = ("rate_actuator", "rate_sensor")
-
 
 def network_text(found: NetworkRun) -> str:
     """Return the cost and the packets of a network run."""
@@ -113,7 +111,11 @@ def sweep_text(found: xarray.Dataset) -> str:
         at = found.isel(find(...))
         where = ", ".join(f"{key} = {at[key].item()}" for key in found.sizes)
         cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
-        rates = [f"{at[key].item():.4g} {at[key].units} ({key[5:]})" for key in RATES if key in found]
+        rates = [
+            f"{at[key].item():.4g} {at[key].units} ({key[5:]})"
+            for key in map(str, found.data_vars)
+            if key.startswith("rate_") and f"{key}_standard_error" in found
+        ]
         parts.append(f"{name} cost {cost} at {where}; {', '.join(rates)}")
     return "\n".join(map(wrapped_text, parts))
 

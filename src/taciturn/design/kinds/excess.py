@@ -27,7 +27,7 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.kept import controller_from
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import LinkName, Policy
+from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Trigger
 
 
@@ -40,7 +40,7 @@ def excess(
     period: float | None = None,
     actuation: Actuation = "hold",
     controller: object = None,
-    link: LinkName = "actuator",
+    link: str = "actuator",
     network: Network | None = None,
     every: int = 1,
     gains: Literal["lossless", "losses"] = "lossless",

@@ -97,7 +97,9 @@ def lossy_lqg(
             "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
         )
     network = given.without_bursts()
-    channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
+    channel = Channel(
+        network.loss("actuator"), network.loss("sensor"), network.acknowledges("actuator"), network.delay == 1
+    )
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
     seen = states_with_cost(plant.A, plant.B, cost.Q, cost.R, cost.N)
@@ -183,7 +185,7 @@ def _steps(
     plant: Plant, network: Network, L: Matrix, trigger: Trigger, reference: Reference | None
 ) -> tuple[Step, ...]:
     n, m = np.eye(plant.states), np.eye(plant.inputs)
-    acknowledged = network.protocol == "tcp"
+    acknowledged = network.acknowledges("actuator")
     subject = ESTIMATE if reference is None else OFF_REFERENCE
     deviate: tuple[Step, ...] = ()
     supply: tuple[Step, ...] = (Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),)

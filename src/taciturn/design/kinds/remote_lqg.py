@@ -30,13 +30,13 @@ from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedul
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, NodeName, Policy, Received, Send, Step
+from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import ClosedForm, Guarantee, Innovations, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 Controller = Literal["remote", "actuator", "sensor"]
-SITES: Mapping[Controller, tuple[frozenset[NodeName], ...]] = {
+SITES: Mapping[Controller, tuple[frozenset[str], ...]] = {
     "remote": (),
     "actuator": (frozenset({"controller", "actuator"}),),
     "sensor": COLLOCATED,

@@ -17,7 +17,7 @@ from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.cost import Cost
 from taciturn.model.kept import controller_from
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, LinkName, Policy, Received, Send
+from taciturn.model.policy import Assign, Decide, Evaluate, Policy, Received, Send
 from taciturn.model.trigger import Form, Trigger
 
 LAST, HEARD, WHICH = "last", "heard", "changed"
@@ -30,7 +30,7 @@ def send_on_delta(
     delta: float,
     period: float | None = None,
     controller: object = None,
-    link: LinkName = "sensor",
+    link: str = "sensor",
 ) -> Policy:
     """Design LQG control whose sensor sends if and only if an output has changed by more than Δ since the last send.
 
@@ -79,7 +79,7 @@ def _keep(
     period: float | None,
     controller: object,
     delta: float,
-    link: LinkName,
+    link: str,
 ) -> Policy:
     """Return the policy that sends when the value that a given controller needs, or its command, has changed by Δ."""
     expect_average(kind, cost)

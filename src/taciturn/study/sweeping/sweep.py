@@ -69,7 +69,7 @@ def sweep(
         progress: callback that receives the fraction done.
 
     Returns:
-        A dataset with ``cost``, ``cost_standard_error``, ``rate_actuator``, ``rate_sensor``, … over the swept names;
+        A dataset with ``cost``, ``cost_standard_error``, ``rate_LINK``, … over the swept names;
         its attributes contain units, problem, version, seed, methods and machine.
 
     Raises:
@@ -285,17 +285,18 @@ COLUMNS = {
     ),
     "steps": _Column(lambda found: found.steps, missing=0),
     "reached": _Column(lambda found: found.reached, missing=False),
-    **{
-        f"rate_{link}{suffix}": _Column(
-            lambda found, link=link, part=part: getattr(found.rates[link], part) if link in found.rates else None,
-            _sends,
-        )
-        for link in ("actuator", "sensor")
-        for suffix, part in (("", "value"), ("_standard_error", "standard_error"))
-    },
     "rate_lowest": _Column(lambda found: None if found.rate_bounds is None else found.rate_bounds[0], _sends),
     "rate_highest": _Column(lambda found: None if found.rate_bounds is None else found.rate_bounds[1], _sends),
 }
+
+
+def _rates(found: Evaluation) -> dict[str, _Column]:
+    """Return the columns of the rate of each link."""
+    return {
+        f"rate_{link}{suffix}": _Column(lambda found, link=link, part=part: getattr(found.rates[link], part), _sends)
+        for link in sorted(found.rates)
+        for suffix, part in (("", "value"), ("_standard_error", "standard_error"))
+    }
 
 
 class _Table:
@@ -317,7 +318,7 @@ class _Table:
             self.refused.append(index)
             return
         self.methods.add(answer.method)
-        for name, column in COLUMNS.items():
+        for name, column in (COLUMNS | _rates(answer)).items():
             value = column.of(answer)
             if value is None:
                 continue
@@ -347,11 +348,11 @@ class _Table:
         warnings.warn(sentence, stacklevel=3)
 
     def dataset(self, axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]) -> xarray.Dataset:
-        """Return the results over the grid as a data set, with variables in the order of ``COLUMNS``."""
+        """Return the results over the grid as a data set, with variables in the order of ``COLUMNS``, then rates."""
         import xarray
 
         held = self.columns | {"seed": self.seeds, "refusal": self.refusals}
-        ordered = [name for name in (*COLUMNS, "seed", "refusal") if name in held]
+        ordered = [name for name in (*COLUMNS, *(key for key in held if key not in COLUMNS)) if name in held]
         units = {name: {"units": unit} for name, unit in self.units.items() if unit}
         whole = {name: (tuple(axes), held[name].reshape(self.shape), units.get(name, {})) for name in ordered}
         return xarray.Dataset(whole, coords=dict(axes), attrs=dict(attributes))

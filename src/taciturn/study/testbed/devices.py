@@ -24,7 +24,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
-from taciturn.model.policy import NodeName, Policy
+from taciturn.model.policy import Policy
 from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, LINKS, OFFSETS, TAG_SIZE
 from taciturn.program.ops import Precision
 from taciturn.runtime.inbox import Inbox
@@ -112,7 +112,7 @@ class DeviceCode:
         ProblemError: there is no C compiler, or it fails.
     """
 
-    def __init__(self, policy: Policy, role: NodeName, network: Network, core: Mapping[str, str] | None = None) -> None:
+    def __init__(self, policy: Policy, role: str, network: Network, core: Mapping[str, str] | None = None) -> None:
         """Compile and load the code."""
         compiler = shutil.which("cc")
         if compiler is None:
@@ -180,7 +180,7 @@ class DeviceNode(Node):
         self,
         device: DeviceCode,
         policy: Policy,
-        role: NodeName,
+        role: str,
         *,
         network: Network,
         epoch: int,

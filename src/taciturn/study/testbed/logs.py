@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.model.policy import LinkName
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.service import name_of_part
 
@@ -64,14 +63,14 @@ class Logs:
         for role, log in self._logs.items():
             self._take(role, logged_lines(log))
 
-    def sends(self, link: LinkName, ticks: int) -> Array:
+    def sends(self, link: str, ticks: int) -> Array:
         """Return whether a packet was sent at each step, according to the log of the sender, (steps,)."""
         sent = np.zeros(ticks)
         steps = np.array(self._sent[link], dtype=np.int64)
         sent[steps[steps < ticks]] = 1.0
         return sent
 
-    def arrived(self, link: LinkName) -> tuple[int, ...]:
+    def arrived(self, link: str) -> tuple[int, ...]:
         """Return the sequence numbers of the packets that arrived, according to the log of the receiver."""
         return tuple(self._arrived[link])
 

@@ -22,7 +22,7 @@ from taciturn.loop import Loop
 from taciturn.model.coverage import NETWORKS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
-from taciturn.model.policy import LinkName, Policy, Send
+from taciturn.model.policy import Policy, Send
 from taciturn.model.table import Column, Columns, Tabular
 from taciturn.problem import Problem, load
 from taciturn.problem.bare import as_problem
@@ -155,7 +155,7 @@ def run_network(
     tick: float | None = None,
     seed: int = 0,
     key: bytes | Keys | None = None,
-    fates: Mapping[LinkName, Fate] | None = None,
+    fates: Mapping[str, Fate] | None = None,
     namespaces: bool = False,
     functions: bool = True,
     progress: Progress | None = None,
@@ -236,7 +236,7 @@ def run_network(
                 if processes.ended():
                     raise ProblemError(processes.sentence())
                 reports = {**processes.stop(), "plant": server.report()}
-            seen: dict[LinkName, Counted] = {}
+            seen: dict[str, Counted] = {}
             if spaces is not None:
                 seen = {link: spaces.counted(link) for link in processes.links}
         finally:
@@ -272,15 +272,13 @@ def run_network(
     )
 
 
-def losses(
-    network: Network, seed: int, outages: Mapping[LinkName, tuple[int, int] | None] | None = None
-) -> dict[LinkName, Fate]:
+def losses(network: Network, seed: int, outages: Mapping[str, tuple[int, int] | None] | None = None) -> dict[str, Fate]:
     """Return the impairments of the packets on each link of a network; during an outage, a link drops every packet."""
     EMULATED.check(network)
-    links: tuple[LinkName, ...] = ("actuator", "sensor")
+    links = tuple(reversed(tuple(network.links)))
     return {
         link: Fate(
-            seed=2 * seed + i,
+            seed=len(links) * seed + i,
             loss=0.0 if network.burst(link) else network.loss(link),
             burst=network.burst(link),
             outage=(outages or {}).get(link),
@@ -289,7 +287,7 @@ def losses(
     }
 
 
-def _check_fates(fates: Mapping[LinkName, Fate], policy: Policy) -> None:
+def _check_fates(fates: Mapping[str, Fate], policy: Policy) -> None:
     """Reject fates for links that the policy does not have, and values of another type."""
     instance("fates", fates, Mapping)
     links = [step.link for step in policy.steps if isinstance(step, Send)]
@@ -299,27 +297,30 @@ def _check_fates(fates: Mapping[LinkName, Fate], policy: Policy) -> None:
         instance(f"fates[{link!r}]", fate, Fate)
 
 
-def _other_links(fates: Mapping[LinkName, Fate], stated: Mapping[LinkName, Fate]) -> tuple[str, ...]:
+def _other_links(fates: Mapping[str, Fate], stated: Mapping[str, Fate]) -> tuple[str, ...]:
     """Return the links whose losses, delays or changes of packets differ from those of the network."""
     other = [link for link, fate in fates.items() if replace(fate, seed=stated[link].seed) != stated[link]]
     return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
 
 
-def kernel_losses(network: Network, seed: int) -> dict[LinkName, KernelLoss]:
+def kernel_losses(network: Network, seed: int) -> dict[str, KernelLoss]:
     """Return the losses that the kernel applies on each link of a network.
 
     Raises:
         ProblemError: losses come in bursts, or are not an integer number of permille.
     """
-    found: dict[LinkName, KernelLoss] = {}
+    found: dict[str, KernelLoss] = {}
     for link, fate in losses(network, seed).items():
         if fate.burst is not None:
             raise ProblemError(
-                f"{link}_burst is given, but the kernel cannot drop packets in bursts; expected {link}_loss"
+                f"{network.key(link, 'burst')} is given, but the kernel cannot drop packets in bursts; expected "
+                f"{network.key(link, 'loss')}"
             )
         permille = round(1000 * fate.loss)
         if abs(permille - 1000 * fate.loss) > 1e-9:
-            raise ProblemError(f"{link}_loss is {fate.loss:g}; expected a multiple of 0.001, the kernel's resolution")
+            raise ProblemError(
+                f"{network.key(link, 'loss')} is {fate.loss:g}; expected a multiple of 0.001, the kernel's resolution"
+            )
         found[link] = KernelLoss(fate.seed & 0xFFFFFFFF, permille)  # of 32 bits
     return found
 
@@ -360,7 +361,7 @@ def _unforeseen(datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
     )
 
 
-def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
+def _datagrams(link: str, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
     """Return the numbers of packets of a link that were sent, sent again, delivered and lost."""
     sent, again, marks = (
         sum(report["counters"].get(f"sent {kind} {link}", 0) for report in reports.values() if "counters" in report)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
-from taciturn.model.policy import LinkName, NodeName, Policy, Send
+from taciturn.model.policy import Policy, Send
 from taciturn.model.wire import LINKS, OFFSETS, PROOFS
 from taciturn.runtime.attacks import Forgery, KeyChange, Recording, draw_attacks
 from taciturn.runtime.clock import AGREED, JUMPED
@@ -111,7 +111,7 @@ class World:
         self.wire = _CachedWire(policy, loop.network)
         self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1, keyed=keyed)
         self.roles = roles(policy)
-        self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
+        self.links: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.lag = {
             link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
         }
@@ -230,7 +230,7 @@ class World:
                 found.append((link, (ends[1], ends[0])))
         return found
 
-    def _make(self, role: NodeName, epoch: int) -> Node:
+    def _make(self, role: str, epoch: int) -> Node:
         watched = WATCHDOG if links_to(self.policy, role) else None
         make = self.made.get(role, Node)
         return make(
@@ -243,7 +243,7 @@ class World:
         self.wires[name] = self.wire.with_keys(self.ring.keys(name, self.clocks[name]) if self.keyed else None)
         return self.wires[name]
 
-    def _start(self, role: NodeName, fresh: bool) -> None:
+    def _start(self, role: str, fresh: bool) -> None:
         port, peer = VirtualPort(self.network, (role, 0)), peer_of(self.policy, role)
         node = self._make(role, self.ring.epoch() if self.keyed else EPOCH + int(self.time.now))
         plant = (PLANT, 0) if node.measures or node.actuates else None
@@ -308,7 +308,7 @@ class World:
             self._storage[role].state = None
 
     def _restart(self, fault: Crash) -> None:
-        role = cast("NodeName", fault.role)
+        role = fault.role
         fresh = self._storage[role].state is None
         epoch = self.monitor.lives[role].node.epoch
         if fresh and not self.keyed and epoch >= EPOCH + int(self.time.now):  # not before the next second

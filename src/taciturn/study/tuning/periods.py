@@ -9,7 +9,6 @@ from taciturn._arrays import number
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import LinkName
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.study.printed import periods_text
@@ -69,7 +68,7 @@ def tune_period(
     *,
     rate: float,
     least: float,
-    link: LinkName | None = None,
+    link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
     progress: Progress | None = None,

@@ -231,7 +231,10 @@ class Search:
         """
         budget, most, least = self.goal.budget, found.base_rate, found.cost_all_time
         # without acknowledgement, or with a controller that is not optimal, sending every sample may not cost least
-        if self.problem.network.protocol == "udp" or self.problem.controller is not None:
+        if (
+            any(law.acknowledged is False for law in self.problem.network.links.values())
+            or self.problem.controller is not None
+        ):
             least = None
         if self.tuning.name == "period":  # both limits depend on the period
             return

@@ -8,7 +8,6 @@ from taciturn._progress import Progress, in_notebook
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
@@ -25,7 +24,7 @@ def tune(
     *,
     rate: float | str | None = None,
     cost: float | str | None = None,
-    link: LinkName | None = None,
+    link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
     progress: Progress | None = None,
@@ -118,7 +117,7 @@ def _tuned(search: Search, look: Look, error: float | None, slope: float | None)
     return Tuned(search.goal, Parameter(name, look.value, error), changed, look.evaluation, None, slope)
 
 
-def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
+def _tuning(problem: Problem, link: str | None) -> TradeoffParameter:
     """Return the tuning parameter for the rate of a link."""
     continuous, given = isinstance(problem.plant, ContinuousPlant), problem.parameters
     tunings = [

@@ -11,7 +11,6 @@ from taciturn._display import Displayed
 from taciturn._text import Lines, pairs_text, per_unit, percent
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.model.policy import LinkName
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.study.clock import Cycle
@@ -26,7 +25,7 @@ class Goal(Displayed):
 
     name: str
     budget: float
-    link: LinkName | None
+    link: str | None
 
     def short(self) -> str:
         """Return the budget as text."""

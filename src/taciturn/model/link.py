@@ -1,0 +1,154 @@
+"""The law of a link: dropouts, acknowledgements, the rounding of numbers, and the price and energy of a packet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+from taciturn._arrays import choice, instance, number
+from taciturn._display import Displayed
+from taciturn._text import percent
+from taciturn.errors import ProblemError
+from taciturn.model.estimate import Estimate
+from taciturn.model.wire import CODES, EncodingName
+
+
+@dataclass(frozen=True, repr=False)
+class Burst(Displayed):
+    """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
+
+    Args:
+        to_bad: probability per step of a transition from good to bad, in [0, 1].
+        to_good: probability per step of a transition from bad to good, in [0, 1].
+        loss_good: loss probability in the good state, in [0, 1].
+        loss_bad: loss probability in the bad state, in [0, 1].
+
+    Raises:
+        ProblemError: if a probability is outside [0, 1].
+
+    Source: gilbert1960, elliott1963
+    """
+
+    to_bad: float
+    to_good: float
+    loss_good: float
+    loss_bad: float
+
+    def __post_init__(self) -> None:
+        """Check the ranges of the arguments."""
+        for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
+            object.__setattr__(self, name, number(name, getattr(self, name), 0.0, 1.0, closed=True))
+
+    @property
+    def share_bad(self) -> float:
+        """Stationary probability of the bad state; 0 for a link that remains in its initial good state."""
+        turns = self.to_bad + self.to_good
+        return 0.0 if turns == 0 else self.to_bad / turns
+
+    @property
+    def loss(self) -> float:
+        """Stationary loss probability."""
+        return (1 - self.share_bad) * self.loss_good + self.share_bad * self.loss_bad
+
+
+@dataclass(frozen=True, repr=False)
+class LinkLaw(Displayed):
+    """The properties of a link.
+
+    A burst model that never leaves its initial state is stored as its loss probability.
+
+    Args:
+        loss: loss probability of a packet, in [0, 1].
+        burst: bursty losses instead of ``loss``.
+        acknowledged: whether the sender learns whether each packet arrives; None for a link on which every packet
+            arrives, and False if losses are given without it.
+        payload: encoding of the numbers in a packet: ``"float64"`` (exact), or ``"float32"`` or ``"int16"`` (rounded).
+        range: with ``"int16"``, full-scale value of the numbers in a packet: one number, or one per entry.
+        price: price of a packet relative to the packets of other links.
+        energy: joules that the sender spends on a packet, or None.
+        battery: joules in the battery of the sender, or None.
+
+    Raises:
+        ProblemError: if a probability is outside [0, 1], loss and burst are both given, a range, price or energy is not
+            positive, or a battery is given without the energy of a packet.
+
+    Example:
+        >>> LinkLaw(loss=0.1).protocol, LinkLaw().protocol
+        ('udp', 'ideal')
+    """
+
+    loss: float = 0.0
+    burst: Burst | None = None
+    acknowledged: bool | None = None
+    payload: EncodingName = "float64"
+    range: tuple[float, ...] | None = None
+    price: float = 1.0
+    energy: float | None = None
+    battery: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        loss = number("loss", self.loss, 0.0, 1.0, closed=True)
+        if self.burst is not None:
+            instance("burst", self.burst, Burst)
+            if loss > 0:
+                raise ProblemError("loss and burst are both given; expected one of them")
+            if self.burst.share_bad in (0.0, 1.0):
+                loss = self.burst.loss
+                object.__setattr__(self, "acknowledged", self.acknowledged or False)
+                object.__setattr__(self, "burst", None)
+        object.__setattr__(self, "loss", loss)  # a float even if the integer 0 was given
+        if self.acknowledged is None and (loss > 0 or self.burst is not None):
+            object.__setattr__(self, "acknowledged", False)
+        choice("payload", self.payload, CODES)
+        if self.range is not None:
+            if self.payload != "int16":
+                raise ProblemError(
+                    f"range is given with payload = {self.payload!r}; expected a range with 'int16' only"
+                )
+            listed = cast("object", self.range)
+            given = cast("Sequence[object]", listed if isinstance(listed, list | tuple) else (listed,))
+            object.__setattr__(self, "range", tuple(number("range", entry, 0.0) for entry in given))
+        object.__setattr__(self, "price", number("price", self.price, 0.0))
+        for name in ("energy", "battery"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, number(name, getattr(self, name), 0.0))
+        if self.battery is not None and self.energy is None:
+            raise ProblemError("battery is given without energy; expected the joules per packet")
+
+    @property
+    def protocol(self) -> str:
+        """``"ideal"`` if every packet arrives, ``"tcp"`` with acknowledgements and ``"udp"`` without them."""
+        return "ideal" if self.acknowledged is None else "tcp" if self.acknowledged else "udp"
+
+    @property
+    def ideal(self) -> bool:
+        """True if every packet arrives."""
+        return self.acknowledged is None
+
+    @property
+    def mean_loss(self) -> float:
+        """The loss probability; for bursty losses, the stationary loss probability."""
+        return self.loss if self.burst is None else self.burst.loss
+
+    def power(self, rate: Estimate) -> Estimate | None:
+        """Return the mean power of the sender in watts at a rate in packets per second; None without an energy."""
+        return None if self.energy is None else rate.scaled(self.energy)
+
+    def life(self, rate: Estimate) -> Estimate | None:
+        """Return the seconds until the battery is empty at a rate in packets per second; None without a battery.
+
+        Example:
+            >>> LinkLaw(energy=2e-3, battery=9000.0).life(Estimate(5.0, 0.0, "exact")).value
+            900000.0
+        """
+        power = self.power(rate)
+        return None if power is None or self.battery is None or rate.value == 0 else power.inverse(self.battery)
+
+    def short(self) -> str:
+        """Return the protocol and the losses."""
+        return f"{self.protocol}, drops {percent(self.mean_loss)}{' in bursts' if self.burst else ''}"
+
+
+IDEAL_LINK = LinkLaw()

@@ -1,0 +1,66 @@
+"""The roles of the nodes in a network: to measure outputs of the plant, to apply inputs, or to control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, cast
+
+from taciturn._arrays import count, quoted
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+
+RoleName = Literal["measures", "applies"]
+Entries = bool | tuple[int, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class NodeRole(Displayed):
+    """The role of a node: it measures outputs of the plant, applies inputs, or controls.
+
+    Args:
+        measures: indices of the outputs that the node measures; True for all outputs, False for none.
+        applies: indices of the inputs that the node applies; True for all inputs, False for none.
+        controls: whether the node is the controller, which all other nodes send to or receive from.
+        site: name of a node at the same place, with which the node needs no link; None if the node has its own place.
+
+    Raises:
+        ProblemError: an index is negative or repeated, or the node has no role.
+    """
+
+    measures: Entries = False
+    applies: Entries = False
+    controls: bool = False
+    site: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the indices."""
+        for name in ("measures", "applies"):
+            value = getattr(self, name)
+            if isinstance(value, bool):
+                continue
+            if isinstance(value, str) or not isinstance(value, Sequence):
+                raise ProblemError(f"{name} is {quoted(value)}; expected a list of indices from 0 on, or true for all")
+            listed = tuple(count(name, index, 0) for index in cast("Sequence[object]", value))
+            if len(set(listed)) < len(listed):
+                raise ProblemError(f"{name} is {list(listed)}; expected each index once")
+            object.__setattr__(self, name, listed or False)
+        if not (self.measures or self.applies or self.controls):
+            raise ProblemError("it neither measures, applies nor controls; expected measures, applies or controls")
+
+    def entries(self, role: RoleName, size: int) -> tuple[int, ...]:
+        """Return the indices of the outputs or inputs, of which the plant has ``size``."""
+        given: Entries = getattr(self, role)
+        return (tuple(range(size)) if given else ()) if isinstance(given, bool) else given
+
+    def short(self) -> str:
+        """Return the role in a few words."""
+        return ", ".join(name for name in ("measures", "controls", "applies") if getattr(self, name))
+
+
+TRIANGLE: Mapping[str, NodeRole] = {
+    "sensor": NodeRole(measures=True),
+    "controller": NodeRole(controls=True),
+    "actuator": NodeRole(applies=True),
+}
+"""The nodes of a network that states none; a policy kind decides which of them share a place."""
