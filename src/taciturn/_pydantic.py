@@ -53,7 +53,7 @@ def _schema(hint: Any) -> core_schema.CoreSchema:
     if origin is Sequence:
         return core_schema.list_schema(_schema(parts[0]))
     if origin is dict:
-        return core_schema.dict_schema(strict=True)
+        return core_schema.dict_schema(_schema(parts[0]), _schema(parts[1]), strict=True)
     if is_dataclass(hint):
         hints, build = get_type_hints(hint), cast("Callable[..., object]", hint)
         keys = {

@@ -244,14 +244,15 @@ class Network(Displayed):
         if protocols <= {"ideal"}:
             text = "ideal: every packet arrives"
         else:
-            alike = len(protocols) == 1
-            losses = [
-                f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
-                f"{'' if alike else TOLD[law.protocol]}"
+            losses = {
+                link: f"{link} drops {percent(law.mean_loss)}{' in bursts' if law.burst else ''}"
                 for link, law in self.links.items()
                 if not law.ideal
-            ]
-            text = f"{self.protocol}{TOLD[self.protocol]}; " * alike + ", ".join(losses)
+            }
+            if len(protocols) == 1:
+                text = f"{self.protocol}{TOLD[self.protocol]}; {', '.join(losses.values())}"
+            else:
+                text = ", ".join(f"{lost}{TOLD[self.links[link].protocol]}" for link, lost in losses.items())
         if self.delay:
             text += f"; {self.delay} step{'s' * (self.delay > 1)} of delay"
         return text + (f"; numbers as {self.payload}" if self.rounded else "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from taciturn._arrays import quoted
 from taciturn._display import Displayed
@@ -216,18 +216,25 @@ def _place(root: type, location: Sequence[str | int]) -> list[str | int]:
         hints: dict[str, Any] = get_type_hints(table) if is_dataclass(table) else {}
         if isinstance(part, int):
             kept.append(part)
+        elif get_origin(table) is dict:
+            kept.append(part)
+            table = get_args(table)[1]
         elif part in hints:
             kept.append(part)
-            kinds: tuple[Any, ...] = (hints[part], *get_args(hints[part]))
-            table = next((kind for kind in kinds if is_dataclass(kind)), object)
+            table = _table_of(hints[part])
     return kept
 
 
+def _table_of(hint: Any) -> Any:
+    """Return the dataclass of a table, or the mapping of a table of tables, in a type that may have alternatives."""
+    kinds: tuple[Any, ...] = (hint, *get_args(hint))
+    return next((kind for kind in kinds if is_dataclass(kind) or get_origin(kind) is dict), object)
+
+
 def _keys_at(root: type, path: Sequence[str]) -> list[str]:
-    table = root
+    table: Any = root
     for part in path:
-        hint = get_type_hints(table)[part]
-        table = next(kind for kind in (hint, *get_args(hint)) if is_dataclass(kind))
+        table = get_args(table)[1] if get_origin(table) is dict else _table_of(get_type_hints(table)[part])
     return [field.name for field in fields(table)]
 
 
