@@ -22,7 +22,7 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.steps import assigned
 from taciturn.model.theory import Identity
-from taciturn.model.trigger import Form
+from taciturn.model.trigger import Form, shape_of
 from taciturn.program.controller import Begin, begin_time_step, gather_input, measure, replaced
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
@@ -177,12 +177,19 @@ class Loop(Displayed):
         tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
         tick.signals[INNOVATION_DRAWS] = tick.supplied(NORMAL, spread.shape[1])
         tick.draw_losses(self.policy, self.network)
+        if innovations.signal is None:
+            expected = tick.combine(innovations.predicted, len(spread))
+            tick.signals["y"] = _add(tick, expected, tick.combine({INNOVATION_DRAWS: spread}, len(spread)))
+            measure(tick, self.policy, tick.signals["y"])
         for step in self.policy.steps:
-            if isinstance(step, Assign) and step.signal == innovations.signal:
+            if innovations.signal is None:
+                tick.take(step)
+            elif isinstance(step, Assign) and step.signal == innovations.signal:
                 tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
             else:
                 tick.take(replaced(step, innovations.signal, INNOVATION_DRAWS, spread))
         tick.signals["applied"] = gather_input(tick, self.policy)
+        self._add_sums(tick)
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
         return tick.finish(self._sums(tick, stage), self._outputs(tick, ()))
@@ -245,6 +252,7 @@ class Loop(Displayed):
         for step in self.policy.steps:
             tick.take(step)
         tick.signals["applied"] = tick.clipped(gather_input(tick, self.policy), self.problem.plant.input_limit)
+        self._add_sums(tick)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         outputs |= named("drawn", tick.thresholds if supplied else ())
@@ -290,6 +298,11 @@ class Loop(Displayed):
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p = self.problem
         return Form((state, applied), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
+
+    def _add_sums(self, tick: TimeStep) -> None:
+        """Set the signals that the theory computes from those of several nodes."""
+        for name, terms in self.policy.theory.sums.items():
+            tick.signals[name] = tick.combine(terms, shape_of(next(iter(terms.values())))[0])
 
     def _sums(self, tick: TimeStep, stage: int) -> dict[Name, int]:
         sums: dict[Name, int] = {COST: stage}

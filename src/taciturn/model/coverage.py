@@ -64,10 +64,11 @@ LINEAR_STEPS = (
 MEMORIES = names("Evaluate", "at signal forms on") | {"Form.plus"}
 BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
 DRAWS = names("Draw", "at signal")
+FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
 
 LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
-STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FUNCTIONS
+STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
 PLANTS = LINEAR_PLANT | FUNCTION | LIMIT | JUMPS
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS

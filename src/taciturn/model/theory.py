@@ -12,6 +12,8 @@ from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY
+from taciturn.model.estimate import Estimate
+from taciturn.model.steps import Terms
 from taciturn.model.trigger import Form
 
 
@@ -25,6 +27,8 @@ class Guarantee(Displayed):
         source: key of the reference in ``docs/sources.bib``.
         base: value at rate 1 of a bound that depends on the rate; if omitted, there is no such bound.
         per_silence: coefficient of (1 − rate) in the bound that depends on the rate.
+        deciders: the largest cost δ of silence by group of links that are decided together, in a bound
+            base + (Σ√(δ(1 − r)))² with the rate r at which all links of a group send.
     """
 
     cost: float
@@ -32,6 +36,31 @@ class Guarantee(Displayed):
     source: str
     base: float | None = None
     per_silence: float = 0.0
+    deciders: Mapping[tuple[str, ...], float] = field(default_factory=lambda: {})
+
+    def at_rates(self, rates: Mapping[str, Estimate], link: str) -> Estimate | None:
+        """Return the bound that depends on the rates, with the error that the errors of the rates cause.
+
+        Args:
+            rates: sends per step, by link.
+            link: the link of a bound that depends on one rate.
+        """
+        if self.base is None:
+            return None
+        values = {name: rate.value for name, rate in rates.items()}
+        if not self.deciders:
+            rate = rates[link]
+            value, error = self.base + self.per_silence * (1 - rate.value), abs(self.per_silence) * rate.standard_error
+            return Estimate(value, error, rate.method)
+        bound = self._of(values)
+        moved = [self._of({**values, name: rate.value - rate.standard_error}) - bound for name, rate in rates.items()]
+        return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)
+
+    def _of(self, rates: Mapping[str, float]) -> float:
+        """Return base + (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
+        assert self.base is not None
+        silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
+        return self.base + sum(np.sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
 
     def at_rate(self, rate: float) -> float | None:
         """Return the bound base + per_silence·(1 − rate) at a rate in sends per step, or None if it does not exist."""
@@ -58,16 +87,18 @@ class Innovations(Displayed):
     """The white innovations of a policy's filter, which allow the loop to be simulated without the plant.
 
     Args:
-        signal: name of the innovations signal, which is white.
+        signal: name of the innovations signal, which is white; None if no node computes the innovations.
         covariance: covariance S of the innovations, (p, p).
         estimate: name of the state estimate, whose error is independent of all signals of the policy.
         error_covariance: covariance Σ of the estimation error, (n, n).
+        predicted: without ``signal``, the prediction of the measurement as a sum of signals of the previous step.
     """
 
-    signal: str
+    signal: str | None
     covariance: Array
     estimate: str
     error_covariance: Array
+    predicted: Terms = field(default_factory=lambda: {})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,6 +167,8 @@ class Theory(Displayed):
         guarantee: proven upper bound on the cost, or None.
         identity: exact identity for the cost, or None.
         innovations: white innovations of the policy's filter, or None.
+        sums: signals that no node computes, as sums of signals of several nodes at the end of a step; identity and
+            innovations may refer to them.
         closed_form: exact cost and rates, or None.
         reset: the error that every send sets to zero, or None.
         fixed_rates: rates by link that the design fixes, in sends per step.
@@ -162,6 +195,7 @@ class Theory(Displayed):
     functions: frozenset[str] = frozenset()
     periodic: Callable[[int], float] | None = None
     fourth: float | None = None
+    sums: Mapping[str, Terms] = field(default_factory=lambda: {})
     recovery: float | None = None
 
     @property

@@ -160,10 +160,12 @@ class Form(Displayed):
 class Trigger(Displayed):
     """A decision for the action argmin_j (η'Ψ_j η + c_j); among equal values, the first listed action is selected.
 
-    Silence is therefore listed first.
+    Silence is therefore listed first. With a limit, the trigger selects the first listed action whose form is at most
+    the limit, and the last action if there is none.
 
     Args:
         options: the form of each action, by label.
+        limit: the limit of the forms; None for the smallest form.
 
     Raises:
         ProblemError: if there are fewer than two options.
@@ -175,9 +177,12 @@ class Trigger(Displayed):
     """
 
     options: Mapping[str, Form]
+    limit: float | None = None
 
     def __post_init__(self) -> None:
         """Validate and store the arguments."""
+        if self.limit is not None:
+            object.__setattr__(self, "limit", number("the limit of a trigger", self.limit))
         if len(self.options) < 2:
             raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two options")
         object.__setattr__(self, "options", dict(self.options))

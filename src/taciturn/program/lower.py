@@ -282,10 +282,11 @@ class TimeStep:
         return self.pick(location.on, options)
 
     def _decide(self, step: Decide) -> None:
-        """Translate a decision for the label of the least form, or the first of several equal forms."""
+        """Translate a decision for the first label of the least form, or of a form that is at most the limit."""
         values = [self.form(form) for form in step.trigger.options.values()]
         self.options[step.decision] = dict(zip(step.trigger.labels, values, strict=True))
-        self.outcomes[step.decision] = self.least(values)
+        limit = step.trigger.limit
+        self.outcomes[step.decision] = self.least(values) if limit is None else self.first_within(values, limit)
 
     def least(self, values: Sequence[int]) -> list[Truth]:
         """Return for each value but the last whether it is the first of the least values."""
@@ -296,6 +297,16 @@ class TimeStep:
             truth: Truth = True
             for other in values[i + 1 :]:
                 truth = self._and(truth, self.builder.emit("less_equal", value, other))
+            for earlier in truths:
+                truth = self._and(truth, self._not(earlier))
+            truths.append(truth)
+        return truths
+
+    def first_within(self, values: Sequence[int], limit: float) -> list[Truth]:
+        """Return for each value but the last whether it is the first value that is at most the limit."""
+        truths: list[Truth] = []
+        for value in values[:-1]:
+            truth: Truth = self.builder.emit("less_equal", value, self.builder.constant(limit))
             for earlier in truths:
                 truth = self._and(truth, self._not(earlier))
             truths.append(truth)

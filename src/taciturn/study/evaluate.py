@@ -160,6 +160,7 @@ def _evaluated(
         certified = (pace * certified[0], pace * certified[1])
         notes += contradicted(per_tick.scaled(pace), certified, rate_unit(cost_unit(problem)))
     fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
+    sharper = None if guarantee is None else guarantee.at_rates(found.rates, policy.scheduled[0])
     stepped = None
     if share:
         try:
@@ -175,7 +176,7 @@ def _evaluated(
         cost_all_time=policy.cost_all_time if loop.nominal else None,
         statement=None if guarantee is None else guarantee.statement,
         cost_bound=None if guarantee is None else guarantee.cost,
-        cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick.value),
+        cost_bound_at_rate=None if sharper is None else sharper.value,
         rates={link: rate.scaled(pace) for link, rate in found.rates.items()},
         seed=request.seed,
         seconds=0.0,
@@ -193,7 +194,7 @@ def _evaluated(
         estimator=found.estimator,
         settled=found.settled,
         trusted=found.trusted,
-        bound_error=0.0 if guarantee is None else abs(guarantee.per_silence) * per_tick.standard_error,
+        bound_error=0.0 if sharper is None else sharper.standard_error,
         method=measured.method,
         reason=measured.reason,
         after_step=stepped,

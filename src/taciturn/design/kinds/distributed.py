@@ -1,0 +1,187 @@
+"""Several sensors and actuators, each of whose links decides for itself, with one bound on the cost of all together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from taciturn._arrays import choice, instance, number
+from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.certainty import CertaintyEquivalentDesign, design_certainty
+from taciturn.design.contributions import ContributionSteps, Copying
+from taciturn.design.estimation import ESTIMATE
+from taciturn.design.inputs import InputSteps
+from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
+from taciturn.model.network import Network
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.model.theory import Guarantee, Identity, Theory
+from taciturn.model.trigger import Form
+
+MOST_SETS = 4  # actuator links of which the controller compares all sets
+EXCESS = "excess"
+
+
+def distributed(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    delta: float | None = None,
+    theta: float | None = None,
+    shares: dict[str, float] | None = None,
+    period: float | None = None,
+    prediction: Copying = "hold",
+    actuation: Copying = "hold",
+    joint: bool = False,
+    network: Network | None = None,
+) -> Policy:
+    """Design a policy for a network of several sensors and actuators, in which each link decides for itself.
+
+    The Kalman filter of all measurements is a sum of contributions, one from each sensor and one from the inputs. Each
+    sensor computes its contribution, sends it if the controller's copy of it has become too inexact, and is silent
+    otherwise. The controller adds its copies to an estimate of the state, and sends an input to an actuator if the
+    input that the actuator applies has become too inexact. A link l is silent if its error costs at most δ_l per step.
+
+    Args:
+        plant: the plant.
+        cost: the cost, an average.
+        delta: threshold δ ≥ 0 of all links together, δ = (Σ√δ_l)², a cost per step (for a continuous plant, cost per
+            second times seconds); or
+        theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
+            and which is 0 for a discrete plant.
+        shares: relative share of each link in the sum of the √δ_l; default: equal shares of all links that decide.
+        period: seconds between steps; only with a continuous plant.
+        prediction: what the controller assumes of a silent sensor's contribution: ``"hold"``, no further measurement;
+            ``"model"``, the measurements that a model of the plant predicts from the sensor's last packet.
+        actuation: what a silent actuator applies: ``"hold"``, its last input; ``"model"``, the input of a simulation
+            x̃⁺ = (A + BL) x̃ from the last packet.
+        joint: whether the controller sends the cheapest set of packets to actuators, by the prices of their links, that
+            leaves a total error of at most δ_A, √δ_A the sum of their √δ_l; default: each link for itself.
+        network: the nodes and links; default: a sensor, a controller and an actuator at different places. Losses must
+            be acknowledged for the identity of the cost, and exclude the bound.
+
+    Returns:
+        The policy, with J ≤ J_all + (Σ√(δ_l(1 − r_l)))² ≤ J_all + (Σ√δ_l)² for links that deliver every packet.
+
+    Raises:
+        ProblemError: unless exactly one of δ and θ is given, if a share is given for another link or all are 0, if no
+            link of the network decides, or if the cost has a horizon or a discount.
+        UnstableError: if no stabilising gain or filter exists.
+
+    Source: khashooei2017
+
+    Example:
+        >>> plant = Plant([[1.1]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
+        >>> policy = distributed(plant, Cost([[1.0]], [[1.0]]), theta=0.2)
+        >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 12)
+        (('sensor', 'actuator'), 1.2)
+    """
+    network = Network() if network is None else network
+    instance("network", network, Network)
+    SIMULATED.check(network)
+    if network.delay:
+        raise ProblemError(f"network.delay is {network.delay}; expected 0 with distributed")
+    choice("prediction", prediction, ("hold", "model"))
+    choice("actuation", actuation, ("hold", "model"))
+    problem = discretise(plant, cost, period)
+    certainty = design_certainty("distributed", problem)
+    thresholds = _thresholds(network, _whole(certainty.cost_all_time, delta, theta), shares, joint)
+    sensors = ContributionSteps(certainty, network, prediction, thresholds)
+    inputs = InputSteps(certainty, network, actuation, thresholds)
+    lossy = [link for link in network.links if network.loss(link) > 0]
+    told = all(network.acknowledges(link) for link in lossy)
+    covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
+    all_time = problem.per_unit(certainty.cost_all_time)
+    sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
+    return Policy(
+        kind="distributed",
+        steps=(*sensors.measure(), *sensors.add(), *inputs.decide(), *sensors.predict(inputs.held)),
+        model=problem.plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=all_time,
+            noise_cost=problem.noise_cost,
+            settling=certainty.settling,
+            guarantee=None if lossy else _guarantee(certainty, thresholds),
+            identity=Identity(all_time, (Form((EXCESS,), certainty.regulator.H / problem.tick),)) if told else None,
+            innovations=sensors.innovations() if told else None,
+            sums=sums if told else {},
+            covers=covers | BURSTS if lossy and told else covers,
+        ),
+        sites=network.sites,
+        initial={"prior": problem.plant.mean},
+        tick=problem.tick,
+        network=network,
+        notes=("losses: the cost identity holds, but no bound in the thresholds",) if lossy and told else (),
+    )
+
+
+def _whole(cost: float, delta: float | None, theta: float | None) -> float:
+    """Return δ per step for all links together, for the cost of sending every sample."""
+    if delta is not None and theta is None:
+        return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    if theta is not None and delta is None:
+        return number("theta", theta, 0.0, LARGEST_PARAMETER, closed=True) * cost
+    got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
+    raise ProblemError(f"{got} given; expected one of the two, as the threshold of all links")
+
+
+def _thresholds(
+    network: Network, whole: float, shares: Mapping[str, float] | None, joint: bool
+) -> dict[tuple[str, ...], float]:
+    """Return the threshold of each group of links that are decided together."""
+    links = list(network.links)
+    if not links:
+        raise ProblemError("all nodes are at the controller's place, so no link decides; expected a node with a link")
+    given = dict.fromkeys(links, 1.0) if shares is None else dict.fromkeys(links, 0.0)
+    for link, share in (shares or {}).items():
+        if link not in given:
+            raise ProblemError(f"shares has the link {link!r}; expected links of the network: {', '.join(links)}")
+        given[link] = number(f"shares.{link}", share, 0.0, LARGEST_PARAMETER, closed=True)
+    total = sum(given.values())
+    if total == 0:
+        raise ProblemError("shares is 0 for all links; expected a positive share of at least one link")
+    together = tuple(link for link in links if network.nodes[link].applies)
+    if joint and len(together) > MOST_SETS:
+        raise ProblemError(
+            f"joint is true for {len(together)} actuator links, which have {2 ** len(together)} sets; expected at most "
+            f"{MOST_SETS} links, or joint = false"
+        )
+    apart = [(link,) for link in links if not joint or link not in together]
+    groups = [*apart, together] if joint and together else apart
+    return {group: whole * (sum(given[link] for link in group) / total) ** 2 for group in groups}
+
+
+def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[str, ...], float]) -> Guarantee:
+    """Return J ≤ J_all + (Σ√δ_l)² and, at the rates, J ≤ J_all + (Σ√(δ_l(1 − r_l)))², by Minkowski's inequality."""
+    problem, all_time = certainty.problem, certainty.cost_all_time
+    return Guarantee(
+        problem.per_unit(all_time + sum(np.sqrt(delta) for delta in thresholds.values()) ** 2),
+        "J ≤ J_all + (Σ√(δ_l(1 − r_l)))², δ_l the most that the error of link l can cost, r_l its rate; mean-square "
+        "stable",
+        "khashooei2017",
+        problem.per_unit(all_time),
+        deciders={group: delta / problem.tick for group, delta in thresholds.items()},
+    )
+
+
+KIND = Kind(
+    name="distributed",
+    design=distributed,
+    goal="several sensors and actuators, each of whose links decides for itself, with one bound on the cost",
+    tuning=(TradeoffParameter("delta"), TradeoffParameter("theta")),
+    example={"theta": 0.1},
+    nodes="any",
+    proved=r"$J\le J_{all}+(\sum_l\sqrt{\delta_l(1-r_l)})^2$, rates $r_l$ in sends per step",
+    relative_to="LQG with every sample of every node",
+    refused="losses exclude the bound",
+    data="trigger e'He of each link against its δ_l",
+    order="sensors: contribution, decision, packet; controller: sum, inputs, decisions, packets; actuators: input",
+    usual={"theta": 0.1, "prediction": "model"},
+    asked=("theta",),
+)
