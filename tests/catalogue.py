@@ -127,6 +127,10 @@ STATIONARY: Mapping[str, Build] = {
     "remote": remote("remote"),
     "remote, at the actuator": remote("actuator"),
     "remote, at the sensor": remote("sensor"),
+    "distributed": lambda s: design.distributed(s.plant, s.cost, theta=0.3),
+    "distributed model": lambda s: design.distributed(
+        s.plant, s.cost, theta=0.3, prediction="model", actuation="model"
+    ),
     "lossy udp": lossy("udp", 0),
     "lossy tcp": lossy("tcp", 0),
     "lossy udp, delayed": lossy("udp", 1),
