@@ -194,7 +194,11 @@ def test_only_its_own_file_names_a_kind() -> None:
     }
     about |= {("study/compare.py", "all-time"), ("program/elementary.py", "absolute"), ("_cvxpy.py", "optimal")}
     about |= {("loop.py", "excess"), ("study/channel/simulated.py", "excess"), ("design/certainty.py", "excess")}
-    about |= {("design/kinds/optimal.py", "near-optimal"), ("model/schedule.py", "variance")}
+    about |= {
+        ("design/kinds/optimal.py", "near-optimal"),
+        ("_dask.py", "distributed"),
+        ("model/schedule.py", "variance"),
+    }
     about |= {("renewal/events.py", "integral")}
     kinds, found = own_kinds(), set[tuple[str, str]]()
     for path in SOURCE.rglob("*.py"):

@@ -70,6 +70,11 @@ def test_the_text_has_an_arrow_for_every_packet(name: str) -> None:
     """From the line under the sender's box to that under the receiver's, with what is in it; in the order of a step."""
     policy = made(name)
     shown, text = policy.diagram(), policy.diagram().text().splitlines()
+    if not any("└" in line for line in text):  # too wide for boxes side by side: a list
+        rows = [f"{link.sender} ──▶ {link.receiver}" for link in shown.links]
+        assert [line.partition("  ")[0] for line in text[len(shown.places) :]] == rows
+        assert all(link.briefly in line for link, line in zip(shown.links, text[len(shown.places) :], strict=True))
+        return
     stands = columns(shown)
     assert len(stands) == len(shown.places)
     arrows = [line for line in text if "▶" in line or "◀" in line]

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 DRAWN = Coverage(LOOPS, "diagrams do not show")
 When = Literal["always", "decision", "schedule"]
+COLUMNS = 80  # of a terminal
 PLAIN = str.maketrans("┌┐└┘├┤┼┬│─▶◀┄≠", "+++++++++-><.#")
 PLAIN |= {ord("│"): "|", ord("≠"): "!="}
 
@@ -179,13 +180,29 @@ class Diagram(Displayed):
     def text(self, *, plain: bool = False) -> str:
         """Return the diagram as text: a box for each site, and an arrow for each packet, with time running downwards.
 
+        If the boxes do not fit side by side in 80 columns, the sites and the packets are two lists.
+
         Args:
             plain: use ASCII characters only.
         """
         rows = _Rows(self)
         lines = [*rows.boxes(), *(line for link in self.links for line in rows.arrows(link)), rows.lifelines()]
+        lines = self._listed() if max(map(len, lines)) > COLUMNS else lines
         drawn = "\n".join(line.rstrip() for line in lines)
         return drawn.translate(PLAIN) if plain else drawn
+
+    def _listed(self) -> list[str]:
+        """Return a line for each site, and one for each packet in the order of a step."""
+        names = [" + ".join(place.nodes) for place in self.places]
+        wide = max(map(len, names))
+        lines = [
+            f"{name:{wide}s}  {', '.join(place.lines[1:])}" for name, place in zip(names, self.places, strict=True)
+        ]
+        width = max((len(f"{link.sender} ──▶ {link.receiver}") for link in self.links), default=0)
+        for link in self.links:
+            told = ", acknowledged" if link.acknowledged else ""
+            lines.append(f"{f'{link.sender} ──▶ {link.receiver}':{width}s}  {link.briefly}{told}")
+        return lines
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return the diagram as a figure with the same contents as the text."""

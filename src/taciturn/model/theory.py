@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import sqrt
 
 import numpy as np
 
@@ -60,7 +61,7 @@ class Guarantee(Displayed):
         """Return base + (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
         assert self.base is not None
         silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
-        return self.base + sum(np.sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
+        return self.base + sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
 
     def at_rate(self, rate: float) -> float | None:
         """Return the bound base + per_silence·(1 − rate) at a rate in sends per step, or None if it does not exist."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-
-import numpy as np
+from math import sqrt
 
 from taciturn._arrays import choice, instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER
@@ -24,7 +23,7 @@ from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form
 
 MOST_SETS = 4  # actuator links of which the controller compares all sets
-EXCESS = "excess"
+EXCESS = "input error"
 
 
 def distributed(
@@ -161,7 +160,7 @@ def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[s
     """Return J ≤ J_all + (Σ√δ_l)² and, at the rates, J ≤ J_all + (Σ√(δ_l(1 − r_l)))², by Minkowski's inequality."""
     problem, all_time = certainty.problem, certainty.cost_all_time
     return Guarantee(
-        problem.per_unit(all_time + sum(np.sqrt(delta) for delta in thresholds.values()) ** 2),
+        problem.per_unit(all_time + sum(sqrt(delta) for delta in thresholds.values()) ** 2),
         "J ≤ J_all + (Σ√(δ_l(1 − r_l)))², δ_l the most that the error of link l can cost, r_l its rate; mean-square "
         "stable",
         "khashooei2017",
