@@ -32,12 +32,12 @@ from taciturn.export.description import (
 from taciturn.export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, print_folder
 from taciturn.export.node import CNode
 from taciturn.loop import Loop
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import THREE, THREE_NODES, Coverage
 from taciturn.model.packets import fingerprint
 from taciturn.model.wire import LINKS
 from taciturn.program.c import c_literal
 
-UNIT_COVERAGE = Coverage(LOOPS, "a functional mock-up unit does not carry out")
+UNIT_COVERAGE = Coverage(THREE_NODES, "a functional mock-up unit does not carry out", THREE)
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
     "3.0": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),

@@ -10,7 +10,7 @@ from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.data import NodeData
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import THREE, THREE_NODES, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import place_of
@@ -21,7 +21,7 @@ from taciturn.program.layout import Layout, lay_out
 from taciturn.program.node import NodeProgram, lower_node
 from taciturn.program.ops import Precision
 
-EXPORTED = Coverage(LOOPS, "exported C code does not carry out")
+EXPORTED = Coverage(THREE_NODES, "exported C code does not carry out", THREE)
 MOST = {
     "inputs": 0xFFFF,
     "memory": 0xFFFF,

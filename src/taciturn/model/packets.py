@@ -59,6 +59,7 @@ def fingerprint(policy: Policy, network: Network) -> int:
     """
     steps = [_sampled(policy, step) if isinstance(step, Apply) else step for step in policy.steps]
     data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
+    data = data if network.triangle else (*data, network.nodes)
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
     text = repr(_plain([data, rounding, policy.model.input_limit]))
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")

@@ -21,6 +21,7 @@ from taciturn.program.names import text_of
 from taciturn.program.node import lower_node
 from taciturn.program.ops import State, tiles
 from taciturn.runtime.inbox import AHEAD
+from taciturn.runtime.packet import WIRED
 from taciturn.runtime.window import WIDTH
 
 DESCRIBED = 1  # version of the description
@@ -37,6 +38,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
     Raises:
         ProblemError: the nodes of the policy cannot be separated.
     """
+    WIRED.check(network)
     header: list[dict[str, object]] = []
     for entry in HEADER:
         size = struct.calcsize("!" + entry.code)

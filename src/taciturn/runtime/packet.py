@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Self, TypeAlias
 
 from taciturn.errors import ProblemError
+from taciturn.model.coverage import NETWORKS, THREE, THREE_NODES, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.policy import Policy
@@ -40,6 +41,7 @@ from taciturn.model.wire import (
 from taciturn.runtime.keys import Keys
 
 PacketDefect: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
+WIRED = Coverage(NETWORKS & THREE_NODES, "packets over UDP do not carry out", THREE)
 REFUSALS: tuple[PacketDefect, ...] = ("malformed", "corrupted", "foreign", "forged")
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
@@ -109,6 +111,7 @@ class Wire:
     ) -> None:
         """Determine the payload format of each kind of packet on each link."""
         network = policy.network if network is None else network
+        WIRED.check(network)
         self.fingerprint = fingerprint(policy, network)
         self.keys = Keys.same(key) if isinstance(key, bytes) else key
         others = {key: (Encoding(), number) for key, number in (entries or {}).items()}

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.coverage import THREE, THREE_NODES, Coverage
 from taciturn.model.network import Network
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
 from taciturn.model.policy import Policy, Send
@@ -27,7 +27,7 @@ from taciturn.study.testbed.devices import DeviceNode, DeviceServer
 from taciturn.study.testbed.invariants import BrokenError, Copy, Life, Monitor, differing
 from taciturn.study.testbed.keyring import KeyRing
 
-WORLDS = Coverage(LOOPS, "worlds of faults do not carry out")
+WORLDS = Coverage(THREE_NODES, "worlds of faults do not carry out", THREE)
 TICK = 0.1  # seconds per step
 LATENCY = 0.02  # steps that a datagram takes
 WATCHDOG, HEARTBEAT = 12, 4  # steps of the watchdog and between marks
