@@ -40,6 +40,11 @@ def check_network(policy: Policy, network: Network) -> None:
             is missing or has a different number of entries than the packet.
     """
     instance("network", network, Network)
+    if network.nodes != policy.network.nodes:
+        raise ProblemError(
+            f"the network has the nodes {', '.join(network.nodes)}, but this {policy.kind} was designed for "
+            f"{', '.join(policy.network.nodes)}; expected the nodes of the design, each with its role"
+        )
     check_information(policy, network)
     if network.delay != policy.network.delay:
         raise ProblemError(

@@ -179,7 +179,9 @@ class Description(Displayed):
         if isinstance(policy, OptimalPolicy) or policy.guarantee is None:
             return None
         found = policy.guarantee
-        at_rate = None if found.base is None else {"base": found.base, "per_silence": found.per_silence}
+        deciders = [{"links": list(group), "delta": delta} for group, delta in found.deciders.items()]
+        more = {"deciders": deciders} if deciders else {}
+        at_rate = None if found.base is None else {"base": found.base, "per_silence": found.per_silence, **more}
         proved = {"statement": found.statement, "cost": found.cost, "source": found.source, "holds": holds}
         return {**proved, "at_rate": at_rate}
 
@@ -191,7 +193,10 @@ class Description(Displayed):
             return [("guarantee", f"none for this loop; for the loop of the design: {found['statement']}")]
         lines = [("guarantee", f"{found['statement']}: at most {found['cost']:.6g} ({found['source']})")]
         rated = found.get("at_rate")
-        if rated is not None:
+        if rated is not None and "deciders" in rated:
+            deltas = [f"{one['delta']:.4g} ({' and '.join(one['links'])})" for one in rated["deciders"]]
+            lines.append(("at the rates r", f"at most {rated['base']:.6g} + (Σ√(δ(1 − r)))², δ = {', '.join(deltas)}"))
+        elif rated is not None:
             lines.append(
                 ("at a rate", f"at most {rated['base']:.6g} + {rated['per_silence']:.6g} (1 − sends per step)")
             )

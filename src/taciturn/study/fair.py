@@ -71,6 +71,11 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(
             "the links drop packets, but periodic control is computed for links that deliver every packet"
         )
+    if len(nodes.scheduled) > 1:
+        raise NoClockError(
+            f"the policy decides on {len(nodes.scheduled)} links, and a single rate does not determine the rate of "
+            "each link"
+        )
     if nodes.theory.periodic is not None and problem.controller is not None:
         loop = problem.close(nodes)
         if not loop.nominal:
@@ -92,10 +97,6 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         more = nodes.cost_all_time / always
         raise NoClockError(
             f"with every sample the policy costs {more:.4g} times as much as LQG, which periodic control uses"
-        )
-    if len(nodes.scheduled) > 1:
-        raise NoClockError(
-            "the policy decides on two links, and a single rate does not determine the rate of each link"
         )
     if nodes.scheduled == ("sensor",) and actuation_of(nodes) == "hold":
         return _asking(certainty)
