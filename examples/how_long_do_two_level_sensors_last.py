@@ -1,6 +1,6 @@
 """How long do the batteries of two wireless level sensors last if each sensor decides when to send?
 
-Two pumps keep the levels of two lower tanks; each pump also feeds an upper tank, diagonally. Two battery-powered sensors
+Two pumps keep the levels of two lower tanks; each pump also feeds an upper tank, diagonally. Two sensors with batteries
 measure the lower levels every two seconds. Each sensor sends only if the controller's estimate needs it, and the
 controller sends only to a pump whose input must change. How does the battery life depend on the cost that one allows?
 """

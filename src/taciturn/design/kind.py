@@ -81,6 +81,7 @@ class Kind(Displayed):
         offered: position among the goals that ``taciturn new`` lists; None if the kind is not listed there.
         requires: the condition on plant and cost as a phrase, for messages.
         check: function that raises a ``ProblemError`` if the kind does not support a plant and a cost.
+        several_nodes: whether the design takes networks of several sensors or actuators.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
         keeps_controller: whether the argument ``controller`` of the design is a controller that the user has.
 
@@ -109,6 +110,7 @@ class Kind(Displayed):
     check: Callable[[Plant | ContinuousPlant, Cost], object] | None = None
     keeps_controller: bool = False
     for_dropouts: bool = False
+    several_nodes: bool = False
 
     def __post_init__(self) -> None:
         """Check the name."""

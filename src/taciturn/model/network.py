@@ -270,11 +270,11 @@ class Network(Displayed):
 
     @property
     def unusual(self) -> list[str]:
-        """The keys by which the delivery of packets differs from that of ideal links of a sensor and an actuator."""
-        if not self.triangle:
-            return ["nodes"]
-        keys = [key for link in reversed(tuple(self.links)) for key in self.stated(link) if not key.endswith("_range")]
-        return ["network.protocol"] * (not self.ideal) + keys + ["network.delay"] * (self.delay > 0)
+        """The keys by which the delivery of packets differs from that of ideal links."""
+        keys = [key for link in reversed(tuple(self.links)) for key in self.stated(link) if not key.endswith("range")]
+        told = [self.key(link, "acknowledged") for link, law in self.links.items() if not law.ideal]
+        first = ["network.protocol"] * bool(told) if self.triangle else []
+        return first + keys + ([] if self.triangle else told) + ["network.delay"] * (self.delay > 0)
 
     def encoding(self, link: str) -> Encoding:
         """Return the encoding of the payloads of a link.

@@ -39,6 +39,7 @@ from taciturn.model.information import check_network
 from taciturn.model.kept import Kept
 from taciturn.model.network import Burst as Burst
 from taciturn.model.network import Network
+from taciturn.model.placement import placed, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
@@ -187,8 +188,18 @@ class Problem(Displayed):
         SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
-        used = _used(kind, self.network, {"reference": self.reference, "controller": self.controller})
+        network = self.network if kind.several_nodes else three_nodes(self.network, kind.name)
+        for key in self.network.unusual[:1]:
+            expect_network(kind, key)
+        used = _used(kind, network, {"reference": self.reference, "controller": self.controller})
         policy = kind.make(self.plant, self.cost, {**used, **parameters})
+        if isinstance(policy, Policy):
+            policy = placed(policy, self.network)
+        elif not self.network.triangle:
+            raise ProblemError(
+                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
+                "[network], or no network"
+            )
         _expect_packets(policy, self.network)
         if isinstance(policy, Policy):
             check_network(policy, self.network)
@@ -340,10 +351,8 @@ def _used(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[st
     """Return the arguments of a policy kind's design function that are no parameters.
 
     Raises:
-        ProblemError: if the kind does not use the given network, reference or controller.
+        ProblemError: if the kind does not use the given reference or controller.
     """
-    for key in network.unusual[:1]:
-        expect_network(kind, key)
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
     return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}

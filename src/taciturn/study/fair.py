@@ -14,12 +14,13 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
-from taciturn.loop import Loop
+from taciturn.loop import Loop, close
 from taciturn.lqg._cache import kept
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.estimate import Estimate
+from taciturn.model.placement import three_nodes
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Assign, Policy, Send, Terms
 from taciturn.problem import Problem
@@ -83,22 +84,23 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         return _kept(loop, nodes.theory.periodic, "zero" if _applies_zero(nodes) else actuation_of(nodes))
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
-        differences = problem.close(all_time(problem.plant, problem.cost, period=period)).violated_assumptions
+        every, links = all_time(problem.plant, problem.cost, period=period), three_nodes(problem.network, policy.kind)
+        differences = close(problem.actual or problem.plant, every, links, problem.cost).violated_assumptions
     except TaciturnError as error:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
     if differences:
         raise NoClockError(f"the loop differs from the design: {differences[0]}")
     if nodes.tracking is not None:
         raise NoClockError("the policy follows a stored reference")
-    always = certainty.problem.per_unit(certainty.cost_all_time)
-    if nodes.theory.periodic is None and abs(always - nodes.cost_all_time) > ALIKE * abs(always):
+    least = certainty.problem.per_unit(certainty.cost_all_time)
+    if nodes.theory.periodic is None and abs(least - nodes.cost_all_time) > ALIKE * abs(least):
         if problem.own is None:
             raise NoClockError("the policy uses its measurements later than periodic control would")
-        more = nodes.cost_all_time / always
+        more = nodes.cost_all_time / least
         raise NoClockError(
             f"with every sample the policy costs {more:.4g} times as much as LQG, which periodic control uses"
         )
-    if nodes.scheduled == ("sensor",) and actuation_of(nodes) == "hold":
+    if any(nodes.network.nodes[link].measures for link in nodes.scheduled) and actuation_of(nodes) == "hold":
         return _asking(certainty)
     p = certainty.problem
     if actuation_of(nodes) == "model":
@@ -141,7 +143,8 @@ def _silent_input(policy: Policy) -> Terms:
 
 def actuation_of(policy: Policy) -> Actuation:
     """Return ``"hold"`` if the receiver of a policy holds its last value between sends, ``"model"`` if it predicts."""
-    packet = next((step.payload for step in policy.steps if isinstance(step, Send) and step.link == "sensor"), None)
+    sends, nodes = (step for step in policy.steps if isinstance(step, Send)), policy.network.nodes
+    packet = next((step.payload for step in sends if nodes[step.link].measures), None)
     if packet is not None:
         return "model" if ESTIMATE in packet else "hold"
     return "hold" if set(_silent_input(policy)) == {"input"} else "model"

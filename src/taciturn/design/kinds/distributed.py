@@ -183,4 +183,5 @@ KIND = Kind(
     order="sensors: contribution, decision, packet; controller: sum, inputs, decisions, packets; actuators: input",
     usual={"theta": 0.1, "prediction": "model"},
     asked=("theta",),
+    several_nodes=True,
 )

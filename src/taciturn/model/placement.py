@@ -1,0 +1,132 @@
+"""Policies of a sensor, a controller and an actuator on a network whose nodes have other names.
+
+A policy is data, so the names of its nodes and links can be replaced. Several sensors at one place act as one sensor of
+all their outputs, and several actuators at one place as one actuator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import Network
+from taciturn.model.policy import Acknowledged, Apply, Assign, Condition, Decide, Draw, Policy, Received, Send, Step
+from taciturn.model.roles import TRIANGLE
+from taciturn.model.steps import assigned
+
+
+def three_nodes(network: Network, kind: str) -> Network:
+    """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
+
+    Args:
+        network: the given network.
+        kind: name of the policy kind, for messages.
+
+    Raises:
+        ProblemError: sensors or actuators are at several places, or several of them share a place with several links.
+    """
+    if network.triangle:
+        return network
+    links = dict[str, LinkLaw]()
+    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        at = [node for node in nodes if node in network.links]
+        if len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
+            raise ProblemError(
+                f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
+                "all of these, or nodes at the controller's place (site), or a kind for several nodes, such as "
+                "distributed"
+            )
+        if at:
+            links[name] = network.links[at[0]]
+    return Network(delay=network.delay, nodes=TRIANGLE, links=links)
+
+
+def placed(policy: Policy, network: Network) -> Policy:
+    """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
+
+    Raises:
+        ProblemError: the network does not correspond to three nodes, or places them elsewhere than the policy.
+    """
+    if network.nodes == policy.network.nodes or not policy.network.triangle:
+        return policy
+    three_nodes(network, policy.kind)
+    names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
+    for role in ("sensor", "actuator"):
+        _check_place(policy, network, role, names[role])
+    links = {names[link]: law for link, law in policy.network.links.items() if names[link] in network.links}
+    theory, closed = policy.theory, policy.theory.closed_form
+    renamed = replace(
+        theory,
+        fixed_rates=_keys(theory.fixed_rates, names),
+        closed_form=None if closed is None else replace(closed, rates=_keys(closed.rates, names)),
+        guarantee=None if theory.guarantee is None else replace(
+            theory.guarantee,
+            deciders={tuple(names[link] for link in group): d for group, d in theory.guarantee.deciders.items()},
+        ),
+    )  # fmt: skip
+    locations = tuple(
+        replace(one, at=None if one.at is None else names[one.at], on=_condition(one.on, names))
+        for one in policy.locations
+    )
+    return replace(
+        policy,
+        steps=_steps(policy, network, names),
+        theory=renamed,
+        sites=network.sites,
+        locations=locations,
+        network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
+    )
+
+
+def _check_place(policy: Policy, network: Network, role: str, node: str) -> None:
+    """Raise an error if a node is at the controller's place in the policy or in the network, but not in both."""
+    together, wired = "controller" in policy.site(role), node not in network.links
+    if together and not wired:
+        raise ProblemError(
+            f"the {role} of {policy.kind} is at the controller's place, but {node} has a link; expected "
+            f'nodes.{node}.site = "{network.controller}", or a kind that uses this link, such as distributed'
+        )
+    if wired and not together:
+        raise ProblemError(
+            f"{policy.kind} uses a link between {role} and controller, but {node} is at the controller's place; "
+            f"expected {node} at another place, or another policy"
+        )
+
+
+def _steps(policy: Policy, network: Network, names: Mapping[str, str]) -> tuple[Step, ...]:
+    """Return the policy steps with other names of nodes and links, between the signals that the nodes share."""
+    plant, found = policy.model, list[Step]()
+    measured, applied = network.measurements(plant.outputs), network.applications(plant.inputs)
+    if "y" not in measured:
+        terms = {signal: np.eye(plant.outputs)[:, [*outputs]] for signal, (_, outputs) in measured.items()}
+        found.append(Assign(names["sensor"], "y", terms))
+    for step in policy.steps:
+        found.append(_renamed(step, names))
+        if "input" in assigned(step) and "input" not in applied:
+            unit = np.eye(plant.inputs)
+            found += [Assign(node, name, {"input": unit[[*inputs]]}) for name, (node, inputs) in applied.items()]
+    return tuple(found)
+
+
+def _renamed(step: Step, names: Mapping[str, str]) -> Step:
+    at = names[step.at]
+    if isinstance(step, Apply | Draw | Decide):
+        return replace(step, at=at)
+    if isinstance(step, Send):
+        return replace(step, at=at, link=names[step.link])
+    if isinstance(step, Assign):
+        branches = step.branches[0] if step.on is None else step.branches
+        return Assign(at, step.signal, branches, _condition(step.on, names))
+    return replace(step, at=at, on=_condition(step.on, names))
+
+
+def _condition(on: Condition | None, names: Mapping[str, str]) -> Condition | None:
+    return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged) else on
+
+
+def _keys(found: Mapping[str, float], names: Mapping[str, str]) -> dict[str, float]:
+    return {names.get(link, link): value for link, value in found.items()}

@@ -1,0 +1,86 @@
+"""Policies of three nodes on networks whose nodes have other names: the same results, by other names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn.errors import ProblemError
+from taciturn.problem import Problem, parse
+
+PLC = {"plc": {"controls": True}}
+WIRED = {"level-1": {"measures": [1], "site": "plc"}, "level-2": {"measures": [0], "site": "plc"}}
+APPLIED = {"valve": {"applies": True}}
+
+
+def named(problem: Problem, nodes: Mapping[str, Any], links: Mapping[str, Any] | None = None) -> Problem:
+    """Return a problem with nodes and links in place of its network."""
+    tables = {name: table for name, table in (problem.source or {}).items() if name != "network"}
+    return parse({**tables, "nodes": {**nodes, **PLC}, **({"links": links} if links else {})}, "named")
+
+
+def test_sensors_at_one_place_are_one_sensor() -> None:
+    """The outputs of two sensors beside the controller, in another order, give the same costs and packets to a bit."""
+    problem = taciturn.load("two-mass")
+    own = named(problem, {**WIRED, **APPLIED})
+    found, before = (taciturn.evaluate(one, steps=20_000, seed=3) for one in (own, problem))
+    assert found.rates["valve"].value == pytest.approx(before.rates["actuator"].value)
+    assert (found.cost.value, found.cost_bound) == (before.cost.value, before.cost_bound)
+    assert found.clock == before.clock
+    policy = own.design()
+    assert [place.nodes for place in policy.diagram().places] == [("level-1", "level-2", "plc"), ("valve",)]
+    nodes, former = taciturn.Nodes(policy), taciturn.Nodes(problem.design())
+    for y in np.random.default_rng(1).normal(size=(50, 2)):
+        assert np.array_equal(nodes.step(y), former.step(y))
+        assert nodes.sent["valve"] == former.sent["actuator"]
+
+
+def test_losses_and_acknowledgements_belong_to_the_named_links() -> None:
+    """As the same numbers in [network]."""
+    problem = taciturn.load("lossy-double-integrator")
+    nodes = {"gauge": {"measures": True}, "valve": {"applies": True}}
+    losses = {"gauge": {"loss": 0.6}, "valve": {"loss": 0.3}}
+    own = named(problem, nodes, losses)
+    found, before = (taciturn.evaluate(one, steps=20_000, seed=3) for one in (own, problem))
+    assert found.cost.value == before.cost.value
+    assert own.network.short() == "udp (no acknowledgement); gauge drops 60 %, valve drops 30 %"
+    acknowledged = {name: {**law, "acknowledged": True} for name, law in losses.items()}
+    tcp = taciturn.evaluate(named(problem, nodes, acknowledged), steps=20_000, seed=3)
+    assert (
+        tcp.cost.value
+        == taciturn.evaluate(problem.changed({"network.protocol": "tcp"}), steps=20_000, seed=3).cost.value
+    )
+
+
+@pytest.mark.parametrize(
+    ("nodes", "links", "expected"),
+    [
+        ({"a": {"measures": [0]}, "b": {"measures": [1]}, **APPLIED}, {}, "sensor node, but the network has a and b"),
+        ({"a": {"measures": True}, **APPLIED}, {}, r"but a has a link; expected nodes.a.site = \"plc\""),
+        ({**WIRED, "valve": {"applies": True, "site": "plc"}}, {}, "a link between actuator and controller, but valve"),
+        ({**WIRED, **APPLIED}, {"level-1": {"loss": 0.1}}, "but level-1 is at the controller's place"),
+        ({**WIRED, "valve": {"applies": [0, 1]}}, {}, "nodes.valve.applies contains 1; expected indices"),
+        ({"a": {"measures": [0, 0]}, **APPLIED}, {}, r"nodes.a: measures is \[0, 0\]; expected each index once"),
+        ({"plant": {"measures": True}, **APPLIED}, {}, "nodes.plant has the name 'plant'"),
+        ({"a": {"measures": True, "site": "b"}, **APPLIED}, {}, "nodes.a.site is 'b'; expected one of valve, plc"),
+        ({"a": {"measures": True, "controls": True}, **APPLIED}, {}, "2 nodes control"),
+        ({**WIRED, **APPLIED}, {"valve": {"delay": 2}}, "links.valve.delay is given, but links model no delay yet"),
+        ({**WIRED, **APPLIED}, {"valve": {"price": 0.0}}, "links.valve.price is 0; expected 0 < price"),
+        ({**WIRED, **APPLIED}, {"valve": {"los": 0.1}}, "links.valve.los is not a known key"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused(nodes: Mapping[str, Any], links: Mapping[str, Any], expected: str) -> None:
+    """In one sentence that names the node."""
+    with pytest.raises(ProblemError, match=expected):
+        named(taciturn.load("two-mass"), nodes, links).design()
+
+
+def test_a_kind_without_losses_names_the_key_of_the_link() -> None:
+    """In the words of the file."""
+    problem = named(taciturn.load("two-mass-lqg"), {**WIRED, **APPLIED}, {"valve": {"loss": 0.1}})
+    with pytest.raises(ProblemError, match=r"links\.valve\.loss is given, which lqg does not use"):
+        problem.design()
