@@ -174,6 +174,16 @@ class Network(Displayed):
         """True if the nodes are a sensor, a controller and an actuator, which a policy kind may place together."""
         return self.nodes == TRIANGLE
 
+    @property
+    def shorthand(self) -> Mapping[str, object] | None:
+        """The arguments that describe the links of a sensor, a controller and an actuator; None for other nodes."""
+        if not self.triangle:
+            return None
+        found: dict[str, object] = {"protocol": self.protocol, "delay": self.delay, "payload": self.payload}
+        for link, law in self.links.items():
+            found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
+        return found
+
     def place(self, node: str) -> str:
         """Return the node that names the place of a node."""
         return self.nodes[node].site or node

@@ -84,7 +84,8 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     """Return the positions of all inputs and outputs in the time step of a node."""
     sizes, arrivals = policy.sizes, list[Arrival]()
     measured = [signal for signal, (node, _) in policy.measured.items() if node in program.site]
-    names: list[Name] = [Entry(signal, i) for signal in measured for i in range(sizes[signal])]
+    others = [signal for signal in policy.measured if signal not in measured]  # unused, in the places of saved states
+    names: list[Name] = [Entry(signal, i) for signal in (*measured, *others) for i in range(sizes[signal])]
     clocks = len(names)
     names += [StepCounter(place.name) for place in program.clocks]
     for link, signals in program.hears.items():

@@ -52,7 +52,9 @@ def digest(text: str) -> str:
 
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
-    stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
+    short = problem.network.shorthand
+    network = problem.network if short is None else {**short, KIND: "Network"}
+    stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [] if problem.controller is None else [problem.controller]
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
