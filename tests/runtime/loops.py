@@ -10,7 +10,7 @@ import numpy as np
 import taciturn
 from taciturn.export.vector import drawn_by_the_policy
 from taciturn.loop import Loop
-from taciturn.model.places import roles
+from taciturn.model.places import inputs_at, outputs_at, roles
 from taciturn.model.policy import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
@@ -64,8 +64,8 @@ def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int =
         for role, node in nodes.items():
             mine = draws[tick, :, path] if node.program.draws is not None else None
             box, boxes[role] = boxes[role], []
-            out, given = node.step(tick, y[tick] if node.measures else None, box, mine)
-            if given is not None and np.array(given).tobytes() != applied[tick].tobytes():
+            out, given = node.step(tick, y[tick, outputs_at(policy, role)] if node.measures else None, box, mine)
+            if given is not None and np.array(given).tobytes() != applied[tick, inputs_at(policy, role)].tobytes():
                 wrong.append(tick)
             for packet in out:
                 if packet.kind == "acknowledgement":

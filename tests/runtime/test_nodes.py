@@ -67,6 +67,22 @@ def test_nodes_decide_as_the_program_for_100_000_ticks(name: str) -> None:
     assert_same(build(name), 100_000, 4, fast=True)
 
 
+ACKNOWLEDGED = {"loss": 0.2, "acknowledged": True}
+TANKS = {
+    "model": {},
+    "hold, sets of inputs": {"joint": True, "prediction": "hold", "actuation": "hold"},
+    "losses": {f"links.{link}.{key}": value for link in ("level-1", "pump-2") for key, value in ACKNOWLEDGED.items()},
+    "rounded": {"links.level-2.payload": "float32", "nodes.pump-1.site": "plc"},
+}
+
+
+@pytest.mark.parametrize("name", TANKS)
+def test_two_sensors_and_two_pumps_decide_as_the_loop(name: str) -> None:
+    """Each with its own outputs and inputs, over links of their own."""
+    problem = taciturn.load("quadruple-tank").changed(TANKS[name])
+    assert_same(problem.close(problem.design()), 200, 3, fast=False)
+
+
 @given(systems(states=4), st.integers(0, 2**32 - 1), st.sampled_from(["float64", "float32", "int16"]))
 @settings(max_examples=6, deadline=None)
 def test_every_feature_of_a_policy_runs_in_nodes(system: System, seed: int, payload: str) -> None:

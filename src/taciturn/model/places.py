@@ -21,12 +21,28 @@ def place_of(policy: Policy, role: str) -> frozenset[str]:
 
 
 def roles(policy: Policy) -> tuple[str, ...]:
-    """Return the nodes that run as separate processes, one for each site, in the order of a step."""
+    """Return the nodes that run as separate processes, one for each site, in the order of a step.
+
+    Sensors come first, then the controller, then actuators.
+    """
     controller, named = policy.network.controller, dict[frozenset[str], str]()
     for node in policy.network.nodes:
         site = policy.site(node)
         named[site] = controller if controller in site else named.get(site, node)
-    return tuple(named.values())
+    order = {
+        role: 1 if role == controller else 0 if policy.network.nodes[role].measures else 2 for role in named.values()
+    }
+    return tuple(sorted(order, key=order.__getitem__))
+
+
+def outputs_at(policy: Policy, role: str) -> list[int]:
+    """Return the outputs of the plant that a process measures, in the order of its measurement."""
+    return [i for node, outputs in policy.measured.values() if node in policy.site(role) for i in outputs]
+
+
+def inputs_at(policy: Policy, role: str) -> list[int]:
+    """Return the inputs of the plant that a process applies, in the order of its input."""
+    return [i for node, inputs in policy.applied.values() if node in policy.site(role) for i in inputs]
 
 
 def links_to(policy: Policy, role: str) -> tuple[str, ...]:

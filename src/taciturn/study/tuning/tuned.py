@@ -32,11 +32,20 @@ class Goal(Displayed):
         return f"{self.name} at most {self.budget:.6g}"
 
     def rate(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link to which the budget refers.
+        """Return the rate of the link to which the budget refers; without a link, for a cost, that of all links.
 
         Raises:
-            ProblemError: the policy does not decide on it.
+            ProblemError: the policy does not decide on it, or decides on several links and the budget names none.
         """
+        rates = list(evaluation.rates.values())
+        if self.link is None and len(rates) > 1:
+            if self.name == "rate":
+                raise ProblemError(
+                    f"{evaluation.policy} decides on {len(rates)} links; expected link to be one of "
+                    f"{', '.join(evaluation.rates)}"
+                )
+            error = math.sqrt(sum(rate.standard_error**2 for rate in rates))
+            return Estimate(sum(rate.value for rate in rates), error, rates[0].method)
         link = next(iter(evaluation.rates)) if self.link is None else self.link
         if link not in evaluation.rates:
             raise ProblemError(
