@@ -7,13 +7,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
+from taciturn._arrays import Array, number, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import CertaintyEquivalentDesign
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.theory import Guarantee
 
 LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
+
+
+def expect_one_threshold(delta: float | None, theta: float | None) -> None:
+    """Raise a ``ProblemError`` unless exactly one of the threshold δ and the share θ is given."""
+    if (delta is None) == (theta is None):
+        got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
+        raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
+
+
+def threshold_of(cost: float, delta: float | None, theta: float | None) -> float:
+    """Return the threshold δ per step, given itself or as a share θ of the cost of sending every sample."""
+    expect_one_threshold(delta, theta)
+    if delta is not None:
+        return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * cost
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import sqrt
 
 from taciturn._arrays import choice, instance, number
-from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.bounds import LARGEST_PARAMETER, threshold_of
 from taciturn.design.certainty import CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps, Copying
 from taciturn.design.estimation import ESTIMATE
@@ -89,7 +89,7 @@ def distributed(
     choice("actuation", actuation, ("hold", "model"))
     problem = discretise(plant, cost, period)
     certainty = design_certainty("distributed", problem)
-    thresholds = _thresholds(network, _whole(certainty.cost_all_time, delta, theta), shares, joint)
+    thresholds = _thresholds(network, threshold_of(certainty.cost_all_time, delta, theta), shares, joint)
     sensors = ContributionSteps(certainty, network, prediction, thresholds)
     inputs = InputSteps(certainty, network, actuation, thresholds)
     lossy = [link for link in network.links if network.loss(link) > 0]
@@ -118,16 +118,6 @@ def distributed(
         network=network,
         notes=("losses: the cost identity holds, but no bound in the thresholds",) if lossy and told else (),
     )
-
-
-def _whole(cost: float, delta: float | None, theta: float | None) -> float:
-    """Return δ per step for all links together, for the cost of sending every sample."""
-    if delta is not None and theta is None:
-        return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    if theta is not None and delta is None:
-        return number("theta", theta, 0.0, LARGEST_PARAMETER, closed=True) * cost
-    got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
-    raise ProblemError(f"{got} given; expected one of the two, as the threshold of all links")
 
 
 def _thresholds(

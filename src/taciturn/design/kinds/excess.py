@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from taciturn._arrays import choice, count, instance, number
-from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
+from taciturn._arrays import choice, count, instance
+from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
 from taciturn.design.certainty import (
     SEND,
     certainty_policy,
@@ -95,9 +95,7 @@ def excess(
         >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
         1.1
     """
-    if (delta is None) == (theta is None):
-        got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
-        raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
+    expect_one_threshold(delta, theta)
     network = Network() if network is None else network
     instance("network", network, Network)
     SIMULATED.check(network)
@@ -106,7 +104,7 @@ def excess(
     every = count("every", every)
 
     def price_at(cost_all_time: float) -> float:
-        return _price(cost_all_time, delta, theta)
+        return threshold_of(cost_all_time, delta, theta)
 
     ideal = link == "actuator" and every == 1 and gains == "lossless" and not (retry or drops(network, link))
     if controller is None and ideal and actuation != "zero":
@@ -142,13 +140,6 @@ def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float],
         guarantee=bound_by_silence(certainty, price, "khashooei2017"),
         reset=certainty.reset(actuation),
     )
-
-
-def _price(cost: float, delta: float | None, theta: float | None) -> float:
-    """Return δ per step, for the cost of sending every sample."""
-    if delta is not None:
-        return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * cost
 
 
 KIND = Kind(
