@@ -64,8 +64,11 @@ class Guarantee(Displayed):
         return self.base + sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
 
     def at_rate(self, rate: float) -> float | None:
-        """Return the bound base + per_silence·(1 − rate) at a rate in sends per step, or None if it does not exist."""
-        return None if self.base is None else self.base + self.per_silence * (1 - rate)
+        """Return the bound base + per_silence·(1 − rate) at a rate in sends per step.
+
+        It is None if there is no such bound, or if the bound depends on the rates of several links (``at_rates``).
+        """
+        return None if self.base is None or self.deciders else self.base + self.per_silence * (1 - rate)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
