@@ -24,6 +24,11 @@ from taciturn.model.trigger import Form
 
 MOST_SETS = 4  # actuator links of which the controller compares all sets
 EXCESS = "input error"
+ACKNOWLEDGED = "links drop packets: the cost identity holds, but no bound; J_all is the cost without losses"
+UNHEARD = (
+    "links drop packets without acknowledgement, and senders assume that packets arrive: neither the identity nor a "
+    "bound holds; J_all is the cost without losses"
+)
 
 
 def distributed(
@@ -53,7 +58,7 @@ def distributed(
             second times seconds); or
         theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
             and which is 0 for a discrete plant.
-        shares: relative share of each link in the sum of the √δ_l; default: equal shares of all links that decide.
+        shares: relative share of each link in the sum of the √δ_l; default 1 for each link that is not listed.
         period: seconds between steps; only with a continuous plant.
         prediction: what the controller assumes of a silent sensor's contribution: ``"hold"``, no further measurement;
             ``"model"``, the measurements that a model of the plant predicts from the sensor's last packet.
@@ -116,7 +121,7 @@ def distributed(
         initial={"prior": problem.plant.mean},
         tick=problem.tick,
         network=network,
-        notes=("losses: the cost identity holds, but no bound in the thresholds",) if lossy and told else (),
+        notes=(ACKNOWLEDGED if told else UNHEARD,) if lossy else (),
     )
 
 
@@ -127,7 +132,7 @@ def _thresholds(
     links = list(network.links)
     if not links:
         raise ProblemError("all nodes are at the controller's place, so no link decides; expected a node with a link")
-    given = dict.fromkeys(links, 1.0) if shares is None else dict.fromkeys(links, 0.0)
+    given = dict.fromkeys(links, 1.0)
     for link, share in (shares or {}).items():
         if link not in given:
             raise ProblemError(f"shares has the link {link!r}; expected links of the network: {', '.join(links)}")
