@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.design.certainty import CertaintyEquivalentDesign
+from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
 from taciturn.design.estimation import ESTIMATE
 from taciturn.lqg.kalman import filter_checked
 from taciturn.model.network import Network
@@ -25,8 +24,7 @@ from taciturn.model.policy import Acknowledged, Assign, Condition, Decide, Recei
 from taciturn.model.theory import Innovations
 from taciturn.model.trigger import Form, Trigger
 
-Copying: TypeAlias = Literal["hold", "model"]
-SILENT, SEND, STATE = "silent", "send", "state"
+SILENT, STATE = "silent", "state"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +41,7 @@ class ContributionSteps(Displayed):
 
     certainty: CertaintyEquivalentDesign
     network: Network
-    prediction: Copying
+    prediction: Actuation
     thresholds: Mapping[tuple[str, ...], float]
 
     def measure(self) -> tuple[Step, ...]:
@@ -96,11 +94,6 @@ class ContributionSteps(Displayed):
         """The factor I − GC from the prior estimate to the posterior one."""
         return np.eye(self._plant.states) - self.certainty.filter.gain @ self._plant.C
 
-    @cached_property
-    def _closed(self) -> Array:
-        """The matrix A + BL of the loop that sends every sample."""
-        return self._plant.A + self._plant.B @ self.certainty.regulator.L
-
     def _sensor(self, node: str) -> tuple[Step, ...]:
         signal, gain, _ = self._sensors[node]
         part, expected, L = f"part_{node}", f"expected_{node}", self.certainty.regulator.L
@@ -132,7 +125,7 @@ class ContributionSteps(Displayed):
         _, gain, outputs = self._sensors[node]
         model = f"{copy}_model_{node}"
         return (
-            Assign(at, model, {model: self._closed}),
+            Assign(at, model, {model: closed_loop(self.certainty)}),
             Assign(at, expected, {**decayed, model: gain @ self._plant.C[outputs]}),
         )
 
@@ -150,9 +143,14 @@ class ContributionSteps(Displayed):
         moved = plant.B @ self.certainty.regulator.L
         W = plant.W + moved @ self.certainty.filter.posterior @ moved.T
         C, V = plant.C[outputs], plant.V[np.ix_(outputs, outputs)]
-        gain = filter_checked(self._closed, C, W, V).gain
-        kept = (np.eye(plant.states) - gain @ C) @ self._closed
+        gain = filter_checked(closed_loop(self.certainty), C, W, V).gain
+        kept = (np.eye(plant.states) - gain @ C) @ closed_loop(self.certainty)
         return Assign(node, f"local_{node}", {f"local_{node}": kept, signal: gain})
+
+
+def closed_loop(certainty: CertaintyEquivalentDesign) -> Array:
+    """Return the matrix A + BL of the loop that sends every sample."""
+    return certainty.problem.plant.A + certainty.problem.plant.B @ certainty.regulator.L
 
 
 def known(network: Network, link: str, on: str) -> Condition:

@@ -11,8 +11,8 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.design.certainty import CertaintyEquivalentDesign
-from taciturn.design.contributions import SEND, SILENT, STATE, Copying, decision, known
+from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
+from taciturn.design.contributions import SILENT, STATE, closed_loop, decision, known
 from taciturn.model.network import Network
 from taciturn.model.policy import Acknowledged, Assign, Decide, Received, Send, Step
 from taciturn.model.trigger import Form, Trigger
@@ -35,7 +35,7 @@ class InputSteps(Displayed):
 
     certainty: CertaintyEquivalentDesign
     network: Network
-    actuation: Copying
+    actuation: Actuation
     thresholds: Mapping[tuple[str, ...], float]
 
     def decide(self) -> tuple[Step, ...]:
@@ -61,11 +61,6 @@ class InputSteps(Displayed):
     def _linked(self) -> set[str]:
         return set(self._actuators).intersection(self.network.links)
 
-    @cached_property
-    def _closed(self) -> Array:
-        plant = self.certainty.problem.plant
-        return plant.A + plant.B @ self.certainty.regulator.L
-
     def _command(self, node: str) -> tuple[Step, ...]:
         """Return the steps that compute the command of an actuator, and its error in silence."""
         at, (signal, rows), L = self.network.controller, self._actuators[node], self.certainty.regulator.L
@@ -76,7 +71,10 @@ class InputSteps(Displayed):
         silent: tuple[Step, ...] = (Assign(at, f"silent_{node}", {f"held_{node}": unit}),)
         if self.actuation == "model":
             model = f"held_model_{node}"
-            silent = (Assign(at, model, {model: self._closed}), Assign(at, f"silent_{node}", {model: L[rows]}))
+            silent = (
+                Assign(at, model, {model: closed_loop(self.certainty)}),
+                Assign(at, f"silent_{node}", {model: L[rows]}),
+            )
         return (command, *silent, Assign(at, f"error_{node}", {f"silent_{node}": unit, name: -unit}))
 
     def _decide(self, group: tuple[str, ...]) -> Step:
@@ -107,7 +105,7 @@ class InputSteps(Displayed):
         labels = tuple(_label(sent) for sent in self._sets(group) if node in sent) if len(group) > 1 else ()
         told = known(self.network, node, on)
         sends = [False, True] if isinstance(told, Acknowledged) else sends
-        unit, n, L = np.eye(len(rows)), np.eye(len(self._closed)), self.certainty.regulator.L[rows]
+        unit, n, L = np.eye(len(rows)), np.eye(len(closed_loop(self.certainty))), self.certainty.regulator.L[rows]
         command, silent = {f"command_{node}": unit}, {f"silent_{node}": unit}
         if self.actuation == "hold":
             return (
@@ -118,7 +116,7 @@ class InputSteps(Displayed):
         model, copy = f"model_{node}", f"held_model_{node}"
         return (
             Send(at, node, (STATE,), on, labels),
-            Assign(node, model, ({model: self._closed}, {STATE: n}), Received(node)),
+            Assign(node, model, ({model: closed_loop(self.certainty)}, {STATE: n}), Received(node)),
             Assign(node, signal, {model: L}),
             Assign(at, copy, tuple({STATE: n} if sent else {copy: n} for sent in sends), told),
             Assign(at, f"held_{node}", {copy: L}),

@@ -198,10 +198,10 @@ class Diagram(Displayed):
         lines = [
             f"{name:{wide}s}  {', '.join(place.lines[1:])}" for name, place in zip(names, self.places, strict=True)
         ]
-        width = max((len(f"{link.sender} ──▶ {link.receiver}") for link in self.links), default=0)
-        for link in self.links:
-            told = ", acknowledged" if link.acknowledged else ""
-            lines.append(f"{f'{link.sender} ──▶ {link.receiver}':{width}s}  {link.briefly}{told}")
+        arrows = [f"{link.sender} ──▶ {link.receiver}" for link in self.links]
+        width = max(map(len, arrows), default=0)
+        for link, arrow in zip(self.links, arrows, strict=True):
+            lines.append(f"{arrow:{width}s}  {link.briefly}{', acknowledged' * link.acknowledged}")
         return lines
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:

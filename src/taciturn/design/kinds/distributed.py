@@ -7,8 +7,8 @@ from math import sqrt
 
 from taciturn._arrays import choice, instance, number
 from taciturn.design.bounds import LARGEST_PARAMETER, threshold_of
-from taciturn.design.certainty import CertaintyEquivalentDesign, design_certainty
-from taciturn.design.contributions import ContributionSteps, Copying
+from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
+from taciturn.design.contributions import ContributionSteps
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.inputs import InputSteps
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -39,8 +39,8 @@ def distributed(
     theta: float | None = None,
     shares: dict[str, float] | None = None,
     period: float | None = None,
-    prediction: Copying = "hold",
-    actuation: Copying = "hold",
+    prediction: Actuation = "hold",
+    actuation: Actuation = "hold",
     joint: bool = False,
     network: Network | None = None,
 ) -> Policy:
