@@ -154,8 +154,7 @@ def run_trial(
             keeps=killed, key=setup.key, namespaces=spaces,
             through={"sensor": "camera"},
         )  # fmt: skip
-        onward = processes.peer("sensor")
-        assert onward is not None
+        onward = processes.peers("sensor")["sensor"]
         processes.commands["camera"] = [
             "camera", robot.name, str(file), "--bind", processes.addresses["camera"],
             "--peer", processes.addresses[onward], *shared,

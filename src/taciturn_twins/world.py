@@ -9,6 +9,7 @@ import numpy as np
 
 from taciturn.extend import Array
 from taciturn.model.plant import Plant
+from taciturn.model.wire import PLANT
 from taciturn.problem import Problem
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
@@ -127,7 +128,7 @@ class World(PlantServer):
 
     def _shine(self, tick: int) -> None:
         for loop, plant in enumerate(self._bodies):
-            light = Packet("measurement", "plant", tick, self._shone, plant.body.snapshot, self._epoch, loop)
+            light = Packet("measurement", PLANT, tick, self._shone, plant.body.snapshot, self._epoch, loop)
             self.endpoint.send(self._light.encode(light), self._camera)
         self._shone += 1
 
@@ -140,5 +141,5 @@ class World(PlantServer):
             share = (self._clock() - begins) / self._tick
             for loop, plant in enumerate(self._bodies):
                 self._adopt(loop, self._now)
-                plant.flow(self.inputs[loop], share)
+                plant.flow(self.given(loop), share)
             self._shine(self._now)

@@ -15,14 +15,15 @@ import pytest
 
 import taciturn
 from taciturn.export.folder import CORE_SOURCES
-from taciturn.export.node import print_node
+from taciturn.export.node import CoreSizes, print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
+from taciturn.model.places import inputs_at, outputs_at, wire_links
 from taciturn.model.policy import Policy
-from taciturn.model.wire import KINDS, LINKS
+from taciturn.model.wire import KINDS
 from taciturn.program.ops import Precision
 from taciturn.runtime.packet import REFUSALS, Packet
-from taciturn.study.testbed.devices import ACCESS, COUNTERS, Key, sizes_header
+from taciturn.study.testbed.devices import ACCESS, COUNTERS, Key
 
 CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent
@@ -43,9 +44,10 @@ def needs_compiler() -> str:
     return found
 
 
-def write_sizes(folder: Path, entries: int, precision: Precision = "float64") -> None:
+def write_sizes(folder: Path, entries: int, precision: Precision = "float64", links: int = 2) -> None:
     """Write the header with the sizes of the largest packet."""
-    (folder / "taciturn_config.h").write_text(sizes_header(entries, WAITING, precision), encoding="ascii")
+    sizes = CoreSizes(links, max(1, entries), 60 + 8 * entries, WAITING, precision == "float32")
+    (folder / "taciturn_config.h").write_text(sizes.text("", named=False), encoding="ascii")
 
 
 class Library(NamedTuple):
@@ -56,19 +58,21 @@ class Library(NamedTuple):
         number: the type of its numbers.
         packet: the type of its packets.
         sizes: entries of measurement, input and memory.
+        links: the names of the links by their number.
     """
 
     code: c.CDLL
     number: type[c.c_double] | type[c.c_float]
     packet: type[c.Structure]
     sizes: tuple[int, int, int]
+    links: tuple[str, ...]
 
 
 @cache
-def compile_core(entries: int, precision: Precision) -> Path:
+def compile_core(entries: int, precision: Precision, links: int) -> Path:
     """Return a folder with what all nodes have in common, compiled once for packets of so many entries."""
     folder = Path(mkdtemp())
-    write_sizes(folder, entries, precision)
+    write_sizes(folder, entries, precision, links)
     sources = [CORE / name for name in CORE_SOURCES]
     options = [*STRICT, "-O1", "-fPIC", f"-I{CORE}", f"-I{folder}", "-c"]
     subprocess.run([needs_compiler(), *options, *map(str, sources)], cwd=folder, check=True)
@@ -86,7 +90,7 @@ def compile_node(
     """Return a node of a policy as a library that is loaded."""
     found = print_node(policy, role, network, "device", precision=precision, seed=seed)
     entries = max(8, *(entries for _, entries in packet_shapes(policy, network).values()))
-    core = compile_core(entries, precision)
+    core = compile_core(entries, precision, CoreSizes.of(policy, network, WAITING, precision).links)
     (folder / "device.h").write_text(found.header, encoding="ascii")
     (folder / "device.c").write_text(found.source, encoding="ascii")
     (folder / "access.c").write_text(ACCESS, encoding="ascii")
@@ -102,8 +106,8 @@ def compile_node(
     for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent", "tac_restore"):
         getattr(code, name).restype = c.c_bool
     memory = found.header.split("tac_real memory[")[1].split("]")[0]
-    sizes = policy.model.outputs, policy.model.inputs, int(memory)
-    return Library(code, number, _packet(number, max(1, entries)), sizes)
+    sizes = len(outputs_at(policy, role)), len(inputs_at(policy, role)), int(memory)
+    return Library(code, number, _packet(number, max(1, entries)), sizes, wire_links(policy))
 
 
 def _packet(number: type, entries: int) -> type[c.Structure]:
@@ -145,13 +149,13 @@ class Device:
     def set_keys(self, link: str, key: bytes | None, other: bytes | None = None) -> None:
         """Set the key of a link, and one more that is accepted."""
         self._keys = key, other  # to which the node points
-        self.code.tac_set_keys(self.node, c.c_uint8(LINKS.index(link)), key_of(key), key_of(other))
+        self.code.tac_set_keys(self.node, c.c_uint8(self.library.links.index(link)), key_of(key), key_of(other))
 
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram; empty: there is no such packet."""
         given = self.library.packet()
         given.tick, given.sequence, given.epoch, given.loop = packet.tick, packet.sequence, packet.epoch, packet.loop
-        given.kind, given.link = KINDS.index(packet.kind), LINKS.index(packet.link)
+        given.kind, given.link = KINDS.index(packet.kind), self.library.links.index(packet.link)
         given.entries, given.back, given.nonce = len(packet.values), packet.back, packet.nonce
         given.values[: len(packet.values)] = packet.values
         size = self.code.tac_encode(self.wire, self.key, c.byref(given), self._datagram)
@@ -166,7 +170,7 @@ class Device:
         if verdict:
             return REFUSALS[verdict - 1]
         values = tuple(found.values[: found.entries])
-        kind, link = KINDS[found.kind], LINKS[found.link]
+        kind, link = KINDS[found.kind], self.library.links[found.link]
         return Packet(kind, link, found.tick, found.sequence, values, found.epoch, found.loop, found.back, found.nonce)
 
     def receive(self, datagram: bytes) -> bool:

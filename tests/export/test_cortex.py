@@ -15,6 +15,7 @@ import pytest
 from catalogue import KEEPING
 from counts import few
 from runtime.loops import by_hand
+from runtime.test_nodes import TANKS
 
 import taciturn
 from taciturn.errors import ProblemError
@@ -22,7 +23,7 @@ from taciturn.export import sizes
 from taciturn.export.folder import CFolder, print_folder
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
-from taciturn.model.places import roles
+from taciturn.model.places import inputs_at, outputs_at, roles
 from taciturn.problem import Problem
 from taciturn.program.ops import Precision
 from taciturn.runtime.node import Node
@@ -45,6 +46,8 @@ POLICIES: dict[str, tuple[str, Mapping[str, object]]] = {  # problem, and what i
     "chapter 7": ("lossy-double-integrator", {}),
     "chapter 7, average": ("lossy-double-integrator", {"cost.horizon": None}),
     "chapter 7, told": ("lossy-double-integrator", {"network.protocol": "tcp"}),
+    "tank": ("quadruple-tank", {}),
+    "tank, crossed": ("quadruple-tank", TANKS["tank, crossed"]),
     **{name: ("pid-tank", changes) for name, changes in KEEPING.items()},
 }
 ORDINARY = ("chapter 2", "chapter 2, model", "chapter 2, drawn", "chapter 5", "chapter 3, scalar", "chapter 7, told")
@@ -205,7 +208,7 @@ class Loops:
         folder = print_folder(self.problem.close(self.policy), "device", rows=1, seed=seed)
         self.programs = {
             node.role: (board, cortex.compile_for(board, folder, cortex.in_the_loop(node), into / node.role))
-            for node, board in zip(folder.nodes, (M3, M4F, M4F), strict=False)
+            for node, board in zip(folder.nodes, (M3, M4F, M4F, M4F, M4F), strict=False)
         }
 
     def run(self, ticks: int) -> np.ndarray:
@@ -222,25 +225,26 @@ class Loops:
         host = {role: Node(self.policy, role, network=network) for role in roles(self.policy)}
         plant, fates = SimulatedPlant(self.problem.close(self.policy), self.seed), losses(network, self.seed)
         boxes: dict[str, list[bytes]] = {role: [] for role in nodes}
-        u, costs = (0.0,) * self.policy.model.inputs, np.empty(ticks)
+        u, costs = np.zeros(self.policy.model.inputs), np.empty(ticks)
         for tick in range(ticks):
             for role, node in nodes.items():
                 box, boxes[role] = boxes[role], []
-                answer = node.step(tick, box, plant.measurement if host[role].measures else None)
+                y = [plant.measurement[i] for i in outputs_at(self.policy, role)]
+                answer = node.step(tick, box, y if host[role].measures else None)
                 assert answer.gone
                 assert not answer.degraded
-                u = answer.input or u
+                u[inputs_at(self.policy, role)] = u[:0] if answer.input is None else answer.input
                 for datagram in answer.datagrams:
                     packet = wire.decode(datagram)
                     assert isinstance(packet, Packet)
                     if packet.kind == "data" and not fates[packet.link].lost(packet.sequence, tick):  # type: ignore[index]
                         listener = next(r for r, one in host.items() if packet.link in one.program.hears)
                         boxes[listener].append(datagram)
-            costs[tick] = plant.move(u)
+            costs[tick] = plant.move(u.tolist())
         return costs
 
 
-@pytest.mark.parametrize("file", ["two-mass-lqg", "lossy-double-integrator"])
+@pytest.mark.parametrize("file", ["two-mass-lqg", "lossy-double-integrator", "quadruple-tank"])
 @pytest.mark.evidence
 def test_a_plant_with_boards_in_its_loop_costs_what_it_does_with_the_host_s_nodes(file: str, tmp_path: Path) -> None:
     """Measurements go to emulated boards, datagrams between them, inputs to the plant: step by step the same bits."""

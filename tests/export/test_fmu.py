@@ -41,6 +41,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "functions": lambda: with_functions(make_system(5, 3, 2, 2, False), 1),
     "several inputs": lambda: build_loop("lqg joint model"),
     LOSSY: lambda: of_problem(LOSSY),
+    "several sensors": lambda: build_loop("tank, crossed"),
     "own draws": lambda: build_loop("stochastic"),
     "single precision": lambda: replace(LOOPS["two-mass-lqg"](), precision="float32"),
 }

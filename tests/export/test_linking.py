@@ -82,4 +82,4 @@ def test_every_function_of_the_core_has_the_sizes_in_its_name(precisions: dict[s
     headers = [path.read_text() for path in precisions["float64"].glob("*.h")]
     defined = {name for text in headers for name in re.findall(r"#define (\w+) TAC_SIZED", text)}
     assert {name.partition("_float64")[0] for name in shown} == defined - {"two_mass_actuator_start"}
-    assert all(re.search(r"_float64_\d+_\d+_4$", name) for name in shown), shown
+    assert all(re.search(r"_float64_\d+_\d+_\d+_4$", name) for name in shown), shown

@@ -11,7 +11,7 @@ from export.devices import Device, Library, compile_node
 from export.test_nodes_in_c import LOOP, LOOPS
 from runtime.test_packets import KEY
 
-from taciturn.model.wire import LINKS
+from taciturn.model.places import wire_links
 from taciturn.runtime.keys import Keys
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
@@ -161,7 +161,7 @@ def test_a_link_without_a_key_accepts_nothing_if_another_link_has_one() -> None:
     host = Wire(loop.policy, loop.network, Keys({"actuator": (KEY,)}))
     mark, told = Packet("mark", "sensor", 3, 0, (), 3, LOOP), wire("delayed")
     changed = bytearray(told.encode(mark._replace(link="actuator")))
-    changed[6] = LINKS.index("sensor")
+    changed[6] = wire_links(loop.policy).index("sensor")
     untagged = Wire(loop.policy, loop.network).encode(mark)
     wrong = [told.encode(mark), wire("delayed", OTHER).encode(mark), bytes(changed), untagged, untagged + bytes(16)]
     assert not any(device.receive(datagram) for datagram in wrong)

@@ -18,7 +18,7 @@ from taciturn.export.description import Version, may_lose, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
 from taciturn.export.vector import RecordedRun, drawn_by_the_policy, record_loop
 from taciturn.loop import Loop
-from taciturn.model.wire import LINKS
+from taciturn.model.places import wire_links
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.machine import Kernel
@@ -140,7 +140,7 @@ def drive(driver: Path, library: Path, unit: Fmu, loop: Loop, vector: RecordedRu
     rows = library.parent / "rows"
     np.hstack([vector.measured, 1 - vector.arrived, vector.sent, vector.applied]).astype(np.float64).tofile(rows)
     sizes: Sequence[object] = (int(may_lose(loop)), vector.measured.shape[1], vector.applied.shape[1])
-    links = [str(LINKS.index(link)) for link in vector.links]
+    links = [str(wire_links(loop.policy).index(link)) for link in vector.links]
     command = [driver, library, unit.token, repr(tick_length(loop)), rows, *map(str, sizes), *links]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -86,12 +86,13 @@ def by_hand(file: str, ticks: int, seed: int) -> np.ndarray:
     policy, fates = problem.design(), losses(problem.network, seed)
     nodes = {role: Node(policy, role, network=problem.network, seed=seed) for role in roles(policy)}
     plant, boxes = SimulatedPlant(problem.close(policy), seed), {role: list[Packet]() for role in nodes}
-    u, costs = (0.0,) * policy.model.inputs, np.empty(ticks)
+    u, costs = np.zeros(policy.model.inputs), np.empty(ticks)
     for tick in range(ticks):
         for role, node in nodes.items():
             box, boxes[role] = boxes[role], []
-            packets, given = node.step(tick, plant.measurement if node.measures else None, box)
-            u = u if given is None else given
+            y = [plant.measurement[i] for i in outputs_at(policy, role)]
+            packets, given = node.step(tick, y if node.measures else None, box)
+            u[inputs_at(policy, role)] = u[:0] if given is None else given
             for packet in packets:
                 ends = {name: node.program.hears for name, node in nodes.items()}
                 if packet.kind == "acknowledgement":
@@ -99,5 +100,5 @@ def by_hand(file: str, ticks: int, seed: int) -> np.ndarray:
                 elif fates[packet.link].lost(packet.sequence, tick):  # type: ignore[index]
                     continue
                 boxes[next(name for name, links in ends.items() if packet.link in links)].append(packet)
-        costs[tick] = plant.move(u)
+        costs[tick] = plant.move(u.tolist())
     return costs

@@ -12,16 +12,16 @@ from counts import few
 from runtime.described import DescribedNode, Sent
 from runtime.test_nodes import PARTICULAR, build
 
-from taciturn.model.places import roles
-from taciturn.model.wire import KINDS, LINKS
+from taciturn.model.places import outputs_at, roles, wire_links
+from taciturn.model.wire import KINDS
 from taciturn.runtime.description import describe_wire
 from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet
 
 
-def plain(packet: Packet) -> Sent:
+def plain(packet: Packet, links: tuple[str, ...]) -> Sent:
     """Return a packet as the description numbers it."""
-    return Sent(KINDS.index(packet.kind), LINKS.index(packet.link), packet.tick, packet.values)
+    return Sent(KINDS.index(packet.kind), links.index(packet.link), packet.tick, packet.values)
 
 
 @pytest.mark.parametrize("name", few([*POLICIES, *PARTICULAR], 8))
@@ -29,6 +29,7 @@ def test_nodes_are_rebuilt_from_their_description(name: str) -> None:
     """Over 60 steps with the same packets, all packets and inputs are equal, also those of random draws."""
     loop, seed = build(name), 5
     policy, network = loop.policy, loop.network
+    links = wire_links(policy)
     described: Any = json.loads(json.dumps(describe_wire(policy, network, seed), allow_nan=False))
     nodes = {role: Node(policy, role, network=network, seed=seed) for role in roles(policy)}
     others = {one["role"]: DescribedNode(one, described["wire"]["kinds"]) for one in described["nodes"]}
@@ -39,9 +40,10 @@ def test_nodes_are_rebuilt_from_their_description(name: str) -> None:
         y = draws.normal(size=policy.model.outputs).tolist()
         for role, node in nodes.items():
             box, boxes[role] = boxes[role], []
-            packets, given = node.step(tick, y if node.measures else None, box)
-            found, applied = others[role].step(tick, y, [plain(packet) for packet in box])
-            assert found == [plain(packet) for packet in packets]
+            mine = [y[i] for i in outputs_at(policy, role)]
+            packets, given = node.step(tick, mine if node.measures else None, box)
+            found, applied = others[role].step(tick, mine, [plain(packet, links) for packet in box])
+            assert found == [plain(packet, links) for packet in packets]
             assert applied == (given or ())
             sent, inputs = sent + len(packets), inputs + (given is not None)
             for packet in packets:

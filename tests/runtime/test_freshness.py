@@ -202,7 +202,7 @@ def test_a_plant_drops_waiting_inputs_of_a_former_start() -> None:
             here.send(WIRE.encode(Packet("answer", "plant", 0, 0, (), epoch, back=True, nonce=nonce)), there.address)
             here.send(WIRE.encode(given), there.address)
         server.run(2, lambda: False)
-    assert server.inputs == [(2.0,)]
+    assert server.given(0) == (2.0,)
 
 
 def test_a_plant_believes_only_a_running_actuator() -> None:
@@ -219,12 +219,12 @@ def test_a_plant_believes_only_a_running_actuator() -> None:
         found = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.1)]
         kinds = [packet.kind for packet in found if isinstance(packet, Packet)]
         assert sorted(kinds) == ["answer", "challenge", "measurement", "measurement"]
-        assert server.inputs == [(0.0,)]
+        assert server.given(0) == (0.0,)
         assert server.refused == {"unproven": 1, "misdirected": 1}
         for packet in (Packet("answer", "plant", 0, 0, (), 2, back=True, nonce=9), given._replace(epoch=2)):
             here.send(WIRE.encode(packet), there.address)
         server.run(1, lambda: False)
-    assert server.inputs == [(3.0,)]
+    assert server.given(0) == (3.0,)
 
 
 def test_keys_change_without_a_stop(tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_keys_change_without_a_stop(tmp_path: Path) -> None:
 def test_keys_that_are_not_valid_are_refused(text: str, sentence: str) -> None:
     """In a sentence; a node also refuses to start without the key of a link that it uses."""
     with pytest.raises(ProblemError, match=sentence):
-        Keys.parse(text)
+        Wire(POLICY, key=Keys.parse(text))
     only = Wire(POLICY, key=Keys.parse("plant: " + "01" * 16))
     with Endpoint(("127.0.0.1", 0)) as there, pytest.raises(ProblemError, match="none for the actuator link"):
         NodeServer([Node(POLICY, "actuator")], only, there, plant=("127.0.0.1", 1))

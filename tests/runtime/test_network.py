@@ -15,12 +15,14 @@ import pytest
 from counts import few
 from runtime.attacks import CHAPTER_7, KEY, await_ticks, capture, chapter_7, noise, throw
 from runtime.loops import by_hand
+from runtime.test_nodes import ACKNOWLEDGED
 
 import taciturn
 from taciturn.errors import ProblemError
 from taciturn.runtime.processes import Process, Processes
 from taciturn.runtime.relay import Fate
 from taciturn.study.testbed.network import NetworkRun, losses, run_network
+from taciturn_twins.mission import write_toml
 
 Report = Mapping[str, Any]
 TICKS = 300
@@ -78,6 +80,20 @@ def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
     """Return a run of 300 steps that nothing disturbs."""
     with patient():
         return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=TICKS, seed=2, key=KEY)
+
+
+@pytest.mark.evidence
+def test_two_sensors_and_two_pumps_run_as_processes(tmp_path: Path) -> None:
+    """Five nodes and four relays: the bits of nodes in memory, with a key, losses and acknowledgements on two links."""
+    changes = {f"links.{one}.{key}": value for one in ("level-1", "pump-2") for key, value in ACKNOWLEDGED.items()}
+    file = tmp_path / "tank.toml"
+    file.write_text(write_toml(taciturn.load("quadruple-tank").changed(changes).source), encoding="utf-8")
+    with patient():
+        found = run_network(file, ticks=TICKS, seed=2, key=KEY)
+    assert found.costs.tobytes() == by_hand(str(file), TICKS, 2).tobytes()
+    assert_added_up(found)
+    assert list(found.datagrams) == ["level-1", "level-2", "pump-1", "pump-2"]
+    assert [counted["lost"] > 0 for counted in found.datagrams.values()] == [True, False, False, True]
 
 
 @pytest.mark.evidence

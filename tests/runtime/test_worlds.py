@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import pytest
@@ -12,11 +12,13 @@ from hypothesis import HealthCheck, find, settings
 from hypothesis import strategies as st
 from runtime.defects import DEFECTS, SHOWN
 from runtime.seeded import of_seed, problem
+from runtime.test_nodes import TANKS
 
+import taciturn
 from taciturn.runtime.attacks import Forgery, KeyChange, Recording
 from taciturn.runtime.faults import Crash, Fault, Jump, Loss, Pause, Replay
 from taciturn.study.testbed.devices import compile_devices
-from taciturn.study.testbed.worlds import prepare, run_world
+from taciturn.study.testbed.worlds import prepare, run_world, run_world_with_devices
 
 CUT = ("controller", "actuator")
 
@@ -32,6 +34,16 @@ def test_no_invariant_breaks(first: int) -> None:
         assert found.recovery is not None
         assert found.promised is not None
         assert found.recovery <= found.promised
+
+
+@pytest.mark.parametrize("first", few(range(0, 128, 16), quick=0))
+@pytest.mark.parametrize("changes", [TANKS["tank, losses"], TANKS["tank, crossed"]], ids=["losses", "crossed"])
+def test_no_invariant_breaks_with_several_sensors(first: int, changes: Mapping[str, object]) -> None:
+    """Worlds of the four tanks: five processes, with acknowledgements, on the host and in C."""
+    for seed in range(first, first + 16):
+        found = run_world_with_devices(taciturn.load("quadruple-tank").changed(changes), seed)
+        assert found.faults
+        assert found.broken is None, f"world {seed}: {found.broken}"
 
 
 @pytest.mark.parametrize("seed", few([4, 8], quick=1, start=1))

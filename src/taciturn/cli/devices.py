@@ -40,7 +40,7 @@ def export(
         list[str] | None,
         typer.Option(
             "--node",
-            metavar="sensor|controller|actuator",
+            metavar="NODE",
             help="Export only this node (with --c). `controller` also selects the nodes at its site, such as the "
             "sensor of lqg. Default: all nodes.",
         ),

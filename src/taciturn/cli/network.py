@@ -36,7 +36,10 @@ if TYPE_CHECKING:
     from taciturn.runtime.serve import NodeServer
 
 Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to listen on; port 0: any free port.")]
-Peer = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Address that receives the packets.")]
+Peer = Annotated[
+    list[str] | None,
+    typer.Option(metavar="[LINK=]HOST:PORT", help="Address that receives the packets, of the only link or of LINK."),
+]
 Ticks = Annotated[int | None, typer.Option(help="Number of steps. Default: until interrupted.")]
 RealTime = Annotated[bool, typer.Option("--real-time", help="Run in real time instead of virtual time.")]
 TickLength = Annotated[
@@ -121,7 +124,7 @@ def network(
 
 @app.command(epilog=EXAMPLE + "taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")
 def node(
-    role: Annotated[str, typer.Argument(metavar="sensor|controller|actuator")],
+    role: Annotated[str, typer.Argument(metavar="NODE", help="sensor, controller, actuator, or a node of [nodes].")],
     file: File,
     settings: Settings = None,
     no_functions: NoFunctions = False,
@@ -189,9 +192,9 @@ def node(
     from taciturn.model.places import links_to
     from taciturn.runtime.keys import read_keys
     from taciturn.runtime.node import Node
-    from taciturn.runtime.serve import WAIT, NodeServer
-    from taciturn.runtime.service import FileStorage, logged, say, say_where
-    from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
+    from taciturn.runtime.serve import NodeServer
+    from taciturn.runtime.service import FileStorage, logged, say, say_where, usual_wait
+    from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, hosts_of, parse_address, parse_peers
 
     check_counts(
         {"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--log-part": log_part, "--loops": loops}
@@ -207,7 +210,7 @@ def node(
         )
     if state is not None and loops > 1:
         raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected one loop: --loops 1")
-    share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
+    share = usual_wait(policy, role) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
     # in real time, the watchdog of a node that only sends sets its heartbeat
     limit = watchdog or (None if length is None else WATCHED)
     nodes = [
@@ -219,9 +222,9 @@ def node(
         for loop in range(loops)
     ]  # fmt: skip
     here = parse_address("--bind", bind)
-    to = None if peer is None else parse_address("--peer", peer)
+    to = parse_peers("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
-    secret = read_keys(key, [host for host, _ in filter(None, (here, to, world))])
+    secret = read_keys(key, hosts_of(here, to, world))
     largest = LARGEST if eye is None else LARGEST_OF_ALL
     with (
         _wire(role, policy, problem.network, secret, questions, eye, seen, watch) as wire,
@@ -243,7 +246,10 @@ def node(
 @app.command(epilog=EXAMPLE + "taciturn plant two-mass --bind :9100 --peer :9102 --ticks 200")
 def plant(
     file: File,
-    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address of the node that receives measurements.")],
+    peer: Annotated[
+        list[str],
+        typer.Option(metavar="[LINK=]HOST:PORT", help="Node that receives measurements; LINK is plant/NODE."),
+    ],
     settings: Settings = None,
     no_functions: NoFunctions = False,
     bind: Bind = "127.0.0.1:0",
@@ -260,7 +266,7 @@ def plant(
     from taciturn.runtime.packet import Wire
     from taciturn.runtime.plant import SimulatedPlant
     from taciturn.runtime.service import logged, say, say_where
-    from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.runtime.udp import Endpoint, hosts_of, parse_address, parse_peers
     from taciturn.runtime.world import PlantServer
     from taciturn.study.testbed.ticks import plant_cost
 
@@ -269,8 +275,8 @@ def plant(
     loop = problem.close(problem.design())
     length = tick_length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
-    here, to = parse_address("--bind", bind), parse_address("--peer", peer)
-    wire = Wire(loop.policy, problem.network, read_keys(key, (here[0], to[0])))
+    here, to = parse_address("--bind", bind), parse_peers("--peer", peer)
+    wire = Wire(loop.policy, problem.network, read_keys(key, hosts_of(here, to)))
     with logged(log) as told, until_stopped() as stopped, Endpoint(here) as endpoint:
         server = PlantServer(plants, wire, endpoint, to, tick=length, told=told, say=say)
         say_where("plant", endpoint.address)

@@ -14,8 +14,9 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
+from taciturn.model.places import wire_links
 from taciturn.model.policy import Policy
-from taciturn.model.wire import CODES, FULL_SCALE, KINDS, LINKS, Encoding, PacketKind
+from taciturn.model.wire import CODES, FULL_SCALE, KINDS, Encoding, PacketKind
 from taciturn.program.c import CONSTANTS, REAL, c_literal, constant_array
 from taciturn.program.draws import seed_generators
 from taciturn.program.layout import Layout
@@ -25,10 +26,14 @@ from taciturn.program.ops import Precision
 FORMAT = 2  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
-_LINK = {link: f"TAC_{link.upper()}_LINK" for link in LINKS}
 _ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
 _SIZES = ("input_count", "memory_count", "output_count", "clocks_at", "drawn_at", "drawn_count", "applied")
 _COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", "clock_count")
+
+
+def link_code(policy: Policy, link: str) -> str:
+    """Return the number of a link in C; the links of three nodes have names."""
+    return f"TAC_{link.upper()}_LINK" if policy.network.triangle else f"{wire_links(policy).index(link)}u"
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,6 +61,10 @@ class NodeData(Displayed):
     @cached_property
     def _shapes(self) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
         return packet_shapes(self.policy, self.network)
+
+    @cached_property
+    def _links(self) -> tuple[str, ...]:
+        return wire_links(self.policy)
 
     @cached_property
     def _generator(self) -> list[int]:
@@ -96,13 +105,13 @@ class NodeData(Displayed):
         found += struct.pack(">II4Q", numbers["remembers"], numbers["constant_count"], *self._generator)
         found += struct.pack(">Q", fingerprint(self.policy, self.network))
         for (kind, link), (encoding, entries) in self._shapes.items():
-            found += bytes([KINDS.index(kind), LINKS.index(link), list(CODES).index(encoding.name), entries])
+            found += bytes([KINDS.index(kind), self._links.index(link), list(CODES).index(encoding.name), entries])
             found += b"".join(map(self._bytes, _steps(encoding)))
         for one in layout.arrivals:
-            kind, link = KINDS.index(one.kind), LINKS.index(one.link)
+            kind, link = KINDS.index(one.kind), self._links.index(one.link)
             found += struct.pack(">6BH", kind, link, one.lag, one.part, one.size, one.acknowledged, one.at)
         for one in layout.departures:
-            found += struct.pack(">BBH", LINKS.index(one.link), one.size, one.at)
+            found += struct.pack(">BBH", self._links.index(one.link), one.size, one.at)
         for place in self.program.clocks:
             found += np.array([*place.table, place.period, place.initial], dtype=">u2").tobytes()
         return zlib.crc32(found + self._bytes(self._start) + self._bytes(self.constants))
@@ -111,21 +120,21 @@ class NodeData(Displayed):
         """Return the arrays to which the node's data point."""
         found, layout = list[str](), self.layout
         shapes = [
-            (kind, link, encoding, entries, self._print_steps(found, f"{kind}_{link}", encoding))
+            (kind, link, encoding, entries, self._print_steps(found, f"{kind}_{self._links.index(link)}", encoding))
             for (kind, link), (encoding, entries) in self._shapes.items()
         ]
         found.append(
             constant_array("tac_shape", "shapes", [
-                f"{{{_KIND[kind]}, {_LINK[link]}, {_ENCODED[encoding.name]}, {entries}u, {steps}}}"
+                f"{{{_KIND[kind]}, {link_code(self.policy, link)}, {_ENCODED[encoding.name]}, {entries}u, {steps}}}"
                 for kind, link, encoding, entries, steps in shapes
             ])
         )  # fmt: skip
         channels = [
-            f"{{{_KIND[one.kind]}, {_LINK[one.link]}, {one.lag}u, {one.part}u, {one.size}u, "
+            f"{{{_KIND[one.kind]}, {link_code(self.policy, one.link)}, {one.lag}u, {one.part}u, {one.size}u, "
             f"{_truth(one.acknowledged)}, {one.at}u}}"
             for one in layout.arrivals
         ]
-        sends = [f"{{{_LINK[one.link]}, {one.size}u, {one.at}u}}" for one in layout.departures]
+        sends = [f"{{{link_code(self.policy, one.link)}, {one.size}u, {one.at}u}}" for one in layout.departures]
         clocks: list[str] = []
         for i, place in enumerate(self.program.clocks):
             found.append(constant_array("uint16_t", f"clock{i}", [f"{int(value)}u" for value in place.table]))

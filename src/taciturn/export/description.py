@@ -9,12 +9,10 @@ from xml.etree import ElementTree as Xml
 from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.loop import Loop
+from taciturn.model.places import wire_links
 from taciturn.model.policy import Send
-from taciturn.model.wire import LINKS
 
 Version = Literal["3.0", "2.0"]
-# value references; for several variables of a name, the reference of the first
-REFERENCES = {"time": 0, "degraded": 1, "lost": 16, "sent": 32, "sends": 48, "y": 1024, "u": 2048}
 _TYPES = {
     "number": {"3.0": "Float64", "2.0": "Real"},
     "truth": {"3.0": "Boolean", "2.0": "Boolean"},
@@ -45,7 +43,18 @@ class UnitVariable(Displayed):
 def used_links(loop: Loop) -> tuple[str, ...]:
     """Return the links between nodes over which packets are sent, in the order of their numbers."""
     found: set[str] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
-    return tuple(sorted(found, key=LINKS.index))
+    return tuple(link for link in wire_links(loop.policy) if link in found)
+
+
+def references(loop: Loop) -> dict[str, int]:
+    """Return the value reference of each variable, or of the first variable of each name."""
+    codes = len(wire_links(loop.policy))
+    blocks = -(-codes // 16) * 16  # references of the links by name
+    y = 1024 * (1 + 3 * blocks // 1024)
+    return {
+        "time": 0, "degraded": 1, "lost": 16, "sent": 16 + blocks, "sends": 16 + 2 * blocks, "y": y,
+        "u": y + 1024 * (1 + loop.policy.model.outputs // 1024),
+    }  # fmt: skip
 
 
 def tick_length(loop: Loop) -> float:
@@ -60,7 +69,7 @@ def may_lose(loop: Loop) -> bool:
 
 def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     """Return the variables of the FMU for the policy of a loop, except the time."""
-    links, first, model = used_links(loop), REFERENCES, loop.policy.model
+    links, first, model, codes = used_links(loop), references(loop), loop.policy.model, wire_links(loop.policy)
     predicts = loop.policy.prediction is not None  # the input of the plant is then u = L x̂
     applied, where = ("Predicted state", "of the actuator's model") if predicts else ("Input", "of the plant")
     found = [
@@ -70,7 +79,7 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     if may_lose(loop):
         found += [
             UnitVariable(
-                f"lost_{link}", first["lost"] + LINKS.index(link), "truth", "input",
+                f"lost_{link}", first["lost"] + codes.index(link), "truth", "input",
                 f"A packet that is sent on the {link} link in the next step is dropped",
             )
             for link in links
@@ -82,11 +91,11 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     for link in links:
         found += [
             UnitVariable(
-                f"sent_{link}", first["sent"] + LINKS.index(link), "truth", "output",
+                f"sent_{link}", first["sent"] + codes.index(link), "truth", "output",
                 f"A packet was sent on the {link} link in the last step",
             ),
             UnitVariable(
-                f"sends_{link}", first["sends"] + LINKS.index(link), "count", "output",
+                f"sends_{link}", first["sends"] + codes.index(link), "count", "output",
                 f"Number of packets sent on the {link} link so far",
             ),
         ]  # fmt: skip
@@ -145,7 +154,7 @@ def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
 def _list(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Version) -> None:
     listed = Xml.SubElement(root, "ModelVariables")
     if version == "3.0":
-        time = {"name": "time", "valueReference": str(REFERENCES["time"]), "causality": "independent"}
+        time = {"name": "time", "valueReference": "0", "causality": "independent"}
         Xml.SubElement(listed, "Float64", {**time, "variability": "continuous", "description": "Time in seconds"})
     for one in variables:
         said = {

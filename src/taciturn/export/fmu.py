@@ -20,24 +20,25 @@ from taciturn._display import Displayed
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.export.description import (
-    REFERENCES,
     Version,
     describe_build,
     describe_unit,
     list_variables,
     may_lose,
+    references,
     tick_length,
     used_links,
 )
 from taciturn.export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, print_folder
 from taciturn.export.node import CNode
+from taciturn.export.vector import entries_of_nodes
 from taciturn.loop import Loop
-from taciturn.model.coverage import THREE, THREE_NODES, Coverage
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.packets import fingerprint
-from taciturn.model.wire import LINKS
+from taciturn.model.places import wire_links
 from taciturn.program.c import c_literal
 
-UNIT_COVERAGE = Coverage(THREE_NODES, "a functional mock-up unit does not carry out", THREE)
+UNIT_COVERAGE = Coverage(LOOPS, "a functional mock-up unit does not carry out")
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
     "3.0": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),
@@ -254,12 +255,21 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
 
 def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     """Return C source of the function that starts the nodes, and of the list of links."""
-    used = used_links(loop)
+    used, names = used_links(loop), wire_links(loop.policy)
+    last = max([names.index(link) for link in loop.policy.network.links], default=0)
+    outputs, inputs = entries_of_nodes(loop.policy)
     lines = [f'{GENERATED_BY}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
-    lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in LINKS if link != 'plant')}}};"]
+    lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in names[: last + 1])}}};"]
+    lines += [
+        f"const unsigned fmu_{name}[] = {{{', '.join(f'{i}U' for i in places)}}};"
+        for name, places in (
+            ("outputs", outputs),
+            ("inputs", inputs),
+        )
+    ]
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
-    lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.role}, 0U, 0U, none);" for i, node in enumerate(nodes)]
+    lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.name}, 0U, 0U, none);" for i, node in enumerate(nodes)]
     whole = " && ".join(f"nodes[{i}] != NULL" for i in range(len(nodes)))
     return "\n".join([*lines, f"  return ({whole}) ? {len(nodes)}U : 0U;", "}", ""])
 
@@ -269,9 +279,9 @@ def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -
     return _DATA.format(
         mark=GENERATED_BY, token=token, stamp=digest[:16], tick=c_literal(tick_length(loop), "float64"),
         measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
-        references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in REFERENCES.items()),
+        references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in references(loop).items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),
-        memory="\n".join(f"  {node.name} {node.role};" for node in nodes),
+        memory="\n".join(f"  {node.name} {node.name};" for node in nodes),
     )  # fmt: skip
 
 
@@ -308,6 +318,8 @@ typedef struct {{
 
 extern const bool fmu_links[]; /* whether packets are sent over each link */
 extern const bool fmu_lossy;   /* whether packets may be dropped */
+extern const unsigned fmu_outputs[]; /* output of the plant of each measurement, in the order of the nodes */
+extern const unsigned fmu_inputs[];  /* input of the plant of each input, in the order of the nodes */
 
 /* Start the nodes, and return their number; 0: the data of a node are damaged. */
 size_t fmu_start(fmu_memory *memory, tac_node **nodes);

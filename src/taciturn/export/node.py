@@ -5,29 +5,33 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from struct import calcsize
 
 from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.data import NodeData
-from taciturn.model.coverage import THREE, THREE_NODES, Coverage
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
-from taciturn.model.places import place_of
+from taciturn.model.places import place_of, wire_links
 from taciturn.model.policy import Policy
+from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import ROOT, print_c, print_root
 from taciturn.program.ir import Program
 from taciturn.program.layout import Layout, lay_out
 from taciturn.program.node import NodeProgram, lower_node
 from taciturn.program.ops import Precision
 
-EXPORTED = Coverage(THREE_NODES, "exported C code does not carry out", THREE)
+EXPORTED = Coverage(LOOPS, "exported C code does not carry out")
 MOST = {
     "inputs": 0xFFFF,
     "memory": 0xFFFF,
     "outputs": 0x7FFF,
     "clock": 0xFFFF,
     "packets": 0xFF,
+    "shapes": 0xFF,
+    "sends": 31,
 }  # limits of the types in the header
 
 
@@ -36,7 +40,7 @@ class CNode(Displayed):
     """A node as C99.
 
     Args:
-        role: ``"sensor"``, ``"controller"`` or ``"actuator"``.
+        role: name of the process, such as ``"controller"``.
         name: name of its C type, and of its files without extension.
         header: text of the header.
         source: text of the source file.
@@ -121,12 +125,15 @@ def _numbers(program: Program) -> int:
 
 def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: Layout) -> None:
     """Raise an error if a size of the node exceeds the range of the core's integer types."""
+    shapes = packet_shapes(policy, network)
     found = {
         "inputs": len(layout.inputs),
         "memory": len(program.parts[0].states),
         "outputs": len(program.parts[0].outputs),
         "clock": max([len(place.table) for place in program.clocks], default=0),
-        "packets": max(entries for _, entries in packet_shapes(policy, network).values()),
+        "packets": max(entries for _, entries in shapes.values()),
+        "shapes": len(shapes),
+        "sends": len(layout.departures),
     }
     for what, size in found.items():
         if size > MOST[what]:
@@ -136,12 +143,72 @@ def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: 
             )
 
 
+@dataclass(frozen=True, repr=False)
+class CoreSizes(Displayed):
+    """The sizes for which the core is compiled.
+
+    Args:
+        links: largest number of a link between nodes, plus one.
+        values: entries of the largest packet.
+        datagram: bytes of the largest datagram, with its tag.
+        waiting: early packets of each link that a node stores, a power of two.
+        single: whether numbers have single precision.
+    """
+
+    links: int
+    values: int
+    datagram: int
+    waiting: int
+    single: bool
+
+    @staticmethod
+    def of(policy: Policy, network: Network, waiting: int, precision: Precision) -> CoreSizes:
+        """Return the sizes that the nodes of a policy need."""
+        shapes, codes = packet_shapes(policy, network).values(), wire_links(policy)
+        payload = max(calcsize(CODES[encoding.name]) * entries for encoding, entries in shapes)
+        return CoreSizes(
+            links=1 + max([codes.index(link) for link in policy.network.links], default=0),
+            values=max(1, *(entries for _, entries in shapes)),
+            datagram=HEADER_SIZE + payload + CRC_SIZE + TAG_SIZE,
+            waiting=waiting,
+            single=precision == "float32",
+        )
+
+    @property
+    def suffix(self) -> str:
+        """The ending of the names of all functions, so that files compiled with different sizes do not link."""
+        precision = "float32" if self.single else "float64"
+        return f"{precision}_{self.links}_{self.values}_{self.datagram}_{self.waiting}"
+
+    def text(self, title: str, named: bool = True) -> str:
+        """Return the header ``taciturn_config.h``; without ``named``, for libraries that are loaded."""
+        return _CONFIG.format(
+            mark=title, single=int(self.single), links=self.links, values=self.values, datagram=self.datagram,
+            waiting=self.waiting, sized=f"name##_{self.suffix}" if named else "name",
+        )  # fmt: skip
+
+
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Return rows as a Markdown table, whose header is the first row."""
     head, *rest = rows
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rest]) + "\n"
 
 
+_CONFIG = """{mark}
+#ifndef TACITURN_CONFIG_H
+#define TACITURN_CONFIG_H
+
+#define TAC_FLOAT32 {single}    /* 1: numbers are floats */
+#define TAC_LINKS {links}      /* links between nodes have smaller numbers */
+#define TAC_VALUES {values}     /* numbers in the largest packet */
+#define TAC_DATAGRAM {datagram}   /* bytes of the largest datagram, with its tag */
+#define TAC_WAITING {waiting}    /* buffered early packets of each link, a power of two */
+
+/* The name of a function for the linker. */
+#define TAC_SIZED(name) {sized}
+
+#endif
+"""
 _HEADER = """#ifndef {guard}
 #define {guard}
 

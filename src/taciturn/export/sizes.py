@@ -85,7 +85,8 @@ def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") 
         symbols = call_tool(f"{target.prefix}nm", ["-S", "selfcheck_data.o"], into).splitlines()
         known = {words[3]: int(words[1], 16) for words in map(str.split, symbols) if len(words) == 4}
         found = {
-            node.role: _sections(target, into, [node.name])._replace(memory=known[node.role]) for node in folder.nodes
+            node.role: _sections(target, into, [node.name])._replace(memory=known[f"memory_of_{node.name}"])
+            for node in folder.nodes
         }
         return {**found, "core": _sections(target, into, [Path(name).stem for name in CORE_SOURCES])}
 

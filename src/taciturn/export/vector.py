@@ -11,7 +11,8 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.policy import Received, Send
+from taciturn.model.places import inputs_at, outputs_at, roles
+from taciturn.model.policy import Policy, Received, Send
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
@@ -28,7 +29,8 @@ class RecordedRun(Displayed):
         drawn: uniform random numbers that the policy draws, (steps, draws).
         arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links).
         sent: 1 if a packet was sent, otherwise 0, (steps, links).
-        applied: inputs u that the actuator applied, (steps, m).
+        applied: inputs u that the actuators applied, (steps, m).
+        order: outputs and inputs of the plant in the order in which the nodes measure and apply them.
     """
 
     links: tuple[str, ...]
@@ -37,11 +39,16 @@ class RecordedRun(Displayed):
     arrived: Array
     sent: Array
     applied: Array
+    order: tuple[list[int], list[int]]
 
     @property
     def rows(self) -> Array:
-        """All recorded columns with one row per step: inputs of the nodes first, then their expected outputs."""
-        return np.hstack([self.measured, self.drawn, self.arrived, self.sent, self.applied])
+        """All recorded columns with one row per step: inputs of the nodes first, then their expected outputs.
+
+        The measurements and the inputs are in the order of the nodes.
+        """
+        outputs, inputs = self.order
+        return np.hstack([self.measured[:, outputs], self.drawn, self.arrived, self.sent, self.applied[:, inputs]])
 
 
 def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> RecordedRun:
@@ -78,6 +85,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
         _columns([found[Received(link)] for link in links], ticks),
         _columns([found[Sent(link)] for link in links], ticks),
         _columns([found[Entry("applied", i)] for i in range(plant.inputs)], ticks),
+        entries_of_nodes(loop.policy),
     )
     finite = np.isfinite(vector.rows).all(axis=1)
     if not finite.all():
@@ -86,6 +94,14 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
             "expected a policy that stabilises the loop over this network"
         )
     return vector
+
+
+def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
+    """Return the outputs and the inputs of the plant in the order in which the nodes measure and apply them."""
+    names = roles(policy)
+    return [i for role in names for i in outputs_at(policy, role)], [
+        i for role in names for i in inputs_at(policy, role)
+    ]
 
 
 def drawn_by_the_policy(program: Program) -> list[Name]:

@@ -105,8 +105,6 @@ class Coverage(Displayed):
         return f"{name} is given, which {self.refusal}; expected {self.remedy}"
 
 
-THREE_NODES = LOOPS - {"network.nodes"}  # wire format, devices and units number the links of three nodes
-THREE = "a network of a sensor, a controller and an actuator"
 SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
 
 

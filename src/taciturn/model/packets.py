@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
+from taciturn.model.places import plant_links
 from taciturn.model.policy import ONE, Apply, Policy, Send
 from taciturn.model.steps import assigned
 from taciturn.model.wire import PERSON, Encoding, PacketKind
@@ -36,11 +37,11 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
                 ("acknowledgement", step.link): (exact, 0),
                 ("mark", step.link): (exact, 0),
             }
-    shapes |= {
-        ("measurement", "plant"): (exact, policy.model.outputs),
-        ("input", "plant"): (exact, policy.model.inputs),
-    }
-    return {**shapes, ("mark", "plant"): (exact, 0)}
+    for link, ends in plant_links(policy).items():
+        sizes: dict[PacketKind, int] = {"measurement": len(ends.outputs), "input": len(ends.inputs)}
+        shapes |= {(kind, link): (exact, size) for kind, size in sizes.items() if size}
+        shapes |= {("mark", link): (exact, 0)}
+    return shapes
 
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:

@@ -2,8 +2,27 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from taciturn.errors import ProblemError
-from taciturn.model.policy import Policy, Send
+from taciturn.model.policy import Acknowledged, Assign, Evaluate, Policy, Send
+from taciturn.model.wire import PLANT
+
+
+class PlantLink(NamedTuple):
+    """The packets between the plant and a process: the outputs in a measurement, and the inputs in an input.
+
+    Args:
+        measures: role of the process that receives the measurements, if any.
+        applies: role of the process that sends the inputs, if any.
+        outputs: outputs of the plant in a measurement, in their order.
+        inputs: inputs of the plant in an input, in their order.
+    """
+
+    measures: str | None
+    applies: str | None
+    outputs: tuple[int, ...]
+    inputs: tuple[int, ...]
 
 
 def place_of(policy: Policy, role: str) -> frozenset[str]:
@@ -45,6 +64,42 @@ def inputs_at(policy: Policy, role: str) -> list[int]:
     return [i for node, inputs in policy.applied.values() if node in policy.site(role) for i in inputs]
 
 
+def plant_links(policy: Policy) -> dict[str, PlantLink]:
+    """Return the links between the plant and the processes by name.
+
+    The link is called ``plant`` if one process measures and one process applies the inputs. Otherwise each of these
+    processes has its own link, ``plant/ROLE``.
+    """
+    names = roles(policy)
+    measure = [role for role in names if outputs_at(policy, role)]
+    apply = [role for role in names if inputs_at(policy, role)]
+    if len(measure) == len(apply) == 1:
+        ends = {PLANT: (measure[0], apply[0])}
+    else:
+        ends = {
+            f"{PLANT}/{role}": (role if role in measure else None, role if role in apply else None)
+            for role in names
+            if role in measure or role in apply
+        }
+    return {
+        link: PlantLink(
+            one, other, tuple(outputs_at(policy, one) if one else ()), tuple(inputs_at(policy, other) if other else ())
+        )
+        for link, (one, other) in ends.items()
+    }
+
+
+def plant_link(policy: Policy, role: str) -> str | None:
+    """Return the link between the plant and a process, or None if the process neither measures nor applies inputs."""
+    return next((link for link, ends in plant_links(policy).items() if role in (ends.measures, ends.applies)), None)
+
+
+def wire_links(policy: Policy) -> tuple[str, ...]:
+    """Return the links of a policy and its plant; a packet contains the index of its link."""
+    links = tuple(policy.network.links)
+    return tuple(dict.fromkeys((*links[:2], PLANT, *links[2:], *plant_links(policy))))
+
+
 def links_to(policy: Policy, role: str) -> tuple[str, ...]:
     """Return the links on which a node receives data."""
     site = place_of(policy, role)
@@ -68,17 +123,18 @@ def receiver_of(policy: Policy, link: str) -> str:
     return role_at(policy, policy.network.receiver(link))
 
 
-def link_of(policy: Policy, role: str) -> str | None:
-    """Return the link on which a process sends data, or else the one on which it may acknowledge data."""
-    site = place_of(policy, role)
-    sends: list[str] = [step.link for step in policy.steps if isinstance(step, Send) and step.at in site]
-    return next(iter(sends + list(links_to(policy, role))), None)
+def peers_of(policy: Policy, role: str) -> dict[str, str]:
+    """Return the process at the other end of each link on which a process sends data or acknowledgements."""
+    found: dict[str, str] = {}
+    for link in dict.fromkeys(step.link for step in policy.steps if isinstance(step, Send)):
+        ends = sender_of(policy, link), receiver_of(policy, link)
+        if role == ends[0] or (role == ends[1] and is_acknowledged(policy, link)):
+            found[link] = ends[1 - ends.index(role)]
+    return found
 
 
-def peer_of(policy: Policy, role: str) -> str | None:
-    """Return the process that receives a process's packets: the next node, or the sender that it acknowledges."""
-    link = link_of(policy, role)
-    if link is None:
-        return None
-    sender = sender_of(policy, link)
-    return receiver_of(policy, link) if sender == role else sender
+def is_acknowledged(policy: Policy, link: str) -> bool:
+    """Return whether a policy uses the acknowledgements of a link."""
+    conditions = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
+    conditions += [place.on for place in policy.locations]
+    return any(isinstance(on, Acknowledged) and on.link == link for on in conditions)

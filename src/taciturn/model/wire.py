@@ -18,7 +18,6 @@ EncodingName = Literal["float64", "float32", "int16"]
 PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer"]
 KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer")
 PLANT = "plant"  # the link between the plant and its nodes
-LINKS = ("sensor", "actuator", PLANT)
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
 BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input"})  # kinds that travel against their link
@@ -51,7 +50,7 @@ HEADER = (
     FieldOfHeader("sequence", "I", "counts the packets of this kind on this link, from 0; 4294967295 ends an epoch"),
     FieldOfHeader("version", "B", f"{VERSION}"),
     FieldOfHeader("kind", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(KINDS))),
-    FieldOfHeader("link", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(LINKS))),
+    FieldOfHeader("link", "B", "0: sensor, 1: actuator, 2: plant; with other nodes, the place in the list of links"),
     FieldOfHeader(
         "encoding",
         "B",

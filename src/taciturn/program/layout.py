@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Literal, NamedTuple
 
-from taciturn.model.policy import Acknowledged, Assign, Evaluate, Policy, Received
+from taciturn.model.places import is_acknowledged
+from taciturn.model.policy import Acknowledged, Policy, Received
 from taciturn.program.draws import UNIFORM
 from taciturn.program.names import Entry, Name, Option, Sent, StepCounter
 from taciturn.program.node import NodeProgram
@@ -91,7 +92,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     for link, signals in program.hears.items():
         payload = [Entry(signal, i, link) for signal in signals for i in range(sizes[signal])]
         place = len(names), len(payload), int(link in program.late)
-        arrivals.append(Arrival("data", link, program.lag[link], *place, _is_acknowledged(policy, link)))
+        arrivals.append(Arrival("data", link, program.lag[link], *place, is_acknowledged(policy, link)))
         names += [Received(link), *payload]
     for link in program.acknowledged:
         arrivals.append(Arrival("acknowledgement", link, 1, len(names), 0, 1, False))
@@ -125,9 +126,3 @@ def steps_of_a_fault(policy: Policy) -> int:
     """Return the number of steps after which the effect of a fault, which the theory excludes, is negligible."""
     horizon = None if policy.cost is None else policy.cost.horizon
     return ceil(FORGOTTEN * policy.theory.recovers) or horizon or NEVER
-
-
-def _is_acknowledged(policy: Policy, link: str) -> bool:
-    conditions = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
-    conditions += [place.on for place in policy.locations]
-    return any(isinstance(on, Acknowledged) and on.link == link for on in conditions)

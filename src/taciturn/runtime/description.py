@@ -11,9 +11,9 @@ import numpy as np
 
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
-from taciturn.model.places import place_of, roles
+from taciturn.model.places import place_of, roles, wire_links
 from taciturn.model.policy import Policy, Send
-from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, LINKS, OFFSETS, PERSON, TAG_SIZE, VERSION
+from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, OFFSETS, PERSON, TAG_SIZE, VERSION
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program, needed
 from taciturn.program.layout import lay_out
@@ -39,6 +39,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
         ProblemError: the nodes of the policy cannot be separated.
     """
     WIRED.check(network)
+    links = wire_links(policy)
     header: list[dict[str, object]] = []
     for entry in HEADER:
         size = struct.calcsize("!" + entry.code)
@@ -48,7 +49,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
     for (kind, link), (encoding, entries) in packet_shapes(policy, network).items():
         names = payloads[link] if kind == "data" else ()
         packets.append({
-            "kind": KINDS.index(kind), "link": LINKS.index(link), "encoding": list(CODES).index(encoding.name),
+            "kind": KINDS.index(kind), "link": links.index(link), "encoding": list(CODES).index(encoding.name),
             "entries": entries, "ranges": list(encoding.full_scale),
             "signals": [{"name": name, "size": policy.sizes[name]} for name in names],
         })  # fmt: skip
@@ -57,7 +58,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
         "seconds_per_step": policy.model.dt or policy.tick, "lossless": network.protocol == "ideal",
         "wire": {
             "version": VERSION, "byte_order": "big-endian", "header": header, "kinds": list(KINDS),
-            "links": list(LINKS), "encodings": list(CODES), "crc_bytes": CRC_SIZE, "tag_bytes": TAG_SIZE,
+            "links": list(links), "encodings": list(CODES), "crc_bytes": CRC_SIZE, "tag_bytes": TAG_SIZE,
             "tag_flag": AUTHENTICATED, "tag_person": PERSON.decode(), "steps_ahead": AHEAD, "window": WIDTH,
         },
         "packets": packets,
@@ -67,7 +68,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
 
 def _node(policy: Policy, network: Network, role: str, seed: int) -> dict[str, Any]:
     """Return the inputs, memories, packets and operations of a node."""
-    program = lower_node(policy, place_of(policy, role), network)
+    program, links = lower_node(policy, place_of(policy, role), network), wire_links(policy)
     layout = lay_out(policy, program)
     first = program.parts[0]
     words: list[int] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
@@ -81,7 +82,7 @@ def _node(policy: Policy, network: Network, role: str, seed: int) -> dict[str, A
         ],
         "receives": [
             {
-                "kind": KINDS.index(one.kind), "link": LINKS.index(one.link), "lag": one.lag, "input": one.at,
+                "kind": KINDS.index(one.kind), "link": links.index(one.link), "lag": one.lag, "input": one.at,
                 "entries": one.size, "part": one.part, "acknowledge": one.acknowledged,
             }
             for one in layout.arrivals
@@ -93,7 +94,7 @@ def _node(policy: Policy, network: Network, role: str, seed: int) -> dict[str, A
         "parts": [
             {"reads": list(wiring), **_steps(part)} for wiring, part in zip(layout.wiring, program.parts, strict=True)
         ],
-        "sends": [{"link": LINKS.index(one.link), "output": one.at, "entries": one.size} for one in layout.departures],
+        "sends": [{"link": links.index(one.link), "output": one.at, "entries": one.size} for one in layout.departures],
         "applies": None if layout.applied is None else {
             "output": layout.applied.start, "entries": layout.applied.stop - layout.applied.start,
         },

@@ -10,22 +10,23 @@ from __future__ import annotations
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from taciturn.errors import ProblemError
-from taciturn.model.wire import LINKS
 from taciturn.runtime.udp import is_loopback
 
 KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
 LOOKED = 1.0  # seconds between checks whether a key file has changed
+EVERY = ""  # name under which a key for all links is stored
 
 
 class Keys:
     """The keys of each link.
 
     Args:
-        links: keys by link; the first of a link authenticates the packets that are sent.
+        links: keys by link; the first of a link authenticates the packets that are sent. The keys of ``plant`` are also
+            those of the links ``plant/NODE``.
         source: origin of the keys, for messages.
 
     Raises:
@@ -40,6 +41,7 @@ class Keys:
     def __init__(self, links: Mapping[str, Iterable[bytes]], source: str = "the key") -> None:
         """Check the lengths of the keys."""
         self._links = {link: tuple(keys) for link, keys in links.items()}
+        self._source, self._used = source, dict[str, tuple[str, ...]]()
         for key in (key for keys in self._links.values() for key in keys):
             if not LEAST_KEY <= len(key) <= MOST_KEY:
                 raise ProblemError(
@@ -49,7 +51,7 @@ class Keys:
     @staticmethod
     def same(key: bytes) -> Keys:
         """Return one key for all links."""
-        return Keys(dict.fromkeys(LINKS, (key,)))
+        return Keys({EVERY: (key,)})
 
     @staticmethod
     def parse(text: str, source: str = "the text") -> Keys:
@@ -63,30 +65,38 @@ class Keys:
             if not line:
                 continue
             name, colon, digits = line.rpartition(":")
-            named = (name.strip(),) if colon else LINKS
-            if named[0] not in LINKS:
-                raise ProblemError(f"{source} names the link {named[0]!r}; expected one of {', '.join(LINKS)}")
-            if links.keys() & set(named):
+            link = name.strip() if colon else EVERY
+            if link in links or (links and EVERY in (link, *links)):
+                twice = f"two lines for {f'the {link} link' if link in links and link else 'a link'}"
                 raise ProblemError(
-                    f"{source} has two lines for the {(links.keys() & set(named)).pop()} link; expected all keys of a "
-                    "link on one line, separated by spaces"
+                    f"{source} has {twice}; expected all keys of a link on one line, separated by spaces"
                 )
-            links |= dict.fromkeys(named, tuple(_key(word, source) for word in digits.split()))
+            links[link] = tuple(_key(word, source) for word in digits.split())
         if not any(links.values()):
             raise ProblemError(f"{source} contains no key; expected hexadecimal digits: use `openssl rand -hex 32`")
         return Keys(links, source)
 
     def of(self, link: str) -> tuple[bytes, ...]:
         """Return the keys of a link; none if it has no key."""
-        return self._links.get(link, ())
+        return next((self._links[one] for one in (link, link.partition("/")[0], EVERY) if one in self._links), ())
+
+    def expect(self, links: Sequence[str]) -> None:
+        """Check that all keys belong to the links of a network.
+
+        Raises:
+            ProblemError: a key has the name of another link.
+        """
+        for link in self._links.keys() - {*links, EVERY}:
+            raise ProblemError(f"{self._source} names the link {link!r}; expected one of {', '.join(links)}")
 
     def check(self, role: str, links: Iterable[str]) -> None:
-        """Check that the process of a role has a key for each link that it uses.
+        """Check that the process of a role has a key for each link that it uses, now and after each change of the keys.
 
         Raises:
             ProblemError: a key is missing.
         """
-        for link in links:
+        self._used[role] = tuple(links)
+        for link in self._used[role]:
             if not self.of(link):
                 raise ProblemError(
                     f"the keys of the {role} contain none for the {link} link, which it uses; expected a line "
@@ -95,7 +105,8 @@ class Keys:
 
     def text(self) -> str:
         """Return the keys as text, for the environment of another process."""
-        return "\n".join(f"{link}: {' '.join(key.hex() for key in keys)}" for link, keys in self._links.items())
+        lines = {link: " ".join(key.hex() for key in keys) for link, keys in self._links.items()}
+        return "\n".join(f"{link}: {digits}" if link else digits for link, digits in lines.items())
 
     def renew(self) -> str | None:
         """Read the keys again if their file has changed, and return a message about it."""
@@ -137,7 +148,9 @@ class RenewedKeys(Keys, ABC):
         self._stamp = stamp
         try:
             links = self._read()
-            Keys(links).check("process", (link for link, keys in self._links.items() if keys))
+            former = [link for link, keys in self._links.items() if keys and link != EVERY]
+            for role, used in {"process": former, **self._used}.items():
+                Keys(links).check(role, used)
         except ProblemError as error:
             return f"{error}; the former keys remain in use"
         if dict(links) == self._links:

@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 from taciturn._arrays import count
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.places import receiver_of, roles
+from taciturn.model.places import receiver_of, roles, wire_links
 from taciturn.model.policy import Policy
-from taciturn.model.wire import HEADER, KINDS, LINKS
+from taciturn.model.wire import HEADER, KINDS
 
 NETWORK, PORT = "10.77.0", 9000  # network and port of every node, invisible to other machines
 NEEDED = (
@@ -191,8 +191,9 @@ class Namespaces:
     def _make(self) -> None:
         for name in self.names.values():
             _run("ip", "netns", "add", name)
+        devices = {place: f"to{i}" for i, place in enumerate(self.names)}  # Linux limits their names to 15 characters
         wires = [
-            f"link add {b} netns {self.names[a]} type veth peer name {a} netns {self.names[b]}"
+            f"link add {devices[b]} netns {self.names[a]} type veth peer name {devices[a]} netns {self.names[b]}"
             for a, b in combinations(self.names, 2)
         ]
         _run("ip", "-batch", "-", given="\n".join(wires))
@@ -200,32 +201,32 @@ class Namespaces:
         for place, name in self.names.items():
             lines = ["link set lo up"]
             for other in self.names.keys() - {place}:
-                lines += [f"addr add {hosts[place]} peer {hosts[other]} dev {other}", f"link set {other} up"]
+                lines += [f"addr add {hosts[place]} peer {hosts[other]} dev {devices[other]}"]
+                lines += [f"link set {devices[other]} up"]
             _run("ip", "-n", name, "-batch", "-", given="\n".join(lines))
         for link, loss in self.losses.items():
-            _run(*self.before(receiver_of(self.policy, link)), "nft", "-f", "-", given=_rules(link, loss))
+            _run(*self.before(receiver_of(self.policy, link)), "nft", "-f", "-", given=self._rules(link, loss))
+
+    def _rules(self, link: str, loss: KernelLoss) -> str:
+        """Return an nftables table that counts the data packets of a link and drops some of them."""
+        chosen = {"kind": KINDS.index("data"), "link": wire_links(self.policy).index(link)}
+        data = " ".join(f"{_field(name)} {value}" for name, value in chosen.items())
+        share = f"jhash {_field('sequence')} mod 1000 seed {loss.seed} < {loss.permille}"
+        share = "" if loss.permille == 1000 else share  # nftables rejects a condition that is always true
+        drop = f"{share} counter name {link}_dropped drop" if loss.permille else ""
+        return f"""table inet taciturn_{link} {{
+            counter {link}_seen {{ }}
+            counter {link}_dropped {{ }}
+            chain arriving {{
+                type filter hook input priority filter;
+                udp dport {PORT} {data} counter name {link}_seen {drop}
+            }}
+        }}"""
 
     def _clear(self) -> None:
         for name in self.names.values():
             if (_FOLDER / name).exists():
                 _remove(name)
-
-
-def _rules(link: str, loss: KernelLoss) -> str:
-    """Return an nftables table that counts the data packets of a link and drops some of them."""
-    chosen = {"kind": KINDS.index("data"), "link": LINKS.index(link)}
-    data = " ".join(f"{_field(name)} {value}" for name, value in chosen.items())
-    share = f"jhash {_field('sequence')} mod 1000 seed {loss.seed} < {loss.permille}"
-    share = "" if loss.permille == 1000 else share  # nftables rejects a condition that is always true
-    drop = f"{share} counter name {link}_dropped drop" if loss.permille else ""
-    return f"""table inet taciturn_{link} {{
-        counter {link}_seen {{ }}
-        counter {link}_dropped {{ }}
-        chain arriving {{
-            type filter hook input priority filter;
-            udp dport {PORT} {data} counter name {link}_seen {drop}
-        }}
-    }}"""
 
 
 def _field(name: str) -> str:

@@ -217,11 +217,6 @@ class Node:
         sent += self._advance(tick, y, draws)
         return Stepped(tuple(sent), self._output())
 
-    @property
-    def talks(self) -> bool:
-        """True if the node sends packets."""
-        return bool(self._layout.departures or self.acknowledges)
-
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
         """Return the marks, which report to all receivers that this node is running and has finished the step.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from taciturn.runtime.inbox import packet_of
@@ -12,8 +12,6 @@ from taciturn.runtime.reception import VALID
 from taciturn.runtime.service import QUIET, Port
 from taciturn.runtime.udp import Address
 
-PLANT = "plant"  # link between the nodes and the plant
-
 
 class Outbox:
     """The packets of the last steps of the nodes of a process, one node for each loop.
@@ -21,14 +19,13 @@ class Outbox:
     Args:
         wire: encoder of the packets.
         port: socket of the process.
-        peer: address that receives the packets for other nodes.
-        plant: address of the plant.
+        peers: address that receives the packets of each link.
         loops: number of nodes.
     """
 
-    def __init__(self, wire: Wire, port: Port, peer: Address | None, plant: Address | None, loops: int) -> None:
+    def __init__(self, wire: Wire, port: Port, peers: Mapping[str, Address], loops: int) -> None:
         """Start without packets."""
-        self._wire, self._port, self._peer, self._plant = wire, port, peer, plant
+        self._wire, self._port, self._peers = wire, port, peers
         # in lockstep a node may be one step ahead of its receiver, which then lacks the packets of two steps
         self._last = [deque[list[Packet]](maxlen=VALID) for _ in range(loops)]
         self.counters: Counter[str] = Counter()  # packets sent again, by kind and link
@@ -39,11 +36,9 @@ class Outbox:
         self._last[loop].append(packets)
 
     def send(self, packets: Sequence[Packet]) -> None:
-        """Send packets to the peer or to the plant."""
+        """Send packets to the other ends of their links."""
         for packet in packets:
-            to = self._plant if packet.link == PLANT else self._peer
-            assert to is not None
-            self._port.send(self._wire.encode(packet), to)
+            self._port.send(self._wire.encode(packet), self._peers[packet.link])
 
     def repeat(self, loop: int, now: float, link: str | None = None) -> None:
         """Send the packets of the last steps again, in their order: of one link, or of all links.

@@ -15,9 +15,10 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Self, TypeAlias
 
 from taciturn.errors import ProblemError
-from taciturn.model.coverage import NETWORKS, THREE, THREE_NODES, Coverage
+from taciturn.model.coverage import NETWORKS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
+from taciturn.model.places import plant_links, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.wire import (
     AUTHENTICATED,
@@ -30,7 +31,6 @@ from taciturn.model.wire import (
     HEADER_FORMAT,
     HEADER_SIZE,
     KINDS,
-    LINKS,
     PERSON,
     PROOFS,
     TAG_SIZE,
@@ -41,7 +41,7 @@ from taciturn.model.wire import (
 from taciturn.runtime.keys import Keys
 
 PacketDefect: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
-WIRED = Coverage(NETWORKS & THREE_NODES, "packets over UDP do not carry out", THREE)
+WIRED = Coverage(NETWORKS, "packets over UDP do not carry out")
 REFUSALS: tuple[PacketDefect, ...] = ("malformed", "corrupted", "foreign", "forged")
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
@@ -49,7 +49,6 @@ _NONCE = struct.Struct("!Q")
 _ENCODINGS = tuple(CODES)
 _DIRECTIONS = tuple((0, 1) if kind in EITHER else (int(kind in BACK),) for kind in KINDS)
 _KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
-_LINK_CODES = {link: code for code, link in enumerate(LINKS)}
 
 
 class Packet(NamedTuple):
@@ -59,7 +58,7 @@ class Packet(NamedTuple):
         kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), ``"challenge"`` or
             ``"answer"`` (proof that its sender is running), or, between plant and nodes, ``"measurement"`` or
             ``"input"``.
-        link: ``"sensor"``, ``"actuator"`` or ``"plant"``.
+        link: name of the link, or ``"plant"`` (``"plant/NODE"`` if several nodes measure or apply inputs).
         tick: number of the step that the packet belongs to.
         sequence: sequence number among the packets of this kind on this link.
         values: payload, as the receiver decodes it.
@@ -113,13 +112,18 @@ class Wire:
         network = policy.network if network is None else network
         WIRED.check(network)
         self.fingerprint = fingerprint(policy, network)
+        self.links: tuple[str, ...] = wire_links(policy)
+        self.plant = plant_links(policy)
         self.keys = Keys.same(key) if isinstance(key, bytes) else key
+        if self.keys is not None:
+            self.keys.expect(self.links)
+        self._codes = {link: code for code, link in enumerate(self.links)}
         others = {key: (Encoding(), number) for key, number in (entries or {}).items()}
         shapes = packet_shapes(policy, network) | others
         self._shapes = {
-            (_KIND_CODES[kind], _LINK_CODES[link]): _Shape(*shape) for (kind, link), shape in shapes.items()
+            (_KIND_CODES[kind], self._codes[link]): _Shape(*shape) for (kind, link), shape in shapes.items()
         }
-        self._links = {link for _, link in shapes}
+        self._used = {link for _, link in shapes}
 
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram.
@@ -129,7 +133,7 @@ class Wire:
         """
         if packet.kind in PROOFS:
             return self._write(packet, BYTES, 0, _NONCE.pack(packet.nonce))
-        kind, link = _KIND_CODES[packet.kind], _LINK_CODES[packet.link]
+        kind, link = _KIND_CODES[packet.kind], self._codes[packet.link]
         shape = self._shapes.get((kind, link))
         if shape is None or len(packet.values) != shape.entries or not all(map(math.isfinite, packet.values)):
             raise ProblemError(
@@ -160,9 +164,9 @@ class Wire:
             return found
         packet, coding, payload = found
         if packet.kind in PROOFS:
-            valid = coding == (BYTES, 0) and len(payload) == _NONCE.size and packet.link in self._links
+            valid = coding == (BYTES, 0) and len(payload) == _NONCE.size and packet.link in self._used
             return packet._replace(nonce=_NONCE.unpack(payload)[0]) if valid else "malformed"
-        shape = self._shapes.get((_KIND_CODES[packet.kind], _LINK_CODES[packet.link]))
+        shape = self._shapes.get((_KIND_CODES[packet.kind], self._codes[packet.link]))
         if shape is None or coding != (shape.code, shape.entries) or len(payload) != shape.size:
             return "malformed"
         values = shape.read(payload)
@@ -172,7 +176,7 @@ class Wire:
         """Return the datagram of a payload: header, payload, CRC and, with a key, the tag."""
         flag = 0 if self.keys is None else AUTHENTICATED
         datagram = _HEADER.pack(
-            packet.sequence, VERSION, _KIND_CODES[packet.kind], _LINK_CODES[packet.link], code | flag, packet.loop,
+            packet.sequence, VERSION, _KIND_CODES[packet.kind], self._codes[packet.link], code | flag, packet.loop,
             entries, packet.back or packet.kind in BACK, packet.epoch, packet.tick, self.fingerprint,
         ) + payload  # fmt: skip
         datagram += _CRC.pack(zlib.crc32(datagram))
@@ -191,19 +195,19 @@ class Wire:
             return "corrupted"
         if policy != self.fingerprint:
             return "foreign"
-        if self.keys is not None and not _is_signed(datagram, self.keys, link):
+        known = self.links[int(link)] if link < len(self.links) else None
+        if self.keys is not None and not _is_signed(datagram, self.keys.of(known) if known else ()):
             return "forged"
-        if kind >= len(KINDS) or link >= len(LINKS) or back not in _DIRECTIONS[kind]:
+        if kind >= len(KINDS) or known is None or back not in _DIRECTIONS[kind]:
             return "malformed"
-        packet = Packet(KINDS[kind], LINKS[link], tick, sequence, (), epoch, loop, KINDS[kind] in EITHER and back > 0)
+        packet = Packet(KINDS[kind], known, tick, sequence, (), epoch, loop, KINDS[kind] in EITHER and back > 0)
         return packet, (coded & ~AUTHENTICATED, entries), datagram[HEADER_SIZE:end]
 
 
-def _is_signed(datagram: bytes, keys: Keys, link: int) -> bool:
-    """Return whether the tag of a datagram is that of a key of its link."""
+def _is_signed(datagram: bytes, keys: Sequence[bytes]) -> bool:
+    """Return whether the tag of a datagram is that of one of the keys."""
     content, tag = datagram[:-TAG_SIZE], datagram[-TAG_SIZE:]
-    known = keys.of(LINKS[link]) if link < len(LINKS) else ()
-    return any(hmac.compare_digest(tag, _tag(content, key)) for key in known)
+    return any(hmac.compare_digest(tag, _tag(content, key)) for key in keys)
 
 
 def _tag(content: bytes, key: bytes) -> bytes:

@@ -16,7 +16,7 @@ from typing import Any
 
 from taciturn._ending import ENDED, GRACE, LIFELINE, at_once
 from taciturn.errors import ProblemError
-from taciturn.model.places import link_of, peer_of, place_of, receiver_of, role_at, roles, sender_of
+from taciturn.model.places import peers_of, plant_link, plant_links, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy, Send
 from taciturn.runtime.keys import KEY, Keys
 from taciturn.runtime.namespaces import Namespaces
@@ -211,22 +211,25 @@ class Processes:
             ]  # fmt: skip
         for role in self.roles:
             arguments = ["node", role, file, "--bind", self.addresses[role], *pace, *options]
-            peer = through.get(role, self.peer(role))
-            arguments += ["--peer", self.addresses[peer]] if peer else []
-            site = place_of(policy, role)
-            arguments += ["--plant", self.addresses["plant"]] if {"sensor", "actuator"} & site else []
+            for link, peer in self.peers(role).items():
+                arguments += ["--peer", f"{link}={self.addresses[through.get(role, peer)]}"]
+            arguments += ["--plant", self.addresses["plant"]] if plant_link(policy, role) else []
             if folder is not None:
                 arguments += ["--log", str(folder / f"{role}.jsonl")]
                 arguments += ["--state", str(folder / f"{role}.json")] if keeps else []
             self.commands[role] = arguments
         self.running: dict[str, Process] = {}
-        flow = ["sensor", through.get("sensor"), "relay sensor", "controller", "relay actuator", "actuator"]
+        flow: list[str] = []
+        for role in self.roles:  # in the order of a step: every process before the receivers of its packets
+            sent = [link for link in self.links if self.sender(link) == role]
+            flow += [role, *([through[role]] if role in through else []), *(f"relay {link}" for link in sent)]
         self._flow = [name for name in flow if name in names]
 
     @property
-    def measuring(self) -> str:
-        """Role of the node that receives the measurements."""
-        return role_at(self.policy, "sensor")
+    def measuring(self) -> dict[str, str]:
+        """Address of the node that receives the measurements, by link of the plant."""
+        ends = plant_links(self.policy).items()
+        return {link: self.addresses[one.measures] for link, one in ends if one.measures is not None}
 
     def start(self, *names: str) -> None:
         """Start processes by name (default: all), and wait until they listen.
@@ -272,12 +275,13 @@ class Processes:
         """Return the role of the node that receives on a link."""
         return receiver_of(self.policy, link)
 
-    def peer(self, role: str) -> str | None:
-        """Return the receiver of a node's packets: a relay, the next node, or the sender that it acknowledges."""
-        link = link_of(self.policy, role)
-        if link is not None and sender_of(self.policy, link) == role and self._namespaces is None:
-            return f"relay {link}"
-        return peer_of(self.policy, role)
+    def peers(self, role: str) -> dict[str, str]:
+        """Return the receiver of a node's packets on each link: a relay, or the sender that it acknowledges."""
+        relayed = self._namespaces is None
+        return {
+            link: f"relay {link}" if relayed and self.sender(link) == role else other
+            for link, other in peers_of(self.policy, role).items()
+        }
 
 
 def _ends_with_parent() -> dict[str, str]:

@@ -11,29 +11,28 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from taciturn.errors import ProblemError
+from taciturn.model.places import plant_link
 from taciturn.model.wire import EITHER
 from taciturn.runtime.clock import JUMPED, LATE, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE
 from taciturn.runtime.node import Node, Values
-from taciturn.runtime.outbox import PLANT, Outbox
+from taciturn.runtime.outbox import Outbox
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.reception import Reception
 from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, log_line, take_until
-from taciturn.runtime.udp import Address
+from taciturn.runtime.udp import Address, peers_by_link
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
-# default fraction of a step for which a node waits; the controller sends its packet to the actuator before its deadline
-WAIT = {"controller": 0.3, "actuator": 0.55}
 SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
 
@@ -44,7 +43,8 @@ class NodeServer:
         nodes: nodes, one per loop, in order.
         wire: encoder and decoder of the packets.
         endpoint: socket of the nodes.
-        peer: address that the nodes send packets to: the next node or a relay; None if they send no packets.
+        peer: address that the nodes send packets to, a node or a relay, for all links or by link; None if they send no
+            packets.
         plant: address of the plant; None if the nodes contain neither sensor nor actuator.
         tick: real seconds per step; default: lockstep.
         wait: fraction of a step for which a node waits for a packet of the step, in real time.
@@ -65,7 +65,7 @@ class NodeServer:
         wire: Wire,
         endpoint: Port,
         *,
-        peer: Address | None = None,
+        peer: Address | Mapping[str, Address] | None = None,
         plant: Address | None = None,
         tick: float | None = None,
         wait: float = 0.5,
@@ -84,26 +84,21 @@ class NodeServer:
                 f"--plant is missing, but the {first.role} exchanges packets with the plant; expected HOST:PORT of the "
                 "plant"
             )
-        if first.talks and peer is None:
-            raise ProblemError(
-                f"--peer is missing, but the {first.role} sends packets; expected HOST:PORT of their receiver"
-            )
-        if first.program.sends and first.acknowledges:
-            raise ProblemError(
-                f"the {first.role} sends packets on one link and acknowledges packets of another link, but a node has "
-                "only one peer; expected a policy that acknowledges at its actuator only"
-            )
+        peers = peers_by_link(f"the {first.role}", peer, [*first.program.sends, *first.acknowledges])
+        self._plant = plant_link(first.policy, first.role)
+        if self._plant is not None and plant is not None:
+            peers[self._plant] = plant
         self._tick, self._wait = tick, wait
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self.phase = Phase(tick or 1.0)
-        links = [*first.program.sends, *first.listens, *([] if plant is None else [PLANT])]
+        links = [*first.program.sends, *first.listens, *([] if self._plant is None else [self._plant])]
         self.reception = Reception(wire, endpoint, first.role, links, say, draw)
         self.refused = self.reception.refused
         self.arrived: Counter[str] = Counter()  # number of new data packets, by link
         self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
         self._measured = [Window() for _ in nodes]
-        self._outbox = Outbox(wire, endpoint, peer, plant, len(nodes))
+        self._outbox = Outbox(wire, endpoint, peers, len(nodes))
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._patience = (tick or 0.0) * (first.watchdog or 0)
@@ -188,7 +183,7 @@ class NodeServer:
         """Return whether a packet may be sorted; answer a challenge, and store the proof in an answer."""
         node = self.nodes[packet.loop]
         along = packet.link in node.program.sends  # whether the packets of this node travel along the link
-        sends = along or packet.link in node.acknowledges or (packet.link == PLANT and node.actuates)
+        sends = along or packet.link in node.acknowledges or (packet.link == self._plant and node.actuates)
         if packet.kind in EITHER and (packet.back != along or (packet.kind == "challenge" and not sends)):
             self.refused["misdirected"] += 1
             return False
@@ -199,7 +194,7 @@ class NodeServer:
         if packet.kind == "answer":
             if self.reception.accepts(packet):
                 node.inbox.forget(packet.link)
-                if packet.link == PLANT:
+                if packet.link == self._plant:
                     self._measured[packet.loop] = Window()
             return False
         return self.reception.admits(packet, sender)
@@ -207,10 +202,10 @@ class NodeServer:
     def _sort(self, packet: Packet, now: float) -> None:
         """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
         loop, node = packet.loop, self.nodes[packet.loop]
-        if packet.link == PLANT:
+        if packet.link in self.wire.plant:
             self._physical += 1
             news = self._measured[loop].admit(packet.epoch, packet.sequence)
-            if packet.kind != "measurement" or not node.measures:
+            if packet.kind != "measurement" or packet.link != self._plant or not node.measures:
                 self.refused["misplaced"] += 1
             elif news != "new":
                 self.refused[news] += 1
@@ -263,7 +258,7 @@ class NodeServer:
             out = list(packets)
             out += node.mark(0 if self._tick is None else self._heartbeat)
             if given is not None:
-                out.append(Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
+                out.append(self._input(node, tick, given))
             self._outbox.keep(loop, out)
             self._save(node)
             self._outbox.send(out)
@@ -335,10 +330,15 @@ class NodeServer:
                 self._report_silence(node)
             if given is not None:  # its number is before those of all later steps, whose inputs the plant prefers
                 tick = node.tick + 1
-                out = [Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)]
+                out = [self._input(node, tick, given)]
                 self._outbox.keep(node.loop, out)
                 self._outbox.send(out)
         self._expires = now + self._patience
+
+    def _input(self, node: Node, tick: int, given: Values) -> Packet:
+        """Return the packet that carries the input of a step to the plant."""
+        assert self._plant is not None, "a node that applies inputs has a link with the plant"
+        return Packet("input", self._plant, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)
 
     def _report_silence(self, node: Node) -> None:
         """Print why a node has received nothing usable."""

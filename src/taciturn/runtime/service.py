@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeAlias
 
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
+from taciturn.model.policy import Policy
 from taciturn.program.names import text_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet
@@ -22,6 +23,7 @@ Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
 IDLE = 0.25  # seconds between checks for a stop request
+WAIT = 0.3, 0.55  # default fractions of a step for which controller and actuators wait
 QUIET = 0.05  # seconds without datagrams after which no more are expected
 
 
@@ -115,6 +117,11 @@ class FileStorage:
     def write(self, state: bytes) -> None:
         """Write the file atomically."""
         write_whole(self._path, state)
+
+
+def usual_wait(policy: Policy, role: str) -> float:
+    """Return the fraction of a step for which a node waits; the controller sends before its receivers act."""
+    return WAIT[role != policy.network.controller]
 
 
 def drive(port: Port, turns: Turns) -> None:

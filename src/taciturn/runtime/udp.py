@@ -9,6 +9,7 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from taciturn.errors import ProblemError
@@ -37,6 +38,57 @@ def parse_address(name: str, text: str) -> Address:
         raise ProblemError(f"{name}: the host {host!r} is unknown ({error}); expected a name or an address") from None
     address = found[0][4]
     return str(address[0]), int(address[1])
+
+
+def parse_peers(name: str, given: Sequence[str] | None) -> Address | dict[str, Address] | None:
+    """Return one address, or the addresses by link of texts of the form ``LINK=HOST:PORT``; None if none are given.
+
+    Raises:
+        ProblemError: a link is given twice, several addresses have no link, or an address cannot be read.
+    """
+    if not given:
+        return None
+    if len(given) == 1 and "=" not in given[0]:
+        return parse_address(name, given[0])
+    found: dict[str, Address] = {}
+    for text in given:
+        link, equals, address = text.partition("=")
+        if not equals or link in found:
+            raise ProblemError(
+                f"{name} is {text!r}{' again' if equals else ''}; expected one LINK=HOST:PORT for each link"
+            )
+        found[link] = parse_address(f"{name} {link}", address)
+    return found
+
+
+def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, links: Sequence[str]) -> dict[str, Address]:
+    """Return the address of each link on which a process sends, from one address or from addresses by link.
+
+    Raises:
+        ProblemError: an address is missing, or belongs to no such link.
+    """
+    if given is None and links:
+        raise ProblemError(f"--peer is missing, but {name} sends packets; expected HOST:PORT of their receiver")
+    if not isinstance(given, Mapping):
+        if len(links) > 1:
+            raise ProblemError(
+                f"--peer is one address, but {name} sends on {len(links)} links; expected "
+                f"{', '.join(f'{link}=HOST:PORT' for link in links)}"
+            )
+        return {} if given is None else dict.fromkeys(links, given)
+    for link in [*given, *links]:
+        if link not in given or link not in links:
+            raise ProblemError(
+                f"--peer {'names' if link in given else 'has no address for'} the link {link!r}; expected the links "
+                f"on which {name} sends: {', '.join(links) or 'none'}"
+            )
+    return dict(given)
+
+
+def hosts_of(*places: Address | Mapping[str, Address] | None) -> list[str]:
+    """Return the hosts of addresses."""
+    found = [place.values() if isinstance(place, Mapping) else [place] for place in places if place is not None]
+    return [host for addresses in found for host, _ in addresses]
 
 
 def is_loopback(host: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from taciturn._arrays import Array
@@ -14,7 +14,7 @@ from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.reception import Reception
 from taciturn.runtime.relay import EmulatedLink
 from taciturn.runtime.service import IDLE, QUIET, Port, Say, Told, Turns, drive
-from taciturn.runtime.udp import Address
+from taciturn.runtime.udp import Address, peers_by_link
 from taciturn.runtime.window import Window
 
 WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's first and each further message
@@ -48,6 +48,27 @@ class Physical(Protocol):
         ...
 
 
+class _Inputs:
+    """The inputs that one process sends to a plant.
+
+    Args:
+        places: indices of these inputs among the inputs of the plant.
+    """
+
+    def __init__(self, places: Sequence[int]) -> None:
+        self.places, self.values = places, (0.0,) * len(places)
+        self.forget()
+
+    def forget(self) -> None:
+        """Hold the last values, and accept the packets of an epoch of any number."""
+        self.window, self.waiting = Window(), dict[int, Packet]()  # by step: a node may be one step ahead
+        self.given = -1, -1  # epoch and step number of the last packet that was applied
+
+    def apply(self, packet: Packet) -> None:
+        """Apply an input from now on."""
+        self.values, self.given = packet.values, (packet.epoch, packet.tick)
+
+
 class PlantServer:
     """A server for plants, which sends their measurements to the sensor and receives their inputs.
 
@@ -55,7 +76,7 @@ class PlantServer:
         plants: plants, one per loop, in order.
         wire: encoder and decoder of the packets.
         endpoint: socket that receives the inputs.
-        sensor: address that the measurements are sent to.
+        sensor: address of the node that receives the measurements, or the addresses by link of the plant.
         tick: real seconds per step; default: lockstep.
         told: function called with the log line of each step.
         say: function called with a message if no input arrives in lockstep, or if packets of another policy or key are
@@ -73,7 +94,7 @@ class PlantServer:
         plants: Sequence[Physical],
         wire: Wire,
         endpoint: Port,
-        sensor: Address,
+        sensor: Address | Mapping[str, Address] | None,
         *,
         tick: float | None = None,
         told: Told | None = None,
@@ -83,17 +104,16 @@ class PlantServer:
         draw: Callable[[], int] | None = None,
     ) -> None:
         """Start before the first step."""
-        self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
+        self.plants, self.wire, self.endpoint = plants, wire, endpoint
+        self._sensors = peers_by_link("the plant", sensor, [link for link, ends in wire.plant.items() if ends.outputs])
         self._tick, self._told, self._say = tick, told, say
-        self.inputs: list[Values] = [(0.0,) * plant.inputs for plant in plants]
-        self._given = [(-1, -1)] * len(plants)  # epoch and step number of the last input
-        self._waiting: list[dict[int, Packet]] = [{} for _ in plants]  # inputs by step: a node may be one step ahead
-        self._windows = [Window() for _ in plants]
+        applied = {link: ends.inputs for link, ends in wire.plant.items() if ends.inputs}
+        self._inputs = [{link: _Inputs(places) for link, places in applied.items()} for _ in plants]
         self._shift = 0  # number of the first step, which nodes that already run determine
         self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
         self.taken = 0  # inputs that were applied or stored for their step
         self.costs: list[list[float]] = [[] for _ in plants]
-        self.reception = Reception(wire, endpoint, "plant", ["plant"], say, draw)
+        self.reception = Reception(wire, endpoint, "plant", list(wire.plant), say, draw)
         self.refused = self.reception.refused
         self.largest = 0.0  # largest absolute entry of a state
         self.held = 0  # steps without a new input, in which the last input was held
@@ -120,9 +140,9 @@ class PlantServer:
             tick = self._now
             for loop, plant in enumerate(self.plants):
                 self._adopt(loop, tick)
-                before = plant.state
-                self.held += self._given[loop][1] < tick
-                self.costs[loop].append(plant.move(self.inputs[loop]))
+                before, given = plant.state, self.given(loop)
+                self.held += any(one.given[1] < tick for one in self._inputs[loop].values())
+                self.costs[loop].append(plant.move(given))
                 after = plant.state.tolist()
                 self.largest = max(self.largest, *map(abs, after))
                 if self._told is not None:
@@ -135,7 +155,7 @@ class PlantServer:
                     line |= {
                         "from": before.tolist(),
                         "x": after,
-                        "u": list(self.inputs[loop]),
+                        "u": list(given),
                         "cost": self.costs[loop][-1],
                     }
                     self._told(line)
@@ -154,24 +174,39 @@ class PlantServer:
             "datagrams": self.endpoint.counted,
         }
 
+    def given(self, loop: int) -> Values:
+        """Return the input that a plant has at present, (m,)."""
+        values = [0.0] * self.plants[loop].inputs
+        for one in self._inputs[loop].values():
+            for place, value in zip(one.places, one.values, strict=True):
+                values[place] = value
+        return tuple(values)
+
     def _measure(self, tick: int, again: bool = False) -> None:
-        """Send the measurements of a step; with ``again``, only those of loops whose input has not arrived."""
+        """Send the measurements of a step; with ``again``, only those of loops of which an input has not arrived."""
         for loop, plant in enumerate(self.plants):
-            if not again or tick not in self._waiting[loop]:
-                sequence = tick & 0xFFFFFFFF
-                packet = Packet("measurement", "plant", tick, sequence, plant.measurement, self._epoch, loop)
-                self.endpoint.send(self.wire.encode(packet), self.sensor)
+            if again and self._complete(loop, tick):
+                continue
+            for link, to in self._sensors.items():
+                y = tuple(plant.measurement[i] for i in self.wire.plant[link].outputs)
+                packet = Packet("measurement", link, tick, tick & 0xFFFFFFFF, y, self._epoch, loop)
+                self.endpoint.send(self.wire.encode(packet), to)
+
+    def _complete(self, loop: int, tick: int) -> bool:
+        """Return whether all inputs of a step have arrived."""
+        return all(tick in one.waiting for one in self._inputs[loop].values())
 
     def _adopt(self, loop: int, tick: int) -> None:
-        """Apply the input of a step from now on, if it has arrived and its sender has not started again since."""
-        packet = self._waiting[loop].pop(tick, None)
-        if packet is not None and (packet.epoch, packet.tick) > self._given[loop]:
-            self._apply(packet)
+        """Apply the inputs of a step from now on that have arrived and whose sender has not started again since."""
+        for one in self._inputs[loop].values():
+            packet = one.waiting.pop(tick, None)
+            if packet is not None and (packet.epoch, packet.tick) > one.given:
+                one.apply(packet)
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> Turns:
         """Wait for the inputs of a step; send the measurement again while no input arrives."""
         remind = self._clock() + WAITED
-        while any(tick not in waiting for waiting in self._waiting) and not stopped():
+        while not all(self._complete(loop, tick) for loop in range(len(self.plants))) and not stopped():
             found = yield self._clock() + IDLE
             self._take(found)
             if not found:
@@ -179,9 +214,9 @@ class PlantServer:
                 self._measure(tick, again=True)
             if self._say is not None and self._clock() >= remind:
                 remind += WAITED_AGAIN
-                host, port = self.sensor
+                behind = ", ".join(f"{host}:{port}" for host, port in self._sensors.values())
                 self._say(
-                    f"the plant still waits for the input of step {tick} from the nodes behind {host}:{port}: "
+                    f"the plant still waits for the input of step {tick} from the nodes behind {behind}: "
                     "are all nodes running, were they started after the last run ended, and do they use the same "
                     "problem file?"
                 )
@@ -200,25 +235,25 @@ class PlantServer:
 
     def _expects(self, packet: Packet) -> bool:
         """Return whether a packet is one that nodes send to the plant."""
-        return packet.link == "plant" and (packet.kind in BACK or (packet.kind in PROOFS and packet.back))
+        return packet.link in self.wire.plant and (packet.kind in BACK or (packet.kind in PROOFS and packet.back))
 
     def _admits(self, packet: Packet, sender: Address) -> bool:
         """Return whether an input may be sorted; answer a challenge, and store the proof in an answer."""
         if packet.kind == "challenge":
-            self.endpoint.send(self.wire.encode(self.reception.answer(packet, self._epoch, self._now)), self.sensor)
+            answer = self.reception.answer(packet, self._epoch, self._now)
+            self.endpoint.send(self.wire.encode(answer), self._sensors[packet.link])
             self._measure(self._now, again=True)
             return False
         if packet.kind == "answer":
             if self.reception.accepts(packet):
-                self._windows[packet.loop] = Window()
-                self._waiting[packet.loop].clear()
-                self._given[packet.loop] = (-1, -1)
+                self._inputs[packet.loop][packet.link].forget()
             return False
         return self.reception.admits(packet, sender)
 
     def _sort(self, packet: Packet) -> None:
         """Store an input for its step; apply a late input immediately unless a later one has been applied."""
-        loop, news = packet.loop, self._windows[packet.loop].admit(packet.epoch, packet.sequence)
+        one = self._inputs[packet.loop][packet.link]
+        news = one.window.admit(packet.epoch, packet.sequence)
         if self._tick is not None and not self.taken and news == "new" and packet.tick > self._now + 1:
             self._now = packet.tick  # the nodes run already, and this plant has started again
         if news != "new":
@@ -226,17 +261,13 @@ class PlantServer:
         elif packet.tick > self._now + AHEAD:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:
-            self._waiting[loop][packet.tick] = packet
+            one.waiting[packet.tick] = packet
             self.taken += 1
-        elif (packet.epoch, packet.tick) > self._given[loop]:
-            self._apply(packet)
+        elif (packet.epoch, packet.tick) > one.given:
+            one.apply(packet)
             self.taken += 1
         else:
             self.refused["late"] += 1
-
-    def _apply(self, packet: Packet) -> None:
-        """Apply an input from now on."""
-        self.inputs[packet.loop], self._given[packet.loop] = packet.values, (packet.epoch, packet.tick)
 
 
 def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ def export_c(
         problem: from ``load`` or ``Problem``.
         folder: target folder; it is created if necessary, and the files of an earlier export are replaced.
         name: prefix of the names in C.
-        nodes: nodes to export, of ``"sensor"``, ``"controller"``, ``"actuator"``; default: all.
+        nodes: names of the nodes to export; default: all.
         precision: floating-point precision: ``"float64"``, or ``"float32"`` if a simulation shows that it is
             sufficient.
         seed: seed of the random draws of the policy and of the self-check.

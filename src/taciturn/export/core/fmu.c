@@ -155,13 +155,13 @@ static const char *check_step(fmu_unit *unit, double time, double step) {
 const char *fmu_step(fmu_unit *unit, double time, double step) {
   fmu_state *state = &unit->state;
   tac_real measured[FMU_MEASURED];
-  const tac_real *applied;
+  tac_real applied[FMU_APPLIED];
   const char *refusal = check_step(unit, time, step);
   if (refusal != NULL) {
     return refusal;
   }
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
-    measured[i] = (tac_real)state->measured[i];
+    measured[i] = (tac_real)state->measured[fmu_outputs[i]];
   }
   if (tac_exchange_step(&state->exchange, state->tick, measured, NULL, state->lost, state->sent) <
       state->exchange.count) {
@@ -171,9 +171,9 @@ const char *fmu_step(fmu_unit *unit, double time, double step) {
   for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     state->sends[link] += state->sent[link] ? 1U : 0U;
   }
-  applied = tac_exchange_input(&state->exchange);
-  for (unsigned i = 0U; applied != NULL && i < (unsigned)FMU_APPLIED; i++) {
-    state->applied[i] = (double)applied[i];
+  tac_exchange_inputs(&state->exchange, applied);
+  for (unsigned i = 0U; i < (unsigned)FMU_APPLIED; i++) {
+    state->applied[fmu_inputs[i]] = (double)applied[i];
   }
   state->tick++;
   state->time = time + step;
@@ -224,7 +224,7 @@ void fmu_save(const fmu_unit *unit, fmu_saved *saved) {
 }
 
 const char *fmu_restore(fmu_unit *unit, const fmu_saved *saved) {
-  tac_node *nodes[TAC_NODES] = {NULL, NULL, NULL};
+  tac_node *nodes[TAC_NODES];
   tac_node own[TAC_NODES];
   size_t count = unit->state.exchange.count;
   if (saved->stamp != FMU_STAMP) {

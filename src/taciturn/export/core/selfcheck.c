@@ -20,8 +20,10 @@ static bool step(uint64_t tick, const tac_real *row)
   const tac_real *arrived = drawn + selfcheck_drawn;
   const tac_real *expected = arrived + selfcheck_link_count;
   const tac_real *applied = expected + selfcheck_link_count;
-  bool lost[TAC_LINKS] = {false, false};
+  bool lost[TAC_LINKS];
   bool sent[TAC_LINKS];
+  tac_real input[NUMBERS];
+  memset(lost, 0, sizeof lost);
   for (size_t i = 0; i < selfcheck_link_count; ++i) {
     lost[selfcheck_links[i]] = !(arrived[i] > 0);
   }
@@ -30,11 +32,13 @@ static bool step(uint64_t tick, const tac_real *row)
     printf("step %lu: the %s does not continue\n", (unsigned long)tick, selfcheck_nodes[done].name);
     return false;
   }
-  const tac_real *input = tac_exchange_input(&exchange);
-  if ((input != NULL) && (memcmp(input, applied, selfcheck_applied * sizeof *input) != 0)) {
-    printf("step %lu: the input of the plant is %.17g; expected %.17g\n", (unsigned long)tick, (double)input[0],
-           (double)applied[0]);
-    return false;
+  tac_exchange_inputs(&exchange, input);
+  for (size_t i = 0; i < selfcheck_applied; ++i) {
+    if (memcmp(&input[i], &applied[i], sizeof input[i]) != 0) {
+      printf("step %lu: the input of the plant is %.17g; expected %.17g\n", (unsigned long)tick, (double)input[i],
+             (double)applied[i]);
+      return false;
+    }
   }
   for (size_t i = 0; i < selfcheck_link_count; ++i) {
     const bool used = sent[selfcheck_links[i]];

@@ -60,7 +60,6 @@ typedef struct {
   uint16_t at;
 } tac_channel_data;
 
-enum { TAC_SENDS = 2 }; /* largest number of packets that a node sends per step, which is the number of links */
 #define TAC_NO_MARKS UINT32_MAX
 #define TAC_FORMAT 2U /* version of the generated data and of saved states */
 
@@ -179,7 +178,7 @@ typedef struct {
   uint32_t *sequences;     /* sequence number of the next packet of each send */
   uint16_t *places;        /* values of the counters of the policy */
   uint64_t generator[4];
-  tac_key keys[TAC_SENDS][2]; /* by link: the key in use, and a further key that is accepted */
+  tac_key keys[TAC_LINKS][2]; /* by link: the key in use, and a further key that is accepted */
   const tac_real *safe_input; /* input after the watchdog expires; NULL: the last input */
   uint32_t watchdog;          /* time-out of the watchdog in steps; 0: no watchdog */
   uint64_t tick;           /* last step */
@@ -189,12 +188,12 @@ typedef struct {
   tac_counters counters;
   uint32_t epoch;
   uint32_t mark_after; /* steps without a packet on a link after which a mark is sent; 0: in every step */
-  tac_marks marks[TAC_SENDS]; /* by link */
-  tac_proof proofs[TAC_SENDS];
+  tac_marks marks[TAC_LINKS]; /* by link */
+  tac_proof proofs[TAC_LINKS];
   uint32_t challenges; /* challenges so far, from which the nonces are computed */
   uint16_t loop;
-  tac_packet sending[TAC_SENDS]; /* the newest packet of each send */
-  uint8_t pending;               /* bit i: the packet of send i is not sent yet */
+  tac_packet sending[TAC_LINKS]; /* the newest packet of each send */
+  uint32_t pending;              /* bit i: the packet of send i is not sent yet */
   uint64_t dated; /* step number in the newest received data or mark, plus one, for a clock */
   bool begun;
   bool unheard; /* whether tac_expire was called after the last packet */
@@ -209,9 +208,9 @@ bool tac_check(const tac_node_data *data);
  * that of all links. The generated function that calls this function sets the pointers of the node. */
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 
-/* Set the key of a link, TAC_SENSOR_LINK or TAC_ACTUATOR_LINK, also while the node runs: `key` authenticates the
- * packets that the node sends, and packets with `key` or `other` are accepted. To change a key without a stop, let
- * all nodes accept the new key first, then use it, then accept it alone. `other` may be {NULL, 0}. */
+/* Set the key of a link by its number (of three nodes: TAC_SENSOR_LINK or TAC_ACTUATOR_LINK), also while the node runs:
+ * `key` authenticates the packets that the node sends, and packets with `key` or `other` are accepted. To change a key
+ * without a stop, let all nodes accept the new key first, then use it, then accept it alone. `other` may be {NULL, 0}. */
 void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
 
 /* Set the watchdog: after `ticks` steps without a packet, the node is degraded, and the input is `safe_input`, or the

@@ -39,35 +39,49 @@ static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, bo
   return true;
 }
 
+/* Return whether a node has a key of any link. */
+static bool has_key(const tac_node *node) {
+  bool found = false;
+  for (size_t link = 0U; link < (size_t)TAC_LINKS; link++) {
+    found = found || node->keys[link][0].bytes != NULL;
+  }
+  return found;
+}
+
 size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
                          const bool *lost, bool *sent) {
+  size_t measured = 0U;
   size_t i = 0U;
   for (size_t link = 0U; link < (size_t)TAC_LINKS; link++) {
     sent[link] = false;
   }
   for (; i < exchange->count; i++) {
     tac_node *node = exchange->nodes[i];
-    if (node->keys[TAC_SENSOR_LINK][0].bytes != NULL || node->keys[TAC_ACTUATOR_LINK][0].bytes != NULL) {
+    if (has_key(node)) {
       break; /* nobody can read or change what one process keeps, and challenges would take further steps */
     }
     for (size_t k = 0U; k < exchange->waiting[i]; k++) {
       (void)tac_receive(node, exchange->boxes[i][k].bytes, exchange->boxes[i][k].size);
     }
     exchange->waiting[i] = 0U;
-    if (!tac_step(node, tick, measurement, (node->data->drawn_count > 0U) ? drawn : NULL) ||
+    if (!tac_step(node, tick, &measurement[measured], (node->data->drawn_count > 0U) ? drawn : NULL) ||
         !deliver(exchange, node, lost, sent)) {
       break;
     }
+    measured += node->data->measurement_count;
   }
   return i;
 }
 
-const tac_real *tac_exchange_input(const tac_exchange *exchange) {
-  const tac_real *input = NULL;
-  for (size_t i = 0U; input == NULL && i < exchange->count; i++) {
-    input = tac_input(exchange->nodes[i]);
+void tac_exchange_inputs(const tac_exchange *exchange, tac_real *inputs) {
+  size_t at = 0U;
+  for (size_t i = 0U; i < exchange->count; i++) {
+    const tac_real *input = tac_input(exchange->nodes[i]);
+    for (size_t k = 0U; input != NULL && k < exchange->nodes[i]->data->applied_count; k++) {
+      inputs[at] = input[k];
+      at++;
+    }
   }
-  return input;
 }
 
 bool tac_exchange_degraded(const tac_exchange *exchange) {

@@ -5,7 +5,7 @@
 
 #include "taciturn.h"
 
-enum { TAC_NODES = 3, TAC_LINKS = 2, TAC_BOX = 8 }; /* nodes, links between them, datagrams that wait for a node */
+enum { TAC_NODES = TAC_LINKS + 1, TAC_BOX = (2 * TAC_LINKS) + 4 }; /* nodes, datagrams that wait for a node */
 
 typedef struct {
   uint8_t bytes[TAC_DATAGRAM];
@@ -21,14 +21,15 @@ typedef struct {
 } tac_exchange;
 
 /* Execute a step of nodes, which have no keys, as nobody else can reach the nodes of one process: each node in turn
- * receives its datagrams, steps, and sends. `drawn` replaces the random draws of the nodes, unless it is NULL. For
- * each link, `lost` is whether a packet sent in this step is dropped; `sent` is set to whether a packet was sent.
- * Return the index of the node that did not execute the step, or `count` if all did. */
+ * receives its datagrams, steps, and sends. `measurement` holds those of all nodes, in the order of the nodes. `drawn`
+ * replaces the random draws of the nodes, unless it is NULL. For each link, `lost` is whether a packet sent in this
+ * step is dropped; `sent` is set to whether a packet was sent. Return the index of the node that did not execute the
+ * step, or `count` if all did. */
 size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
                          const bool *lost, bool *sent);
 
-/* Return the plant input from the node that contains the actuator, or NULL if there is no such node. */
-const tac_real *tac_exchange_input(const tac_exchange *exchange);
+/* Write the inputs of the plant from all nodes that apply some, in the order of the nodes. */
+void tac_exchange_inputs(const tac_exchange *exchange, tac_real *inputs);
 
 /* Return whether any node is degraded. */
 bool tac_exchange_degraded(const tac_exchange *exchange);

@@ -211,10 +211,10 @@ static void count_refusal(tac_counters *counters, tac_verdict verdict) {
  * expected, but no tag is correct. */
 static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t size, tac_packet *packet) {
   unsigned link = (size > (size_t)LINK_AT) ? datagram[LINK_AT] : 0U;
-  const tac_key *keys = node->keys[(link < (unsigned)TAC_SENDS) ? link : 0U];
+  const tac_key *keys = node->keys[(link < (unsigned)TAC_LINKS) ? link : 0U];
   bool has_key = keys[0].bytes != NULL;
   tac_verdict verdict;
-  for (unsigned i = 0U; !has_key && keys[0].bytes == NULL && i < (unsigned)TAC_SENDS; i++) {
+  for (unsigned i = 0U; !has_key && keys[0].bytes == NULL && i < (unsigned)TAC_LINKS; i++) {
     keys = node->keys[i];
   }
   verdict = tac_decode(&node->data->wire, keys[0], datagram, size, packet);

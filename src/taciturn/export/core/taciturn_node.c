@@ -98,7 +98,7 @@ static void put_outputs(tac_node *node) {
       packet->tick = node->tick;
       node->marks[packet->link].sent = tac_count_ticks(node);
       copy(packet->values, &node->outputs[data->sends[i].at + 1U], packet->entries);
-      node->pending = (uint8_t)(node->pending | (1U << i));
+      node->pending |= UINT32_C(1) << i;
     }
   }
   if (!are_finite(node->memory, data->memory_count) || !are_finite(node->outputs, data->output_count)) {
@@ -217,7 +217,7 @@ void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
 
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   const tac_node_data *data = node->data;
-  for (unsigned link = 0U; link < (unsigned)TAC_SENDS; link++) {
+  for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     const tac_key none = {NULL, 0U};
     tac_set_keys(node, (uint8_t)link, key, none);
   }

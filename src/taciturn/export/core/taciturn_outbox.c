@@ -12,7 +12,7 @@ static void begin_epoch(tac_node *node) {
   for (unsigned i = 0U; i < node->data->channel_count; i++) {
     node->channels[i].told_sequence = 0U;
   }
-  for (unsigned link = 0U; link < (unsigned)TAC_SENDS; link++) {
+  for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     node->marks[link].sequence = 0U;
   }
 }
@@ -88,12 +88,12 @@ size_t tac_send(tac_node *node, uint8_t *datagram) {
     }
   }
   for (unsigned i = 0U; size == 0U && i < node->data->send_count; i++) {
-    if ((node->pending & (1U << i)) != 0U) {
-      node->pending = (uint8_t)(node->pending & ~(1U << i));
+    if ((node->pending & (UINT32_C(1) << i)) != 0U) {
+      node->pending &= ~(UINT32_C(1) << i);
       size = hand_out(node, &node->sending[i], &node->sequences[i], datagram);
     }
   }
-  for (unsigned link = 0U; size == 0U && link < (unsigned)TAC_SENDS; link++) {
+  for (unsigned link = 0U; size == 0U && link < (unsigned)TAC_LINKS; link++) {
     size = mark(node, (uint8_t)link, datagram);
   }
   return size;

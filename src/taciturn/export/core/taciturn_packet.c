@@ -5,7 +5,7 @@
 #include "taciturn_parts.h"
 
 enum { HEADER_SIZE = 32, CRC_SIZE = 4, TAG_SIZE = 16, LEAST_KEY = 16, MOST_KEY = 32 };
-enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 7, LINKS = 3, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
+enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 7, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
 enum { AT_SEQUENCE = 0, AT_VERSION = 4, AT_KIND = 5, AT_LINK = 6, AT_ENCODING = 7, AT_LOOP = 8, AT_ENTRIES = 10 };
 enum { AT_DIRECTION = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
 
@@ -224,7 +224,7 @@ static tac_verdict check(const tac_wire *wire, tac_key key, const uint8_t *datag
   if (authenticated && !has_tag(key, datagram, end + (size_t)CRC_SIZE)) {
     return TAC_FORGED;
   }
-  if (datagram[AT_KIND] >= (uint8_t)KINDS || datagram[AT_LINK] >= (uint8_t)LINKS || datagram[AT_DIRECTION] > 1U ||
+  if (datagram[AT_KIND] >= (uint8_t)KINDS || datagram[AT_DIRECTION] > 1U ||
       (!has_both(datagram[AT_KIND]) && (datagram[AT_DIRECTION] == 1U) != is_backward(datagram[AT_KIND]))) {
     return TAC_MALFORMED;
   }

@@ -7,7 +7,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING, TAC_SIZED */
+#include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_LINKS, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING, TAC_SIZED */
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16 /* 16: only _Float16 differs */
 #error "numbers are computed in more digits than they have; expected -msse2 -mfpmath=sse, or -ffloat-store's like"
@@ -41,7 +41,7 @@ typedef double tac_real;
 #endif
 
 enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_CHALLENGE, TAC_ANSWER };
-enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links */
+enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links of three nodes */
 enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
 typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
 

@@ -63,7 +63,7 @@ static void accept_answer(tac_node *node, unsigned i, const tac_packet *packet) 
 
 void tac_take_proof(tac_node *node, const tac_packet *packet) {
   node->counters.proofs++;
-  if (packet->loop != node->loop || packet->link >= (uint8_t)TAC_SENDS ||
+  if (packet->loop != node->loop || packet->link >= (uint8_t)TAC_LINKS ||
       node->keys[packet->link][0].bytes == NULL) {
     return;
   }
@@ -152,7 +152,7 @@ static size_t send_data_again(tac_node *node, uint8_t link, uint8_t *datagram) {
   size_t size = 0U;
   for (unsigned i = 0U; size == 0U && i < node->data->send_count; i++) {
     tac_packet *packet = &node->sending[i];
-    bool sent = node->sequences[i] > 0U && (node->pending & (1U << i)) == 0U;
+    bool sent = node->sequences[i] > 0U && (node->pending & (UINT32_C(1) << i)) == 0U;
     if (node->data->sends[i].link == link && sent && is_valid(node, packet->tick)) {
       size = write_packet(node, packet, link, datagram);
     }
@@ -190,7 +190,7 @@ static size_t send_next(tac_node *node, uint8_t link, uint8_t *datagram) {
 
 size_t tac_send_proof(tac_node *node, uint8_t *datagram) {
   size_t size = 0U;
-  for (unsigned link = 0U; size == 0U && link < (unsigned)TAC_SENDS; link++) {
+  for (unsigned link = 0U; size == 0U && link < (unsigned)TAC_LINKS; link++) {
     size = send_next(node, (uint8_t)link, datagram);
   }
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {

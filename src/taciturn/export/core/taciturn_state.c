@@ -197,7 +197,7 @@ static void pass_sends(cursor *c, tac_node *node) {
     pass_word(c, &node->sequences[i]);
     pass_packet(c, node, &node->sending[i], (uint8_t)TAC_DATA, data->sends[i].link, data->sends[i].entries);
   }
-  for (unsigned link = 0U; link < (unsigned)TAC_SENDS; link++) {
+  for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     pass_long(c, &node->marks[link].sent);
     pass_long(c, &node->marks[link].marked);
     pass_word(c, &node->marks[link].sequence);
@@ -206,7 +206,8 @@ static void pass_sends(cursor *c, tac_node *node) {
     pass_truth(c, &node->proofs[link].answers);
     node->proofs[link].again = (uint8_t)pass(c, node->proofs[link].again, 1U, 3U);
   }
-  node->pending = (uint8_t)pass(c, node->pending, 1U, (1U << data->send_count) - 1U);
+  node->pending =
+      (uint32_t)pass(c, node->pending, (data->send_count > 8U) ? 4U : 1U, (UINT32_C(1) << data->send_count) - 1U);
 }
 
 /* Handle all fields of the state of a node. */

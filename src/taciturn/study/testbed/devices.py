@@ -19,18 +19,15 @@ from typing import Any, cast
 import taciturn.export
 from taciturn.errors import ProblemError
 from taciturn.export.folder import CORE
-from taciturn.export.node import print_node
+from taciturn.export.node import CoreSizes, print_node
 from taciturn.loop import Loop
 from taciturn.model.network import Network
-from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
 from taciturn.model.policy import Policy
-from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, LINKS, OFFSETS, TAG_SIZE
-from taciturn.program.ops import Precision
+from taciturn.model.wire import OFFSETS
 from taciturn.runtime.inbox import Inbox
 from taciturn.runtime.keys import Keys
 from taciturn.runtime.node import Node, Safe, Stepped, Values
-from taciturn.runtime.outbox import PLANT
 from taciturn.runtime.packet import REFUSALS, Packet, Wire
 from taciturn.runtime.serve import NodeServer
 from taciturn.runtime.udp import Address
@@ -44,7 +41,6 @@ COUNTERS = (
     *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated",
 )  # fmt: skip
 DROPPED = ("misdirected", "duplicate", "replayed", "ahead", "unproven", "proofs", *REFUSALS)
-ON_NODES = LINKS[:2]  # links between nodes
 ACCESS = """
 #include "device.h"
 size_t shim_size(void) { return sizeof(device); }
@@ -84,21 +80,6 @@ class Key(c.Structure):
     _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
 
 
-def sizes_header(entries: int, waiting: int, precision: Precision = "float64") -> str:
-    """Return a ``taciturn_config.h`` whose function names have no suffix, for libraries that are loaded.
-
-    Args:
-        entries: entries of the largest packet.
-        waiting: early packets of each link that a node stores.
-        precision: precision of the numbers.
-    """
-    sizes = {
-        "TAC_FLOAT32": int(precision == "float32"), "TAC_VALUES": max(1, entries), "TAC_WAITING": waiting,
-        "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE, "TAC_SIZED(name)": "name",
-    }  # fmt: skip
-    return "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-
-
 class DeviceCode:
     """The C code of a node, compiled and loaded, with the memory of one device.
 
@@ -118,12 +99,11 @@ class DeviceCode:
         if compiler is None:
             raise NoCompilerError("there is no C compiler `cc`; expected one, to run nodes in C")
         found = print_node(policy, role, network, "device")
-        entries = max(1, *(entries for _, entries in packet_shapes(policy, network).values()))
         texts = {name: (FOLDER / name).read_text(encoding="ascii") for name in CORE}
         for old, new in (core or {}).items():
             assert any(old in text for text in texts.values()), old
             texts = {name: text.replace(old, new) for name, text in texts.items()}
-        texts["taciturn_config.h"] = sizes_header(entries, WAITING)
+        texts["taciturn_config.h"] = CoreSizes.of(policy, network, WAITING, "float64").text("", named=False)
         texts |= {"device.h": found.header, "device.c": found.source, "access.c": ACCESS}
         with TemporaryDirectory() as folder:
             for name, text in texts.items():
@@ -204,8 +184,8 @@ class DeviceNode(Node):
 
     def set_keys(self, keys: Keys) -> None:
         """Give the keys of the links between nodes to the device, if they have changed."""
-        for code, link in enumerate(ON_NODES):
-            found = keys.of(link)
+        for code, link in enumerate(self.wire.links):
+            found = () if link in self.wire.plant else keys.of(link)
             if found and found != self._keys.get(link):
                 self._keys[link] = found
                 first, other = [Key(key, len(key)) for key in found] + [Key(None, 0)] * (2 - len(found))
@@ -228,7 +208,7 @@ class DeviceNode(Node):
 
     def settled(self, link: str, tick: int) -> bool:
         """Return whether the packet of a step has arrived or will not be sent."""
-        return self._code.shim_settled(self._self, c.c_uint8(ON_NODES.index(link)), c.c_uint64(tick))
+        return self._code.shim_settled(self._self, c.c_uint8(self.wire.links.index(link)), c.c_uint64(tick))
 
     def receive(self, datagram: bytes) -> str:
         """Give a datagram to the device, and return the counter of what became of it; ``waiting`` if it is usable."""
@@ -305,7 +285,7 @@ class DeviceNode(Node):
         if not self.actuates:
             return None
         found = self._code.tac_input(self._self)
-        return tuple((c.c_double * self.policy.model.inputs).from_address(found))
+        return tuple((c.c_double * self._applied).from_address(found))
 
     def _count(self) -> None:
         found = (c.c_uint32 * len(COUNTERS)).from_address(self._code.shim_counters(self._self))[:]
@@ -321,13 +301,13 @@ class DeviceServer(NodeServer):
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Give the datagrams of other nodes to the device, and those of the plant to this server."""
         received = list(zip(datagrams, self.endpoint.senders, strict=True))
-        touched = self._take_from(pair for pair in received if _is_physical(pair[0]))
+        touched = self._take_from(pair for pair in received if self._is_physical(pair[0]))
         node = self._device
         node.wire = self.wire
         if self.wire.keys is not None:
             node.set_keys(self.wire.keys)  # which may just have changed
         for datagram, sender in received:
-            if not _is_physical(datagram):
+            if not self._is_physical(datagram):
                 self._give(datagram, sender)
         return touched
 
@@ -348,10 +328,9 @@ class DeviceServer(NodeServer):
             else:
                 self._outbox.send([answer])
 
-
-def _is_physical(datagram: bytes) -> bool:
-    """Return whether a datagram is exchanged with the plant."""
-    return datagram[OFFSETS["link"]] == LINKS.index(PLANT)
+    def _is_physical(self, datagram: bytes) -> bool:
+        """Return whether a datagram is exchanged with the plant."""
+        return datagram[OFFSETS["link"]] in {self.wire.links.index(link) for link in self.wire.plant}
 
 
 @lru_cache(maxsize=8)

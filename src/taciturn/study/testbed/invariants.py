@@ -11,6 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+from taciturn.model.places import PlantLink, plant_link
 from taciturn.model.wire import PROOFS
 from taciturn.runtime.clock import JUMPED
 from taciturn.runtime.node import Node, Values
@@ -92,6 +93,7 @@ class Monitor:
         patience: steps by which a node may report its silence later.
         zero: whether the safe input is 0.
         keyed: whether the processes have keys.
+        plant: the links between the plant and the nodes.
     """
 
     def __init__(
@@ -102,8 +104,10 @@ class Monitor:
         patience: int,
         zero: bool = False,
         keyed: bool = False,
+        plant: Mapping[str, PlantLink] | None = None,
     ) -> None:
         """Start without processes."""
+        self._plant = plant or {}
         self._zero, self._keyed = zero, keyed
         self._step, self._watchdog, self._heartbeat, self._patience = step, watchdog, heartbeat, patience
         self.lives: dict[str, Life] = {}
@@ -111,9 +115,9 @@ class Monitor:
         self._forged = 0  # forged datagrams that the plant was sent
         self._nonces: dict[tuple[str, str], list[int]] = defaultdict(list)  # of challenges, by sender and link
         self._sent: dict[tuple[str, str, Values], list[Order]] = defaultdict(list)
-        self._last: dict[tuple[str, int], int] = {}  # last step with a packet, by link and epoch of its sender
+        self._last: dict[tuple[str, str, int], int] = {}  # last step with a packet, by sender, link and epoch
         self._numbered: dict[tuple[str, str, str, int, int], Packet] = {}  # by sender, kind, link, epoch and sequence
-        self._applied = BEFORE
+        self._applied: dict[str, Order] = {}  # by link of the plant
         self.data: dict[str, list[tuple[int, Values]]] = defaultdict(list)  # step and payload of the data, by link
         self.used: dict[str, dict[Values, int]] = defaultdict(dict)  # step that has read a payload, by link
         self.snapshots: dict[int, dict[Entry, float]] = defaultdict(dict)
@@ -150,7 +154,7 @@ class Monitor:
             if order in known:
                 return  # again, after a challenge
             bisect.insort(known, order)
-        if packet.link == "plant":
+        if packet.link in self._plant:
             life = self.lives.get(role)
             if packet.kind == "input" and self._zero and life is not None and life.node.silent and any(packet.values):
                 self.fail(f"the {role} is silent, but sends the input {list(packet.values)}; expected the safe input 0")
@@ -163,13 +167,13 @@ class Monitor:
             self._numbered[number] = packet
             if packet.kind == "data":
                 self.data[packet.link].append((packet.tick, packet.values))
-            last = self._last.get((packet.link, packet.epoch))
+            last = self._last.get((role, packet.link, packet.epoch))
             if packet.kind == "mark" and last is not None and packet.tick - last < self._heartbeat:
                 self.fail(
                     f"the {role} sends a mark in step {packet.tick}, but a packet in step {last}; expected a mark "
                     f"after {self._heartbeat} steps without a packet"
                 )
-            self._last[packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
+            self._last[role, packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
 
     def forge(self, role: str) -> None:
         """Record that a forged datagram was sent to a process."""
@@ -196,7 +200,8 @@ class Monitor:
             self.fail(f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
         if node.tick > now + EARLY:
             self.fail(f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
-        if "y" in line and (0, node.tick) not in self._sent["measurement", "plant", tuple(line["y"])]:
+        given = plant_link(node.policy, role)
+        if "y" in line and given and (0, node.tick) not in self._sent["measurement", given, tuple(line["y"])]:
             self.fail(f"the {role} uses the measurement {line['y']} in step {node.tick}, which the plant has not sent")
         for (kind, link), values in node.readings.items():
             if kind == "data" and values is not None:
@@ -216,14 +221,15 @@ class Monitor:
 
     def applied(self, line: Mapping[str, Any]) -> None:
         """Check the input of a step of the plant: it is not older than one that was applied before."""
-        values = tuple(line["u"])
-        if self._applied == BEFORE and not any(values):
-            return
-        order = self._next("input", "plant", values, self._applied)
-        if order is None:
-            self.fail(f"the plant applies {list(values)}, which is older than the input of step {self._applied[1]}")
-            return
-        self._applied = order
+        for link, ends in self._plant.items():
+            values, last = tuple(line["u"][i] for i in ends.inputs), self._applied.get(link, BEFORE)
+            if last == BEFORE and not any(values):
+                continue
+            order = self._next("input", link, values, last)
+            if order is None:
+                self.fail(f"the plant applies {list(values)}, which is older than the input of step {last[1]}")
+                return
+            self._applied[link] = order
 
     def woken(self, role: str) -> None:
         """Record that a process reads datagrams."""

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from taciturn.model.wire import LINKS
 from taciturn.runtime.keys import MOST_KEY, Keys, RenewedKeys
 
 
@@ -32,13 +31,14 @@ class KeyRing:
 
     Args:
         seed: seed of the keys, nonces and epochs.
+        links: the links of the policy and its plant.
         uses: links that each process uses.
     """
 
-    def __init__(self, seed: int, uses: Mapping[str, Sequence[str]]) -> None:
+    def __init__(self, seed: int, links: Sequence[str], uses: Mapping[str, Sequence[str]]) -> None:
         """Draw a key for each link."""
         self._draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
-        self._secrets = {link: self._draws.bytes(MOST_KEY) for link in LINKS}
+        self._secrets = {link: self._draws.bytes(MOST_KEY) for link in links}
         self._former: dict[str, bytes] = {}
         self.files: dict[str, dict[str, tuple[bytes, ...]]] = {
             name: {link: (self._secrets[link],) for link in links} for name, links in uses.items()
@@ -78,5 +78,5 @@ class KeyRing:
 
     def wrong(self, link: str, former: bool) -> Keys:
         """Return a key that no process accepts on a link: a former one, that of another link, or an unknown one."""
-        other = self._former.get(link, self._secrets[next(name for name in LINKS if name != link)])
+        other = self._former.get(link, self._secrets[next(name for name in self._secrets if name != link)])
         return Keys.same(other if former else self._draws.bytes(MOST_KEY))

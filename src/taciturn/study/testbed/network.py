@@ -19,7 +19,7 @@ from taciturn._grid import parse_settings
 from taciturn._progress import Progress, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import NETWORKS, THREE, THREE_NODES, Coverage
+from taciturn.model.coverage import NETWORKS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy, Send
@@ -46,7 +46,7 @@ from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-EMULATED = Coverage(NETWORKS & THREE_NODES, "running links do not emulate", THREE)
+EMULATED = Coverage(NETWORKS, "running links do not emulate")
 USUAL = 5000  # default number of steps
 
 
@@ -223,11 +223,11 @@ def run_network(
             plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
         try:
             processes.start()
-            sensor = parse_address("the sensor", processes.addresses[processes.measuring])
+            sensors = {link: parse_address("a node", at) for link, at in processes.measuring.items()}
             simulated = SimulatedPlant(loop, seed)
             bar = in_notebook(progress)
             shown = None if bar is None else _shown(bar, ticks)
-            server = PlantServer([simulated], wire, plant, sensor, tick=tick, told=shown)
+            server = PlantServer([simulated], wire, plant, sensors, tick=tick, told=shown)
             with logs.followed():
                 if meanwhile is None:
                     server.run(ticks, processes.ended)

@@ -7,19 +7,19 @@ from typing import TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import THREE, THREE_NODES, Coverage
+from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
-from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
+from taciturn.model.places import is_acknowledged, links_to, peers_of, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy, Send
-from taciturn.model.wire import LINKS, OFFSETS, PROOFS
+from taciturn.model.wire import OFFSETS, PLANT, PROOFS
 from taciturn.runtime.attacks import Forgery, KeyChange, Recording, draw_attacks
 from taciturn.runtime.clock import AGREED, JUMPED
 from taciturn.runtime.faults import Crash, Fault, Flights, Jump, LinkFault, Path, Pause, Replay, Skew, draw_faults
 from taciturn.runtime.node import Node
-from taciturn.runtime.outbox import PLANT
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.serve import WAIT, NodeServer
+from taciturn.runtime.serve import NodeServer
+from taciturn.runtime.service import usual_wait
 from taciturn.runtime.udp import Address
 from taciturn.runtime.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
 from taciturn.runtime.world import PlantServer
@@ -27,7 +27,7 @@ from taciturn.study.testbed.devices import DeviceNode, DeviceServer
 from taciturn.study.testbed.invariants import BrokenError, Copy, Life, Monitor, differing
 from taciturn.study.testbed.keyring import KeyRing
 
-WORLDS = Coverage(THREE_NODES, "worlds of faults do not carry out", THREE)
+WORLDS = Coverage(LOOPS, "worlds of faults do not carry out")
 TICK = 0.1  # seconds per step
 LATENCY = 0.02  # steps that a datagram takes
 WATCHDOG, HEARTBEAT = 12, 4  # steps of the watchdog and between marks
@@ -81,7 +81,7 @@ class _CachedWire(Wire):
 
     def decode(self, datagram: bytes) -> Packet | str:
         link = datagram[OFFSETS["link"]]
-        known = datagram, self.keys.of(LINKS[link]) if self.keys is not None and link < len(LINKS) else ()
+        known = datagram, self.keys.of(self.links[link]) if self.keys is not None and link < len(self.links) else ()
         found = self._decoded.get(known)
         if found is None:
             found = self._decoded[known] = super().decode(datagram)
@@ -109,7 +109,9 @@ class World:
         self.time = VirtualTime()
         self.network = VirtualNetwork(self.time, self._carry)
         self.wire = _CachedWire(policy, loop.network)
-        self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1, keyed=keyed)
+        self.monitor = Monitor(
+            self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1, keyed=keyed, plant=self.wire.plant
+        )
         self.roles = roles(policy)
         self.links: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.lag = {
@@ -121,7 +123,8 @@ class World:
         paths = list(self._uses)
         self._history: dict[Path, list[tuple[float, bytes]]] = {path: [] for path in paths}
         names = [*self.roles, PLANT]
-        self.ring = KeyRing(seed, {name: sorted({self._uses[p] for p in paths if name in p}) for name in names})
+        uses = {name: sorted({self._uses[path] for path in paths if name in path}) for name in names}
+        self.ring = KeyRing(seed, self.wire.links, uses)
         self.keyed = keyed
         if faults is None:
             faults = draw_faults(seed, paths, self.roles, WITHIN)
@@ -140,8 +143,9 @@ class World:
         for role in self.roles:
             self._start(role, fresh=True)
         self.plant_port = VirtualPort(self.network, (PLANT, 0))
+        measuring = {link: (ends.measures, 0) for link, ends in self.wire.plant.items() if ends.measures is not None}
         self.plant = PlantServer(
-            [SimulatedPlant(loop, seed)], self._wire(PLANT), self.plant_port, (role_at(policy, "sensor"), 0), tick=TICK,
+            [SimulatedPlant(loop, seed)], self._wire(PLANT), self.plant_port, measuring, tick=TICK,
             told=self.monitor.applied, clock=self.clocks[PLANT], epoch=EPOCH, draw=self.ring.nonce,
         )  # fmt: skip
         for fault in self.faults:
@@ -222,12 +226,14 @@ class World:
                     self.monitor.fail(f"the packet of step {tick} on the {link} link was not used, after all faults")
 
     def _paths(self) -> list[tuple[str, Path]]:
-        found = [(PLANT, (PLANT, role_at(self.policy, "sensor"))), (PLANT, (role_at(self.policy, "actuator"), PLANT))]
+        ends = self.wire.plant.items()
+        found: list[tuple[str, Path]] = [(link, (PLANT, one.measures)) for link, one in ends if one.measures]
+        found += [(link, (one.applies, PLANT)) for link, one in ends if one.applies]
         for link in self.links:
-            ends = sender_of(self.policy, link), receiver_of(self.policy, link)
-            found.append((link, ends))
-            if link in Node(self.policy, ends[1], network=self.loop.network).acknowledges:
-                found.append((link, (ends[1], ends[0])))
+            path = sender_of(self.policy, link), receiver_of(self.policy, link)
+            found.append((link, path))
+            if is_acknowledged(self.policy, link):
+                found.append((link, (path[1], path[0])))
         return found
 
     def _make(self, role: str, epoch: int) -> Node:
@@ -244,13 +250,14 @@ class World:
         return self.wires[name]
 
     def _start(self, role: str, fresh: bool) -> None:
-        port, peer = VirtualPort(self.network, (role, 0)), peer_of(self.policy, role)
+        port = VirtualPort(self.network, (role, 0))
+        peers = {link: (other, 0) for link, other in peers_of(self.policy, role).items()}
         node = self._make(role, self.ring.epoch() if self.keyed else EPOCH + int(self.time.now))
         plant = (PLANT, 0) if node.measures or node.actuates else None
         serve = DeviceServer if isinstance(node, DeviceNode) else NodeServer
         server = serve(
-            [node], self._wire(role), port, peer=None if peer is None else (peer, 0), plant=plant, tick=TICK,
-            wait=WAIT.get(role, 0.0), heartbeat=HEARTBEAT, keep=self._storage.get(role),
+            [node], self._wire(role), port, peer=peers, plant=plant, tick=TICK,
+            wait=usual_wait(self.policy, role), heartbeat=HEARTBEAT, keep=self._storage.get(role),
             told=lambda line: self.monitor.stepped(role, line), clock=self.clocks[role], draw=self.ring.nonce,
         )  # fmt: skip
         self.monitor.born(role, Life(server, port, self.step()), fresh)
