@@ -16,7 +16,8 @@ from taciturn._figure import Panel, Series, draw
 from taciturn._text import WIDTH, folded, table_text, wrapped_text
 from taciturn.study.compare import Comparison, Contestant
 from taciturn.study.compare import _at_rate as at_rate
-from taciturn.study.tuning.tuned import Goal, Parameter, Tuned
+from taciturn.study.tuning.goal import RateGoal
+from taciturn.study.tuning.tuned import Parameter, Tuned
 
 PATH = "/home/somebody/experiments/with-event-triggered-control/of-two-masses/theta-0.123456"
 PLANT = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
@@ -31,7 +32,7 @@ def tuned() -> Tuned:
     low = replace(found, rates={"actuator": Estimate(0.6, 0.003, "simulation")}, cost=Estimate(2.0, 0.0, "exact"))
     high = replace(found, rates={"actuator": Estimate(0.7, 0.001, "simulation")}, cost=Estimate(1.0, 0.0, "exact"))
     first, second = (Parameter("theta", value, None) for value in (0.123456789, 0.123456788))
-    beyond = Tuned(Goal("rate", 0.65, "actuator"), second, PROBLEM, high, None, None)
+    beyond = Tuned(RateGoal(0.65, "actuator"), second, PROBLEM, high, None, None)
     return Tuned(beyond.goal, first, PROBLEM, low, beyond, None)
 
 

@@ -15,8 +15,8 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.problem.parameters import check_parameters
 from taciturn.study.tuning import search
 from taciturn.study.tuning.budget import budget_of
+from taciturn.study.tuning.goal import RateGoal
 from taciturn.study.tuning.search import Search
-from taciturn.study.tuning.tuned import Goal
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
@@ -291,9 +291,9 @@ def test_the_document_is_that_of_evaluate_with_the_parameter() -> None:
 def test_a_confidence_is_claimed_only_where_it_holds() -> None:
     """No rate exceeds that of every sample; an error that cannot be trusted gives no confidence."""
     found = taciturn.evaluate(taciturn.load("two-mass-lqg"), steps=20_000)
-    above = Goal("rate", 1.0, None)
+    above = RateGoal(1.0)
     assert above.confidence(found) == 1.0
-    near = Goal("rate", found.rates["actuator"].value, None)
+    near = RateGoal(found.rates["actuator"].value)
     assert near.confidence(found) == pytest.approx(0.5)
     assert near.confidence(replace(found, trusted=False)) is None
 
@@ -307,7 +307,7 @@ def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatc
         raise ProblemError("enough")
 
     monkeypatch.setattr(search, "look_at", look_at)
-    looking = Search(MASSES, CATALOGUE["lqg"].tuning[0], Goal("rate", 0.3, None), 0, told.append)
+    looking = Search(MASSES, CATALOGUE["lqg"].tuning[0], RateGoal(0.3), 0, told.append)
     assert [looking.look(value) for value in (1.0, 2.0)] == [None, None]
     first, second = 1 - search.LEFT, 1 - search.LEFT**2
     assert told == pytest.approx([first / 2, first, (first + second) / 2, second])

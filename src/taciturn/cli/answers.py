@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -193,10 +194,15 @@ def tune(
     settings: Settings = None,
     no_functions: NoFunctions = False,
     rate: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            metavar="X|P%", help="Largest rate: sends per step or second (0.5), or percent of all samples (50%)."
+            metavar="[LINK=]X|P%",
+            help="Largest rate: sends per step or second (0.5), or percent of all samples (50%); of one link or each.",
         ),
+    ] = None,
+    traffic: Annotated[
+        str | None,
+        typer.Option(metavar="X|P%", help="Largest sum of all rates, each times the price of a packet on its link."),
     ] = None,
     cost: Annotated[
         str | None,
@@ -217,7 +223,7 @@ def tune(
     from taciturn.study.record import origin
     from taciturn.study.tuning.periods import TunedPeriod, tune_period
 
-    allowed, spent = _budget("rate", rate), _budget("cost", cost)
+    allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
     problem, on = load_changed(file, settings, no_functions), cast("Any", link)
     with progress_bar("searching") as progress:
         if least_period is None:
@@ -225,16 +231,17 @@ def tune(
                 problem,
                 rate=allowed,
                 cost=spent,
+                traffic=paid,
                 link=on,
                 seed=seed or 0,
                 standard_error=standard_error,
                 progress=progress,
             )
         else:
-            if not isinstance(allowed, float) or spent is not None:
+            if not isinstance(allowed, float) or spent is not None or paid is not None:
                 raise taciturn.ProblemError(
-                    "--least-period is given without a number for --rate, or with --cost; expected --rate with a "
-                    "number, and no --cost"
+                    "--least-period is given without a number for --rate, or with another budget; expected --rate "
+                    "with a number, and no --cost or --traffic"
                 )
             found = tune_period(
                 problem,
@@ -255,8 +262,23 @@ def tune(
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
 
 
+def _rates(texts: Sequence[str] | None) -> float | str | dict[str, float | str] | None:
+    """Return the budget of --rate, or the budgets by link."""
+    from taciturn.errors import ProblemError
+    from taciturn.study.tuning.budget import parse_budget
+
+    if not texts:
+        return None
+    pairs = [text.rpartition("=") for text in texts]
+    if len(pairs) == 1 and not pairs[0][0]:
+        return parse_budget("rate", texts[0])
+    if not all(link for link, _, _ in pairs) or len({link for link, _, _ in pairs}) < len(pairs):
+        raise ProblemError(f"--rate is {' and '.join(texts)}; expected one LINK=RATE for each link")
+    return {link: parse_budget("rate", text) for link, _, text in pairs}
+
+
 def _budget(name: str, text: str | None) -> float | str | None:
-    """Return the budget of --rate or --cost."""
+    """Return the budget of --cost or --traffic."""
     from taciturn.study.tuning.budget import parse_budget
 
     return None if text is None else parse_budget(name, text)

@@ -104,7 +104,8 @@ def evaluate(
         request = Request(seed, standard_error, steps, method, time_limit)
         found = _evaluated(problem, request, precision, confidence, after_step, told)
         power, life = _energy(problem, found)
-        return replace(found, power=power, life=life, seconds=time.perf_counter() - began)
+        prices = {link: problem.network.links[link].price for link in found.rates if link in problem.network.links}
+        return replace(found, power=power, life=life, prices=prices, seconds=time.perf_counter() - began)
     except OutOfTime:
         raise ProblemError(
             f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "

@@ -69,6 +69,7 @@ class Evaluation(Tabular):
         bound_error: standard error of ``cost_bound_at_rate`` that is due to the standard error of the measured rate.
         power: mean power in watts of the packets of each link whose energy is given.
         life: seconds until the battery of each link's sender is empty, where it is given.
+        prices: prices of a packet on the links with a rate.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
     """
 
@@ -105,11 +106,19 @@ class Evaluation(Tabular):
     after_step: AfterStep | None = None
     power: Mapping[str, Estimate] = field(default_factory=lambda: {})
     life: Mapping[str, Estimate] = field(default_factory=lambda: {})
+    prices: Mapping[str, float] = field(default_factory=lambda: {})
 
     @property
     def rate_unit(self) -> TimeUnit:
         """Unit of time of the rates."""
         return rate_unit(self.unit)
+
+    @property
+    def traffic(self) -> Estimate | None:
+        """The rates of all links, each times the price of a packet, with an upper bound on the standard error."""
+        paid = [rate.scaled(self.prices.get(link, 1.0)) for link, rate in self.rates.items()]
+        value, error = sum(one.value for one in paid), sum(one.standard_error for one in paid)
+        return Estimate(value, error, paid[0].method) if paid else None
 
     @property
     def drawn(self) -> bool:
@@ -154,6 +163,7 @@ class Evaluation(Tabular):
             "cost_bound_at_rate": self.cost_bound_at_rate,
             "cost_bound_at_rate_standard_error": self.bound_error,
             "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
+            "traffic": None if self.traffic is None else self.traffic.document("value", "standard_error"),
             "seed": self.seed,
             "seconds": round(self.seconds, 4),
             "steps": self.steps,
@@ -260,6 +270,8 @@ def _details(found: Evaluation) -> Lines:
         lines.append(("consistent", found.consistency))
     if found.schedule is not None:
         lines.append(("sensor queries", _queries(found.schedule)))
+    if len(found.rates) > 1 and found.traffic is not None:
+        lines.append(("traffic", f"{found.traffic} per {found.rate_unit}, the rates times the prices of a packet"))
     for link, power in found.power.items():
         life = found.life.get(link)
         lasting = "" if life is None else f"; the battery lasts {life.scaled(1 / DAY)} days"

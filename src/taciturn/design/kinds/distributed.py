@@ -179,4 +179,5 @@ KIND = Kind(
     usual={"theta": 0.1, "prediction": "model"},
     asked=("theta",),
     several_nodes=True,
+    shares="shares",
 )

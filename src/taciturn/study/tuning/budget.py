@@ -11,15 +11,20 @@ from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import OptimalPolicy
 
-FORMS = {"rate": r"(\d+\.?\d*|\.\d+)\s*%", "cost": r"([+-]\s*(?:\d+\.?\d*|\.\d+))\s*%"}
-EXAMPLES = {"rate": "50% of the rate of sending every sample", "cost": "+5% above the cost of sending every sample"}
+SHARE = r"(\d+\.?\d*|\.\d+)\s*%"
+FORMS = {"rate": SHARE, "traffic": SHARE, "cost": r"([+-]\s*(?:\d+\.?\d*|\.\d+))\s*%"}
+EXAMPLES = {
+    "rate": "50% of the rate of sending every sample",
+    "traffic": "50% of the traffic of sending every sample",
+    "cost": "+5% above the cost of sending every sample",
+}
 
 
 def parse_budget(name: str, text: str) -> float | str:
     """Return the number that a text contains, or the text itself if it is a percentage.
 
     Args:
-        name: ``"rate"`` or ``"cost"``.
+        name: ``"rate"``, ``"traffic"`` or ``"cost"``.
         text: a text such as ``"0.3"``, ``"50%"`` for a rate, or ``"+5%"`` or ``"-5%"`` for a cost.
 
     Raises:
@@ -55,10 +60,12 @@ def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: ob
     policy = problem.changed({tuning.name: start}).designed()
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     loop = problem.close(nodes) if isinstance(nodes, Policy) else None
-    if name == "rate":
+    if name != "cost":
         if loop is None:
-            raise ProblemError(f"rate is {budget!r}, but {policy.kind} has no sampling steps; expected a number")
-        return share * (1.0 if loop.horizon is not None else 1 / loop.policy.tick)
+            raise ProblemError(f"{name} is {budget!r}, but {policy.kind} has no sampling steps; expected a number")
+        links = loop.network.links
+        paid = 1.0 if name == "rate" else sum(links[link].price for link in loop.policy.scheduled)
+        return share * paid * (1.0 if loop.horizon is not None else 1 / loop.policy.tick)
     if loop is not None and not loop.nominal:
         unknown = f"the cost of sending every sample is unknown, since {loop.violated_assumptions[0]}"
         raise ProblemError(f"cost is {budget!r}, but {unknown}; expected a number")
@@ -75,4 +82,4 @@ def _share(name: str, text: str) -> float:
     if found is None:
         raise ProblemError(f"{name} is {text!r}; expected a number, or a percentage such as {EXAMPLES[name]}")
     share = float(found[1].replace(" ", "")) / 100
-    return number(name, share, 0.0) if name == "rate" else number(name, share, -1.0)
+    return number(name, share, -1.0 if name == "cost" else 0.0)

@@ -15,8 +15,8 @@ from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
+from taciturn.study.tuning.goal import EXACT, Goal
 from taciturn.study.tuning.trials import look_at
-from taciturn.study.tuning.tuned import EXACT, Goal
 
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
@@ -62,7 +62,7 @@ class Search:
     ) -> None:
         """Prepare the search; no value is tried yet."""
         self.problem, self.tuning, self.goal, self.seed, self.progress = problem, tuning, goal, seed, progress
-        self.rising = tuning.falls == (goal.name == "cost")  # whether the rate or cost increases with the value
+        self.rising = tuning.falls == goal.limits_cost  # whether the rate or cost increases with the value
         self._seen: dict[float, Look | TaciturnError] = {}
         self._stage = Stages(progress, 0.0, 1 - LEFT)  # of the present trial
 
@@ -174,7 +174,7 @@ class Search:
         slope = pace = blur = 0.0
         if len(near) == 2:
             slope = (near[1].above - near[0].above) / (2 * SPAN)
-            rates = [self.goal.rate(one.evaluation).value for one in near]
+            rates = [self.goal.use(one.evaluation).value for one in near]
             pace = (rates[1] - rates[0]) / (2 * SPAN)
         measured = self._look(look.value, LONGER * EFFORT) if look.error and slope else look
         for _ in range(ROUNDS):
@@ -229,7 +229,7 @@ class Search:
         Raises:
             ProblemError: the rate is above, or the cost below, that of sending at every step.
         """
-        budget, most, least = self.goal.budget, found.base_rate, found.cost_all_time
+        budget, most, least = self.goal.budget, self.goal.most(found), found.cost_all_time
         # without acknowledgement, or with a controller that is not optimal, sending every sample may not cost least
         if (
             any(law.acknowledged is False for law in self.problem.network.links.values())
@@ -238,12 +238,13 @@ class Search:
             least = None
         if self.tuning.name == "period":  # both limits depend on the period
             return
-        if self.goal.name == "rate" and most is not None and budget > most * (1 + EXACT):
+        if most is not None and budget > most * (1 + EXACT):
+            name = self.goal.name
             raise ProblemError(
-                f"the rate {budget:g} per {found.rate_unit} is above the rate of sending at every step; "
+                f"the {name} {budget:g} per {found.rate_unit} is above the {name} of sending at every step; "
                 f"expected at most {most:g}"
             )
-        if self.goal.name == "cost" and least is not None and budget < least * (1 - EXACT):
+        if self.goal.limits_cost and least is not None and budget < least * (1 - EXACT):
             raise ProblemError(
                 f"the cost {budget:g} {per_unit(found.unit)} is below the cost of sending at every step; "
                 f"expected at least {least:.6g}"

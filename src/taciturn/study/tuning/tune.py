@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import cast
 
-from taciturn._progress import Progress, in_notebook
+from taciturn._progress import Progress, Stages, in_notebook
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
@@ -15,44 +17,55 @@ from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
 from taciturn.study.tuning.budget import budget_of
+from taciturn.study.tuning.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal
 from taciturn.study.tuning.search import Look, Search
-from taciturn.study.tuning.tuned import EXACT, Goal, Parameter, Tuned
+from taciturn.study.tuning.shares import Division
+from taciturn.study.tuning.tuned import Parameter, Tuned
+
+DIVIDED = 0.7  # share of the progress in which the shares are tuned
 
 
 def tune(
     problem: Studied,
     *,
-    rate: float | str | None = None,
+    rate: float | str | Mapping[str, float | str] | None = None,
     cost: float | str | None = None,
+    traffic: float | str | None = None,
     link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Return the parameter with which a problem's policy meets a budget on its rate or its cost.
+    """Return the parameter with which a problem's policy meets a budget on its rate, its traffic or its cost.
 
     The parameter is the tuning parameter of the policy kind; rate and cost are assumed to be monotone in it. All trials
     of the search use the same draws. The answer is then measured more precisely and corrected, until it is at least two
     standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
     policy on the side of the jump that meets the budget.
 
+    If the policy divides a threshold among several links, the shares of the links are tuned too, unless the problem
+    states them or a link is named: for the least traffic at a cost, or for the least cost at a traffic or at given
+    rates. Links without a given rate then send every sample, as this costs least.
+
     Args:
         problem: the problem whose policy is tuned; the search starts at its value of the parameter.
         rate: largest rate, in sends per step or per second, or ``"50%"`` of the rate of sending every sample; the
-            answer is as close to this limit as possible.
+            answer is as close to this limit as possible. Or largest rates of several links by name.
         cost: largest cost, per step, per second or per finite-horizon run, or ``"+5%"`` above the cost of sending every
             sample; the answer is as close to this limit as possible.
+        traffic: largest sum of the rates of all links, each times the price of a packet (``price`` of the link), or
+            ``"50%"`` of that of sending every sample.
         link: link whose rate is meant; may be omitted if the policy decides on a single link.
         seed: seed of the random draws.
         standard_error: absolute standard error of the cost of the answer; default: 1e-4 of the cost.
         progress: callback that receives the fraction done.
 
     Returns:
-        The parameter with its standard error as a solution of the budget, the evaluation at this parameter with its own
-        standard errors, and the confidence with which the budget is met.
+        The parameter with its standard error as a solution of the budget, the shares if they were tuned, the evaluation
+        at this parameter with its own standard errors, and the confidence with which the budget is met.
 
     Raises:
-        ProblemError: no value reaches the budget, no budget or two budgets are given, or the policy has no such
+        ProblemError: no value reaches the budget, no budget or several budgets are given, or the policy has no such
             parameter.
         UnstableError: no value gives a stable loop.
 
@@ -64,13 +77,23 @@ def tune(
     """
     problem = as_problem("problem", problem)
     check_effort(seed, standard_error, None)
-    if (rate is None) == (cost is None):
-        got = "both rate and cost are given" if rate is not None else "neither rate nor cost is given"
-        raise ProblemError(f"{got}; expected one of them as the budget: rate or cost (--rate, --cost)")
-    name, budget = ("rate", rate) if rate is not None else ("cost", cost)
+    if isinstance(rate, Mapping) and len(rate) == 1 and link is None and problem.record.shares is None:
+        ((link, rate),) = rate.items()
     tuning = _tuning(problem, link)
-    goal = Goal(name, budget_of(problem, tuning, name, budget), link or tuning.link)
-    search = Search(problem, tuning, goal, seed, in_notebook(progress))
+    goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic}, link)
+    shares, bar = None, Stages(in_notebook(progress))
+    if _divides(problem, goal, link):
+        shares = Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best()
+        problem = problem.changed({str(problem.record.shares): shares})
+        bar = bar.stage(DIVIDED, 1.0)
+    return replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+
+
+def _found(
+    problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, standard_error: float | None, bar: Progress
+) -> Tuned:
+    """Return the value of a parameter that meets a budget."""
+    search = Search(problem, tuning, goal, seed, bar)
     if tuning.cycles and (cycles := _next_to(problem, tuning, goal, search)) is not None:
         return cycles
     low, high = search.bracket()
@@ -84,6 +107,44 @@ def tune(
     return replace(found, beyond=_tuned(search, search.measure(high, standard_error), 0.0, None))
 
 
+def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, object], link: str | None) -> Goal:
+    """Return the one budget that is given.
+
+    Raises:
+        ProblemError: no budget or several budgets are given, or the budget is not valid.
+    """
+    given = {name: budget for name, budget in budgets.items() if budget is not None}
+    if len(given) != 1:
+        got = " and ".join(given) + " are given" if given else "none of rate, cost and traffic is given"
+        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost or traffic (--rate, --cost)")
+    ((name, budget),) = given.items()
+    if isinstance(budget, Mapping):
+        if link is not None or not budget:
+            raise ProblemError(f"rate is {budget!r} and link is {link!r}; expected rates by link, and no link")
+        limits = cast("Mapping[str, object]", budget)
+        return RatesGoal(limits={one: budget_of(problem, tuning, "rate", limit) for one, limit in limits.items()})
+    limit = budget_of(problem, tuning, name, budget)
+    if name == "traffic":
+        return TrafficGoal(limit)
+    return (RateGoal if name == "rate" else CostGoal)(limit, link or tuning.link)
+
+
+def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
+    """Return whether the shares of several links are to be tuned.
+
+    Raises:
+        ProblemError: several rates are given, but the policy kind has one parameter for all links.
+    """
+    name = problem.record.shares
+    stated = name is None or name in problem.parameters
+    if isinstance(goal, RatesGoal):
+        if stated:
+            why = f"{problem.kind} has one parameter for all links" if name is None else f"{name} is given too"
+            raise ProblemError(f"rates of several links are given, but {why}; expected the rate of one link")
+        return True
+    return not stated and link is None and not isinstance(goal, RateGoal) and len(problem.network.links) > 1
+
+
 def _next_to(problem: Problem, tuning: TradeoffParameter, goal: Goal, search: Search) -> Tuned | None:
     """Return the periodic cycle that meets the budget, with the one beyond it, or None if no exact cost is known."""
     always = problem.changed({tuning.name: 1})
@@ -93,11 +154,11 @@ def _next_to(problem: Problem, tuning: TradeoffParameter, goal: Goal, search: Se
     if not isinstance(clock, Ticked):
         return None
     search.expect_possible(evaluate(always))
-    found = clock.around(goal.budget) if goal.name == "rate" else clock.around_cost(goal.budget)
+    found = clock.around(goal.budget) if isinstance(goal, RateGoal) else clock.around_cost(goal.budget)
     if found is None:
         return None
     below, above = (_at_cycle(search, point.cycle) for point in found)
-    keeps, beyond = (below, above) if goal.name == "rate" else (above, below)
+    keeps, beyond = (below, above) if isinstance(goal, RateGoal) else (above, below)
     if goal.of(beyond.evaluation).value <= goal.budget * (1 + EXACT):
         return beyond
     meets = goal.of(keeps.evaluation).value >= goal.budget * (1 - EXACT)

@@ -1,0 +1,176 @@
+"""Budgets to meet: upper limits on a rate, on the rates of several links, on the traffic, or on the cost."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from taciturn._display import Displayed
+from taciturn._text import per_unit
+from taciturn.errors import ProblemError
+from taciturn.model.estimate import Estimate
+from taciturn.study.evaluation import Evaluation
+
+EXACT = 1e-9  # relative tolerance of the budget
+
+
+@dataclass(frozen=True, repr=False)
+class Goal(Displayed, ABC):
+    """An upper limit that the answer of a search meets."""
+
+    name: ClassVar[str]
+    limits_cost: ClassVar[bool] = False
+
+    budget: float
+
+    def short(self) -> str:
+        """Return the budget as text."""
+        return f"{self.name} at most {self.budget:.6g}"
+
+    def text(self, evaluation: Evaluation) -> str:
+        """Return the budget as text, with its unit."""
+        return f"{self.short()} {per_unit(evaluation.unit if self.limits_cost else evaluation.rate_unit)}"
+
+    @property
+    def document(self) -> object:
+        """The limit as a value that JSON can represent."""
+        return self.budget
+
+    @abstractmethod
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the estimate that the budget limits."""
+
+    def use(self, evaluation: Evaluation) -> Estimate:
+        """Return the use of the network that cost is traded for: the limited one, unless the budget limits the cost."""
+        return self.of(evaluation)
+
+    def most(self, evaluation: Evaluation) -> float | None:
+        """Return the largest value that any policy reaches, or None if it is unknown or infinite."""
+        return None
+
+    def confidence(self, evaluation: Evaluation) -> float | None:
+        """Return the probability that the answer meets the budget, for normally distributed errors.
+
+        It is 1 for a rate that no policy exceeds, and None if the standard error cannot be trusted.
+        """
+        found, most = self.of(evaluation), self.most(evaluation)
+        if most is not None and self.budget >= most:
+            return 1.0
+        if not evaluation.trusted:
+            return None
+        below = self.budget - found.value - found.error
+        if found.standard_error > 0:
+            return 0.5 * math.erfc(-below / found.standard_error / math.sqrt(2))
+        return float(below >= -EXACT * self.budget)
+
+
+@dataclass(frozen=True, repr=False)
+class RateGoal(Goal):
+    """A limit on the rate of a link, by name or the only one on which the policy decides."""
+
+    name: ClassVar[str] = "rate"
+
+    link: str | None = None
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the rate of the link.
+
+        Raises:
+            ProblemError: the policy does not decide on it, or decides on several links and the budget names none.
+        """
+        rates = evaluation.rates
+        if self.link is None and len(rates) > 1:
+            raise ProblemError(
+                f"{evaluation.policy} decides on {len(rates)} links; expected link to be one of {', '.join(rates)}"
+            )
+        return _rate(evaluation, next(iter(rates)) if self.link is None else self.link)
+
+    def most(self, evaluation: Evaluation) -> float | None:
+        """Return the rate of sending every sample."""
+        return evaluation.base_rate
+
+
+@dataclass(frozen=True, repr=False)
+class TrafficGoal(Goal):
+    """A limit on the traffic: the rates of all links on which the policy decides, each times the price of a packet."""
+
+    name: ClassVar[str] = "traffic"
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the traffic.
+
+        Raises:
+            ProblemError: the policy decides on no link.
+        """
+        if evaluation.traffic is None:
+            raise ProblemError(f"{evaluation.policy} decides on no link, so it has no traffic; expected a rate")
+        return evaluation.traffic
+
+    def most(self, evaluation: Evaluation) -> float | None:
+        """Return the traffic of sending every sample on the links on which the policy decides."""
+        return None if evaluation.base_rate is None else evaluation.base_rate * sum(evaluation.prices.values())
+
+
+@dataclass(frozen=True, repr=False)
+class RatesGoal(Goal):
+    """Limits on the rates of several links: the largest share of a limit that is used is at most 1."""
+
+    name: ClassVar[str] = "rates"
+
+    budget: float = 1.0
+    limits: Mapping[str, float] = field(default_factory=lambda: {})
+
+    def short(self) -> str:
+        """Return the limits as text."""
+        return ", ".join(f"rate of {link} at most {limit:.6g}" for link, limit in self.limits.items())
+
+    @property
+    def document(self) -> object:
+        """The limits by link."""
+        return dict(self.limits)
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the largest ratio of a rate to its limit.
+
+        Raises:
+            ProblemError: the policy does not decide on one of the links.
+        """
+        shares = [_rate(evaluation, link).scaled(1 / limit) for link, limit in self.limits.items()]
+        return max(shares, key=lambda share: share.value)
+
+
+@dataclass(frozen=True, repr=False)
+class CostGoal(Goal):
+    """A limit on the cost.
+
+    Args:
+        budget: the limit.
+        link: link whose rate is the use of the network; default: the traffic on all links.
+    """
+
+    name: ClassVar[str] = "cost"
+    limits_cost: ClassVar[bool] = True
+
+    link: str | None = None
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the cost."""
+        return evaluation.cost
+
+    def use(self, evaluation: Evaluation) -> Estimate:
+        """Return the rate of the link, or the traffic on all links."""
+        if self.link is not None:
+            return _rate(evaluation, self.link)
+        only = list(evaluation.rates.values())
+        return only[0] if len(only) == 1 else TrafficGoal(0.0).of(evaluation)
+
+
+def _rate(evaluation: Evaluation, link: str) -> Estimate:
+    if link not in evaluation.rates:
+        raise ProblemError(
+            f"link is {link!r}, on which {evaluation.policy} does not decide; expected {' or '.join(evaluation.rates)}"
+        )
+    return evaluation.rates[link]

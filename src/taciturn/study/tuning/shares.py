@@ -1,0 +1,193 @@
+"""The shares of several links in one threshold: those that meet a budget with the least traffic or the least cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn._display import Displayed
+from taciturn._progress import Progress, Stages
+from taciturn.design.kind import TradeoffParameter
+from taciturn.errors import ProblemError, TaciturnError
+from taciturn.problem import Problem
+from taciturn.study.evaluation import Evaluation
+from taciturn.study.tuning.goal import Goal, RatesGoal
+from taciturn.study.tuning.trials import look_at
+
+EFFORT = 1_000_000  # steps of a trial; all trials use the same draws
+FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of √δ_l
+WORTH = 3e-4  # least relative improvement for which the search continues
+CLOSE = 1e-3  # relative distance from the budget at which a scale is accepted
+TRIES, ROUNDS = 12, 8  # trials for one scale, and rounds over all links for given rates
+SLOPE = 0.5  # first guess of the change of the logarithm of a rate, per unit of the logarithm of √δ_l
+STRIDE, FARTHEST = 1.5, 12.0  # longest step of a scale, and longest way from the start, in the logarithm
+LEFT = 0.97  # share of the remaining progress that a trial leaves
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trial(Displayed):
+    """A trial of the thresholds of all links.
+
+    Args:
+        logs: logarithm of √δ_l by link, in units in which δ is the tuning parameter.
+        evaluation: cost and rates.
+    """
+
+    logs: Array
+    evaluation: Evaluation
+
+
+class Division:
+    """The division of a threshold among the links on which a policy decides.
+
+    Args:
+        problem: the problem, whose policy kind has shares.
+        tuning: the parameter of the threshold.
+        goal: the budget.
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
+    """
+
+    def __init__(
+        self, problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, progress: Progress | None
+    ) -> None:
+        """Prepare the search; nothing is tried yet."""
+        assert problem.record.shares is not None
+        self._problem, self._tuning, self._goal, self._seed = problem, tuning, goal, seed
+        self._name, self._links = problem.record.shares, list(problem.network.links)
+        self._progress, self._done = progress, 0
+
+    def best(self) -> dict[str, float]:
+        """Return the best shares, with three digits and the mean 1.
+
+        Raises:
+            ProblemError: no threshold reaches the budget.
+        """
+        return self._given_rates(self._goal) if isinstance(self._goal, RatesGoal) else self._cheapest()
+
+    def _cheapest(self) -> dict[str, float]:
+        """Return the shares of the least traffic at the budgeted cost, or of the least cost at the budgeted traffic.
+
+        The search changes one share at a time, and adapts the threshold of all links so that the budget is met.
+        """
+        best, worth = self._scaled(np.full(len(self._links), self._start() - np.log(len(self._links))))
+        step = FIRST
+        while step >= LAST:
+            before = worth
+            for place in range(len(self._links)):
+                for by in (step, -step):
+                    logs = best.logs.copy()
+                    logs[place] += by
+                    try:
+                        tried, value = self._scaled(logs)
+                    except TaciturnError:
+                        continue  # this budget cannot be met with these shares
+                    if value < worth - WORTH * abs(worth):
+                        best, worth = tried, value
+                        break
+            if worth >= before - WORTH * abs(before):
+                step /= 2
+        return self._shares(best.logs)
+
+    def _start(self) -> float:
+        """Return the logarithm of √δ for the given threshold, or for one of usual size."""
+        given = self._problem.parameters.get(self._tuning.name)
+        return 0.5 * float(np.log(given)) if isinstance(given, int | float) and given > 0 else 0.0
+
+    def _scaled(self, logs: Array) -> tuple[Trial, float]:
+        """Return a trial whose common scale meets the budget, and the quantity to be minimised there."""
+        goal = self._goal
+        sign = 1.0 if goal.limits_cost else -1.0  # of the change of the limited quantity with the scale
+
+        def above(trial: Trial) -> float:
+            return float(np.log(goal.of(trial.evaluation).value / goal.budget))
+
+        def other(trial: Trial) -> float:
+            found = trial.evaluation
+            return goal.use(found).value if goal.limits_cost else found.cost.value
+
+        return self._root(logs, np.ones(len(logs)), above, other, sign)
+
+    def _root(
+        self,
+        logs: Array,
+        direction: Array,
+        above: Callable[[Trial], float],
+        other: Callable[[Trial], float],
+        sign: float,
+    ) -> tuple[Trial, float]:
+        """Return a trial along a direction at which ``above`` is 0, and the value of ``other`` at exactly this place.
+
+        Raises:
+            ProblemError: no trial reaches 0.
+        """
+        place, slope, last = 0.0, SLOPE * sign, None
+        low, high = -FARTHEST, FARTHEST
+        for _ in range(TRIES):
+            trial = self._try(logs + place * direction)
+            missing = above(trial)
+            if abs(missing) <= CLOSE and last is not None:
+                change = other(trial) - last[2]
+                along = change / (place - last[0]) if place != last[0] else 0.0
+                return trial, other(trial) - along * missing / slope
+            if missing * sign > 0:
+                high = min(high, place)
+            else:
+                low = max(low, place)
+            if last is not None and (missing - last[1]) * (place - last[0]) * sign > 0:
+                slope = (missing - last[1]) / (place - last[0])
+            last = place, missing, other(trial)
+            moved = place - float(np.clip(missing / slope, -STRIDE, STRIDE))
+            place = moved if low < moved < high else (low + high) / 2
+        raise ProblemError(
+            f"no {self._tuning.name} gives {self._problem.kind} the {self._goal.short()}; expected another budget"
+        )
+
+    def _given_rates(self, goal: RatesGoal) -> dict[str, float]:
+        """Return the shares at which the links with a limit reach it; the others send every sample."""
+        named = [self._links.index(link) for link in goal.limits]
+        logs = np.full(len(self._links), -np.inf)
+        logs[named] = self._start() - np.log(len(named))
+        for _ in range(ROUNDS):
+            before = logs.copy()
+            for place in named:
+                logs = self._root(logs, self._axis(place), self._above_limit(goal, place), lambda _: 0.0, -1.0)[0].logs
+            if np.abs(logs - before)[named].max() < CLOSE or len(named) == 1:
+                break
+        return self._shares(logs)
+
+    def _axis(self, place: int) -> Array:
+        found = np.zeros(len(self._links))
+        found[place] = 1.0
+        return found
+
+    def _above_limit(self, goal: RatesGoal, place: int) -> Callable[[Trial], float]:
+        link = self._links[place]
+
+        def above(trial: Trial) -> float:
+            rates = trial.evaluation.rates
+            if link not in rates:
+                goal.of(trial.evaluation)  # refuses the link
+            least = 0.5 * (trial.evaluation.base_rate or 1.0) / EFFORT
+            return float(np.log(max(rates[link].value, least) / goal.limits[link]))
+
+        return above
+
+    def _try(self, logs: Array) -> Trial:
+        finite = np.isfinite(logs)
+        whole = float(np.exp(2 * np.logaddexp.reduce(logs[finite])))
+        changed = self._problem.changed({self._tuning.name: whole, self._name: self._shares(logs, digits=17)})
+        stage = Stages(self._progress, *(1 - LEFT ** (self._done + k) for k in (0, 1)))
+        self._done += 1
+        found = look_at(changed, self._seed, EFFORT, None, stage)
+        stage(1.0)
+        return Trial(logs, found)
+
+    def _shares(self, logs: Array, digits: int = 3) -> dict[str, float]:
+        """Return the shares with the mean 1 of the links that do not send every sample."""
+        finite = np.isfinite(logs)
+        share = np.exp(logs - np.logaddexp.reduce(logs[finite])) * finite.sum()
+        return {link: float(f"{one:.{digits}g}") for link, one in zip(self._links, share, strict=True)}
