@@ -31,6 +31,7 @@ import taciturn
 from taciturn.errors import ProblemError
 from taciturn.export.description import Version, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
+from taciturn.export.node import identifier
 from taciturn.loop import Loop
 
 VERSIONS: tuple[Version, ...] = ("3.0", "2.0")
@@ -77,7 +78,7 @@ def test_a_unit_is_valid_and_decides_as_the_loop(make: Make, of: tuple[str, Vers
     vector = record(loop, 300)
     instance = Instance(folder).start()
     assert differing_ticks(instance, loop, vector, range(len(vector.sent))) == []
-    counts = instance.get(*(f"sends_{link}" for link in vector.links))
+    counts = instance.get(*(f"sends_{identifier(link)}" for link in vector.links))
     assert counts == list(vector.sent.sum(axis=0).astype(int))
     assert min(counts) > 0
     assert instance.get("degraded") == [False]

@@ -16,6 +16,7 @@ from fmpy.simulation import instantiate_fmu
 import taciturn
 from taciturn.export.description import Version, may_lose, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
+from taciturn.export.node import identifier
 from taciturn.export.vector import RecordedRun, drawn_by_the_policy, record_loop
 from taciturn.loop import Loop
 from taciturn.model.places import wire_links
@@ -108,7 +109,7 @@ def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     """Return the inputs of a unit in a step."""
     values: dict[str, Any] = {f"y[{i + 1}]": float(value) for i, value in enumerate(vector.measured[tick])}
     if may_lose(loop):
-        values |= {f"lost_{link}": not vector.arrived[tick, i] for i, link in enumerate(vector.links)}
+        values |= {f"lost_{identifier(link)}": not vector.arrived[tick, i] for i, link in enumerate(vector.links)}
     return values
 
 
@@ -120,7 +121,7 @@ def differing_ticks(instance: Instance, loop: Loop, vector: RecordedRun, ticks: 
         instance.set(given(loop, vector, tick))
         instance.step(tick * seconds, seconds)
         applied = np.array(instance.get(*inputs), dtype=np.float64)
-        sent = [bool(value) for value in instance.get(*(f"sent_{link}" for link in vector.links))]
+        sent = [bool(value) for value in instance.get(*(f"sent_{identifier(link)}" for link in vector.links))]
         same = applied.tobytes() == vector.applied[tick].astype(np.float64).tobytes()
         if not same or sent != [value > 0 for value in vector.sent[tick]]:
             wrong.append(tick)

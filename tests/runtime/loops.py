@@ -12,6 +12,7 @@ from taciturn.export.vector import drawn_by_the_policy
 from taciturn.loop import Loop
 from taciturn.model.places import inputs_at, outputs_at, roles
 from taciturn.model.policy import Received
+from taciturn.problem import Problem
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Program
@@ -80,9 +81,9 @@ def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int =
     return wrong, packets
 
 
-def by_hand(file: str, ticks: int, seed: int) -> np.ndarray:
+def by_hand(file: str | Problem, ticks: int, seed: int) -> np.ndarray:
     """Return the costs of a problem's nodes and plant in this process, over links that lose what relays would lose."""
-    problem = taciturn.load(file)
+    problem = taciturn.load(file) if isinstance(file, str) else file
     policy, fates = problem.design(), losses(problem.network, seed)
     nodes = {role: Node(policy, role, network=problem.network, seed=seed) for role in roles(policy)}
     plant, boxes = SimulatedPlant(problem.close(policy), seed), {role: list[Packet]() for role in nodes}

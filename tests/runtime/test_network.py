@@ -22,7 +22,6 @@ from taciturn.errors import ProblemError
 from taciturn.runtime.processes import Process, Processes
 from taciturn.runtime.relay import Fate
 from taciturn.study.testbed.network import NetworkRun, losses, run_network
-from taciturn_twins.mission import write_toml
 
 Report = Mapping[str, Any]
 TICKS = 300
@@ -83,14 +82,13 @@ def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
 
 
 @pytest.mark.evidence
-def test_two_sensors_and_two_pumps_run_as_processes(tmp_path: Path) -> None:
+def test_two_sensors_and_two_pumps_run_as_processes() -> None:
     """Five nodes and four relays: the bits of nodes in memory, with a key, losses and acknowledgements on two links."""
     changes = {f"links.{one}.{key}": value for one in ("level-1", "pump-2") for key, value in ACKNOWLEDGED.items()}
-    file = tmp_path / "tank.toml"
-    file.write_text(write_toml(taciturn.load("quadruple-tank").changed(changes).source), encoding="utf-8")
+    problem = taciturn.load("quadruple-tank").changed(changes)
     with patient():
-        found = run_network(file, ticks=TICKS, seed=2, key=KEY)
-    assert found.costs.tobytes() == by_hand(str(file), TICKS, 2).tobytes()
+        found = run_network(problem, ticks=TICKS, seed=2, key=KEY)
+    assert found.costs.tobytes() == by_hand(problem, TICKS, 2).tobytes()
     assert_added_up(found)
     assert list(found.datagrams) == ["level-1", "level-2", "pump-1", "pump-2"]
     assert [counted["lost"] > 0 for counted in found.datagrams.values()] == [True, False, False, True]

@@ -207,7 +207,11 @@ def compare(
             metavar="FILE FILE…", help="Problem files that differ in their policies.", autocompletion=complete_file
         ),
     ],
-    rate: Annotated[float, typer.Option(help="Common rate: sends per step or per second.")],
+    rate: Annotated[float | None, typer.Option(help="Common rate: sends per step or per second.")] = None,
+    traffic: Annotated[
+        float | None,
+        typer.Option(help="Instead, the common sum of all rates, each times the price of a packet on its link."),
+    ] = None,
     settings: Settings = None,
     no_functions: NoFunctions = False,
     link: Link = None,
@@ -228,8 +232,9 @@ def compare(
     problems = _load_all(files, settings, no_functions)
     with progress_bar("comparing") as progress:
         found = taciturn.compare(
-            problems, rate, link=cast("Any", link), seed=seed or 0, standard_error=standard_error, progress=progress
-        )
+            problems, rate, traffic=traffic, link=cast("Any", link), seed=seed or 0, standard_error=standard_error,
+            progress=progress,
+        )  # fmt: skip
     if as_json:
         print_json(found.document(), origin(problems, seed or 0))
     else:

@@ -8,6 +8,7 @@ from xml.etree import ElementTree as Xml
 
 from taciturn._display import Displayed
 from taciturn._version import __version__
+from taciturn.export.node import identifier
 from taciturn.loop import Loop
 from taciturn.model.places import wire_links
 from taciturn.model.policy import Send
@@ -79,7 +80,7 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     if may_lose(loop):
         found += [
             UnitVariable(
-                f"lost_{link}", first["lost"] + codes.index(link), "truth", "input",
+                f"lost_{identifier(link)}", first["lost"] + codes.index(link), "truth", "input",
                 f"A packet that is sent on the {link} link in the next step is dropped",
             )
             for link in links
@@ -91,11 +92,11 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     for link in links:
         found += [
             UnitVariable(
-                f"sent_{link}", first["sent"] + codes.index(link), "truth", "output",
+                f"sent_{identifier(link)}", first["sent"] + codes.index(link), "truth", "output",
                 f"A packet was sent on the {link} link in the last step",
             ),
             UnitVariable(
-                f"sends_{link}", first["sends"] + codes.index(link), "count", "output",
+                f"sends_{identifier(link)}", first["sends"] + codes.index(link), "count", "output",
                 f"Number of packets sent on the {link} link so far",
             ),
         ]  # fmt: skip

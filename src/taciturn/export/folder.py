@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -155,6 +156,12 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[str] = (), rows: int 
     known = roles(policy)
     for node in nodes:
         place_of(policy, node)
+    for name_in_c, same in groupby(sorted(known, key=identifier), identifier):
+        if len(alike := list(same)) > 1:
+            raise ProblemError(
+                f"nodes {' and '.join(alike)} have the same name {name_in_c} in C; expected names that differ in more "
+                "than hyphens and capital letters"
+            )
     found = [
         print_node(
             policy, role, network, f"{name if not nodes or role in nodes else 'selfcheck'}_{identifier(role)}",

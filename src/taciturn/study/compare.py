@@ -1,4 +1,4 @@
-"""Comparison of policies at the same rate: ranking by cost, cost differences, and guarantees."""
+"""Comparison of policies at the same rate or traffic: ranking by cost, cost differences, and guarantees."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Contestant(Displayed):
-    """One of the compared policies, tuned to the common rate.
+    """One of the compared policies, tuned to the common rate or traffic.
 
     Args:
         name: name given by the user.
         policy: kind of the policy.
-        link: link whose rate is compared.
+        link: link whose rate is compared; None if the traffic on all links is compared.
         tuned: the tuned policy; if its rate jumps across the requested rate, the policy below the jump, with the policy
             above the jump in ``beyond``.
         share: share of the time that ``tuned`` is used, so that the rate is met; ``beyond`` is used in the rest.
@@ -55,7 +55,7 @@ class Contestant(Displayed):
 
     name: str
     policy: str
-    link: str
+    link: str | None
     tuned: Tuned
     share: float
     cost: Estimate
@@ -81,9 +81,9 @@ class Contestant(Displayed):
 
     @property
     def rates(self) -> tuple[Estimate, ...]:
-        """Rate at which the cost was computed before its correction, or the rates of two policies that alternate."""
+        """Rate or traffic for which the cost was computed, or those of two policies that alternate."""
         both = (self.tuned, self.tuned.beyond)
-        return tuple(one.evaluation.rates[self.link] for one in both if one is not None)
+        return tuple(one.goal.use(one.evaluation) for one in both if one is not None)
 
     @property
     def reached(self) -> bool:
@@ -93,14 +93,16 @@ class Contestant(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Tabular):
-    """Policies at the same rate, ranked by cost, the cheapest first.
+    """Policies at the same rate or traffic, ranked by cost, the cheapest first.
 
     Args:
-        rate: sends per step or per second; for a finite-horizon run, the mean fraction of steps with a send.
+        rate: sends per step or per second; for a finite-horizon run, the mean fraction of steps with a send. For
+            policies at the same traffic, the sum of the rates of all links, each times the price of a packet.
         unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
         cost_all_time: least exact cost of sending at every step among the policies with the most steps per second, or
             None if it is unknown.
         ranking: the policies in the order of their costs.
+        of: what is equal for all policies: the ``"rate"`` of a link, or the ``"traffic"``.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_all_time", "method")
@@ -109,6 +111,7 @@ class Comparison(Tabular):
     unit: Unit
     cost_all_time: float | None
     ranking: tuple[Contestant, ...]
+    of: str = "rate"
 
     @property
     def method(self) -> str:
@@ -144,6 +147,7 @@ class Comparison(Tabular):
         """Return the JSON document of ``taciturn compare --json``."""
         return {
             "rate": self.rate,
+            "of": self.of,
             "unit": self.unit,
             "rate_unit": self.rate_unit,
             "method": self.method,
@@ -161,6 +165,7 @@ class Comparison(Tabular):
                         "beyond": None if one.tuned.beyond is None else one.tuned.beyond.parameter.value,
                         "share": one.share,
                         "share_standard_error": one.share_error,
+                        "shares": None if one.tuned.shares is None else dict(one.tuned.shares),
                     },
                     "rates": [rate.document("value", "standard_error") for rate in one.rates],
                     "cost": one.cost.document(),
@@ -186,7 +191,7 @@ class Comparison(Tabular):
             series.append(Series([b for b, _ in shown], [p for _, p in shown], "guaranteed", "stars", color=3))
         if self.cost_all_time is not None:
             series.append(Series([self.cost_all_time] * 2, [-0.5, len(names) - 0.5], "all-time", "dashed", color=7))
-        title = f"{self.rate:.4g} sends per {self.rate_unit}"
+        title = f"{self.rate:.4g} sends per {self.rate_unit}" if self.of == "rate" else f"traffic {self.rate:.4g}"
         return draw(
             [Panel(series, f"cost {per_unit(self.unit)}", "", title, names)],
             ax,
@@ -197,26 +202,28 @@ class Comparison(Tabular):
 
 def compare(
     problems: Mapping[str, Studied],
-    rate: float,
+    rate: float | None = None,
     *,
+    traffic: float | None = None,
     link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Compare the policies of several problems at the same rate.
+    """Compare the policies of several problems at the same rate, or at the same traffic on all links.
 
-    Each policy is tuned to the rate. Time-triggered control that is given by its period only is also tried with
-    measurements as frequent as those of the other policies and the best cycle of send intervals; the cheaper variant
-    counts. The remaining error of a policy's rate, about one standard error, is corrected along the slope of cost
-    against rate, and is added to the standard error. If the rate of a policy jumps across the given rate, the time is
-    shared between the policies on both sides of the jump. If two policies are both simulated step by step, their
-    difference is simulated on common draws.
+    Each policy is tuned to the rate or the traffic, as by ``tune``. Time-triggered control that is given by its period
+    only is also tried with measurements as frequent as those of the other policies and the best cycle of send
+    intervals; the cheaper variant counts. The remaining error of a policy's rate, about one standard error, is
+    corrected along the slope of cost against rate, and is added to the standard error. If the rate of a policy jumps
+    across the given rate, the time is shared between the policies on both sides of the jump. If two policies are both
+    simulated step by step, their difference is simulated on common draws.
 
     Args:
         problems: at least two problems by name, with the same plant, cost and network, and different policies.
         rate: sends per step, or per second for a continuous plant; for a finite-horizon run, the mean fraction of steps
             with a send.
+        traffic: instead, the sum of the rates of all links, each times the price of a packet.
         link: link whose rate is meant; may be omitted if each policy decides on a single link.
         seed: seed of the random draws.
         standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending at every step.
@@ -238,7 +245,14 @@ def compare(
         ['model', 'hold']
     """
     check_effort(seed, standard_error, None)
-    rate = number("rate", rate, 0.0)
+    if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
+        raise ProblemError(
+            f"rate is {rate}, traffic is {traffic} and link is {link!r}; expected a rate, perhaps with a link, or a "
+            "traffic alone"
+        )
+    goal, level = (
+        ("rate", number("rate", rate, 0.0)) if traffic is None else ("traffic", number("traffic", traffic, 0.0))
+    )
     problems = comparable(problems, link)
     bar = in_notebook(progress)
     found: list[Contestant] = []
@@ -252,9 +266,12 @@ def compare(
             alike: list[Contestant] = []
             for problem in choices:
                 wanted = _wanted(problem) if standard_error is None else standard_error
-                tuned = tune(problem, rate=rate, link=link, seed=seed + index, standard_error=wanted, progress=report)
-                decides = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
-                alike.append(_at_rate(name, tuned, rate, decides))
+                tuned = tune(
+                    problem, rate=rate, traffic=traffic, link=link, seed=seed + index, standard_error=wanted,
+                    progress=report,
+                )  # fmt: skip
+                only = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
+                alike.append(_at_rate(name, tuned, level, only if traffic is None else None))
             found.append(min(alike, key=lambda one: one.cost.value))
         except TaciturnError as error:
             raise type(error)(f"{name}: {error}") from None
@@ -262,9 +279,9 @@ def compare(
     ranking, best = tuple(found), None
     while best is None or ranking[0].name != best.name:  # until no difference shows that another policy is cheaper
         best = ranking[0]
-        beside = [replace(one, above=_above(one, best, rate, seed + len(problems))) for one in found]
+        beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
         ranking = tuple(sorted(beside, key=lambda one: one.above.value))
-    return Comparison(rate, cost_unit(found[0].tuned.problem), _all_time(found), ranking)
+    return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal)
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:
@@ -296,14 +313,14 @@ def _wanted(problem: Problem) -> float | None:
         return None
 
 
-def _at_rate(name: str, tuned: Tuned, rate: float, link: str) -> Contestant:
-    """Return the cost of a policy at exactly this rate."""
+def _at_rate(name: str, tuned: Tuned, rate: float, link: str | None) -> Contestant:
+    """Return the cost of a policy at exactly this rate or traffic."""
     here = tuned.evaluation
     bound = _bound(here)
     share, share_error, cost = 1.0, 0.0, here.cost
     if tuned.beyond is not None:
         there = tuned.beyond.evaluation
-        low, high = (one.rates[link] for one in (here, there))
+        low, high = (tuned.goal.use(one) for one in (here, there))
         apart = high.value - low.value
         share = (high.value - rate) / apart
         share_error = float(np.hypot(share * low.standard_error, (1 - share) * high.standard_error)) / apart
@@ -314,10 +331,10 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: str) -> Contestant:
         other = _bound(there)
         bound = None if bound is None or other is None else share * bound + (1 - share) * other
     elif tuned.slope is not None:
-        shift, error = _shift(tuned, rate, link)
+        shift, error = _shift(tuned, rate)
         if abs(shift) + error > LARGE * abs(cost.value):
             raise ProblemError(
-                f"the cost of {here.policy} cannot be estimated at the rate {rate:g}, where it changes by "
+                f"the cost of {here.policy} cannot be estimated at the {tuned.goal.name} {rate:g}, where it changes by "
                 f"{abs(tuned.slope):.2g} per send per {here.rate_unit}: the loop is nearly unstable "
                 "there; expected another rate, or another policy"
             )
@@ -325,11 +342,11 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: str) -> Contestant:
     return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound, share_error)
 
 
-def _shift(tuned: Tuned, rate: float, link: str) -> tuple[float, float]:
+def _shift(tuned: Tuned, rate: float) -> tuple[float, float]:
     """Return the error of the cost that is due to the error of the rate, and its standard error."""
     if tuned.slope is None:
         return 0.0, 0.0
-    found = tuned.evaluation.rates[link]
+    found = tuned.goal.use(tuned.evaluation)
     return tuned.slope * (found.value - rate), abs(tuned.slope) * found.standard_error
 
 
@@ -345,7 +362,7 @@ def _above(one: Contestant, best: Contestant, rate: float, seed: int) -> Estimat
         return above
     steps = max(contestant.tuned.evaluation.steps for contestant in pair)
     found = difference(loop, other, seed=seed, steps=steps).cost
-    shifts, errors = zip(*(_shift(contestant.tuned, rate, contestant.link) for contestant in pair), strict=True)
+    shifts, errors = zip(*(_shift(contestant.tuned, rate) for contestant in pair), strict=True)
     error = float(np.sqrt(found.standard_error**2 + sum(error**2 for error in errors)))
     common = Estimate(found.value - shifts[0] + shifts[1], error, "simulation")
     return common if error < apart else above

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 from taciturn._text import LARGE, magnitude, number_text, percent
@@ -58,3 +59,8 @@ def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = Tr
     if error > 0:
         decimals = min(decimals, max(0, -magnitude(error)))
     return percent(cost.value / base - 1, decimals, up=up, signed=signed)
+
+
+def shares_text(shares: Mapping[str, float]) -> str:
+    """Return the shares of the links as text."""
+    return ", ".join(f"{link} {share:g}" for link, share in shares.items())

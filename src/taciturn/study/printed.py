@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
 from taciturn.study.evaluation import bound_at_rate, least_cost, periodic_cost
-from taciturn.study.lines import bound_text, percent_above, rounded
+from taciturn.study.lines import bound_text, percent_above, rounded, shares_text
 
 if TYPE_CHECKING:
     import xarray
@@ -152,15 +152,16 @@ def comparison_text(found: Comparison) -> str:
                 _proved(one.cost_bound) or "none",
             ]
         )
-    lines = [("rate", f"{found.rate:.6g} sends per {found.rate_unit}")]
+    lines = [(found.of, f"{found.rate:.6g}{' sends' * (found.of == 'rate')} per {found.rate_unit}")]
     measured = [f"{' and '.join(map(str, one.rates))} ({one.name})" for one in found.ranking]
-    lines.append(("rates", f"{', '.join(measured)}; each cost is corrected for the difference"))
+    lines.append(("measured", f"{', '.join(measured)}; each cost is corrected for the difference"))
     if found.cost_all_time is not None:
         lines.append(("every sample", f"{found.cost_all_time:.6g}"))
     parts = [table_text(header, rows, 2), pairs_text(lines)]
     for one in found.ranking:
         share = percent(one.share, 1, error=one.share_error)
         shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
+        shared += "" if one.tuned.shares is None else f"shares {shares_text(one.tuned.shares)}; "
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
             parts.append(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))

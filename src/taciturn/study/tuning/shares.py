@@ -148,6 +148,11 @@ class Division:
 
     def _given_rates(self, goal: RatesGoal) -> dict[str, float]:
         """Return the shares at which the links with a limit reach it; the others send every sample."""
+        for link in goal.limits:
+            if link not in self._links:
+                raise ProblemError(
+                    f"rate has the link {link!r}; expected links of the network: {', '.join(self._links)}"
+                )
         named = [self._links.index(link) for link in goal.limits]
         logs = np.full(len(self._links), -np.inf)
         logs[named] = self._start() - np.log(len(named))
@@ -155,7 +160,7 @@ class Division:
             before = logs.copy()
             for place in named:
                 logs = self._root(logs, self._axis(place), self._above_limit(goal, place), lambda _: 0.0, -1.0)[0].logs
-            if np.abs(logs - before)[named].max() < CLOSE or len(named) == 1:
+            if np.abs(logs[named] - before[named]).max() < CLOSE or len(named) == 1:
                 break
         return self._shares(logs)
 
@@ -168,11 +173,8 @@ class Division:
         link = self._links[place]
 
         def above(trial: Trial) -> float:
-            rates = trial.evaluation.rates
-            if link not in rates:
-                goal.of(trial.evaluation)  # refuses the link
             least = 0.5 * (trial.evaluation.base_rate or 1.0) / EFFORT
-            return float(np.log(max(rates[link].value, least) / goal.limits[link]))
+            return float(np.log(max(trial.evaluation.rates[link].value, least) / goal.limits[link]))
 
         return above
 

@@ -14,6 +14,7 @@ from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.study.clock import Cycle
 from taciturn.study.evaluation import Evaluation
+from taciturn.study.lines import shares_text
 from taciturn.study.tuning.goal import Goal
 
 
@@ -135,8 +136,3 @@ def _budget_text(found: Tuned) -> str:
     else:
         kept = "met exactly" if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
     return f"{found.goal.text(found.evaluation)}, {kept}"
-
-
-def shares_text(shares: Mapping[str, float]) -> str:
-    """Return the shares of the links as text."""
-    return ", ".join(f"{link} {share:g}" for link, share in shares.items())

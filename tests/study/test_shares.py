@@ -1,0 +1,134 @@
+"""The shares of several links: budgets on traffic, on several rates and on the cost, and the cheapest within them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn.errors import ProblemError
+from taciturn.model.network import LinkLaw, Network, NodeRole
+from taciturn.problem import Problem
+from taciturn.study.tuning import shares
+from taciturn.study.tuning.tuned import Tuned
+
+PRICES = {"level": 4.0, "valve": 1.0}
+EFFORT = 200_000
+
+
+def two_links(**policy: Any) -> Problem:
+    """Return an unstable plant with one wireless sensor, of which a packet is dearer, and one valve."""
+    nodes = {"level": NodeRole(measures=True), "plc": NodeRole(controls=True), "valve": NodeRole(applies=True)}
+    plant = taciturn.Plant([[1.05, 0.2], [0.0, 0.8]], [[0.3], [1.0]], np.diag([0.1, 0.2]), C=[[1.0, 0.0]], V=[[0.1]])
+    network = Network(nodes=nodes, links={link: LinkLaw(price=price) for link, price in PRICES.items()})
+    given = {"prediction": "model", "actuation": "model", "theta": 0.3} | policy
+    return Problem(plant, taciturn.Cost(np.eye(2), [[0.1]]), network, "distributed", given)
+
+
+def at_cost(problem: Problem, most: float, level: float) -> float:
+    """Return the traffic at a cost, with a share of the level's link and 1 of the valve's, on a fine grid of θ."""
+    points: list[tuple[float, float]] = []
+    for theta in np.geomspace(0.05, 3.0, 15):
+        changed = problem.changed({"theta": float(theta), "shares": {"level": level, "valve": 1.0}})
+        found = taciturn.evaluate(changed, seed=1, steps=EFFORT)
+        assert found.traffic is not None
+        points.append((found.cost.value, math.log(found.traffic.value)))
+    return math.exp(np.interp(most, *np.array(points).T))
+
+
+@pytest.fixture(scope="module")
+def cheapest() -> Tuned:
+    """Return the policy of the least traffic at 10 % more cost."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shares, "EFFORT", EFFORT)
+        return taciturn.tune(two_links(), cost="+10%", seed=1, standard_error=1e-3)
+
+
+def test_the_traffic_at_a_cost_is_the_least_of_all_shares(cheapest: Tuned) -> None:
+    """Against a grid of shares: within two percent of its least traffic, and better than equal shares."""
+    found = cheapest.evaluation
+    assert cheapest.confidence > 0.9
+    assert found.cost.value == pytest.approx(1.1 * found.cost_all_time, rel=3e-3)
+    grid = {level: at_cost(two_links(), found.cost.value, level) for level in (0.3, 1.0, 2.0, 4.0, 8.0)}
+    assert found.traffic.value < 1.02 * min(grid.values()) < 0.98 * grid[1.0]
+    assert cheapest.shares["level"] > cheapest.shares["valve"] > 0
+    assert sum(cheapest.shares.values()) == pytest.approx(2.0, abs=0.01)
+
+
+def test_the_cost_at_a_traffic_is_the_least_of_all_shares(cheapest: Tuned, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The budget of the traffic that was found gives back the cost, within two errors and a percent of the excess."""
+    monkeypatch.setattr(shares, "EFFORT", EFFORT)
+    found = taciturn.tune(two_links(), traffic=cheapest.evaluation.traffic.value, seed=1, standard_error=1e-3)
+    extra = cheapest.evaluation.cost.value - found.evaluation.cost_all_time
+    assert found.evaluation.cost.value - found.evaluation.cost_all_time == pytest.approx(extra, rel=0.03)
+    assert found.confidence > 0.9
+    document = found.document()
+    assert document["budget"]["of"] == "traffic"
+    assert set(document["shares"]) == set(PRICES)
+    assert "shares" in str(found)
+
+
+def test_links_without_a_given_rate_send_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rates of links by name are met, each for itself."""
+    monkeypatch.setattr(shares, "EFFORT", EFFORT)
+    found = taciturn.tune(two_links(), rate={"level": "30%"}, seed=1, standard_error=2e-3)
+    rates = found.evaluation.rates
+    assert rates["level"].value == pytest.approx(0.3, abs=4e-3)
+    assert rates["valve"].value == pytest.approx(1.0, abs=1e-5)
+    assert found.shares["valve"] == 0.0
+    both = taciturn.tune(two_links(), rate={"level": 0.3, "valve": 0.4}, seed=1, standard_error=2e-3)
+    assert [both.evaluation.rates[link].value for link in PRICES] == pytest.approx([0.3, 0.4], abs=8e-3)
+    assert both.document()["budget"]["at_most"] == {"level": 0.3, "valve": 0.4}
+
+
+def test_given_shares_are_kept() -> None:
+    """A budget on the traffic then changes θ alone."""
+    given = {"level": 2.0, "valve": 1.0}
+    found = taciturn.tune(two_links(shares=given), traffic=2.0, standard_error=2e-3)
+    assert found.shares is None
+    assert found.problem.parameters["shares"] == given
+    assert found.evaluation.traffic.value == pytest.approx(2.0, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("budget", "sentence"),
+    [
+        ({}, "none of rate, cost and traffic is given"),
+        ({"rate": 0.3, "traffic": 1.0}, "rate and traffic are given"),
+        ({"rate": {"level": 0.3}, "link": "level"}, "expected rates by link, and no link"),
+        ({"rate": {"pump": 0.3}}, "rate has the link 'pump'; expected links of the network: level, valve"),
+        ({"traffic": "-5%"}, "expected a number, or a percentage such as 50% of the traffic"),
+        ({"traffic": 50.0}, "no theta gives distributed the traffic at most 50|above the traffic"),
+        ({"rate": 0.3}, "decides on 2 links; expected link to be one of level, valve"),
+    ],
+)
+def test_budgets_that_cannot_be_met_are_refused(budget: Mapping[str, Any], sentence: str) -> None:
+    """In a sentence that names what is expected."""
+    with pytest.raises(ProblemError, match=sentence):
+        taciturn.tune(two_links(), **budget)
+
+
+def test_rates_of_several_links_need_shares() -> None:
+    """A kind with one parameter, and a problem that states its shares, are refused."""
+    with pytest.raises(ProblemError, match="lqg has one parameter for all links"):
+        taciturn.tune(taciturn.load("two-mass-lqg"), rate={"sensor": 0.3, "actuator": 0.3})
+    with pytest.raises(ProblemError, match="shares is given too"):
+        taciturn.tune(two_links(shares={"level": 2.0}), rate={"level": 0.3, "valve": 0.3})
+
+
+def test_policies_are_compared_at_equal_traffic(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model at both ends costs less than to hold, and best shares less than equal ones."""
+    monkeypatch.setattr(shares, "EFFORT", EFFORT)
+    hold = {"prediction": "hold", "actuation": "hold"}
+    rivals = {"model": two_links(), "hold": two_links(**hold), "equal": two_links(shares={"level": 1.0})}
+    found = taciturn.compare(rivals, traffic=2.0, standard_error=3e-3)
+    assert found.of == "traffic"
+    assert found.ranking[0].name == "model"
+    assert found.document()["ranking"][0]["link"] is None
+    assert "traffic" in str(found)
+    with pytest.raises(ProblemError, match="expected a rate, perhaps with a link, or a traffic alone"):
+        taciturn.compare(rivals)
