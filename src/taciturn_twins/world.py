@@ -120,11 +120,11 @@ class World(PlantServer):
         take_until(self.endpoint, self._take, lambda: True)
         return self.report()
 
-    def _measure(self, tick: int, again: bool = False) -> None:
+    def _measure(self, tick: int, again: bool = False, asked: str | None = None) -> None:
         if self._before is not None and not again:
             self._before(tick)
         self._shine(tick)
-        super()._measure(tick, again)
+        super()._measure(tick, again, asked)
 
     def _shine(self, tick: int) -> None:
         for loop, plant in enumerate(self._bodies):

@@ -182,12 +182,12 @@ class PlantServer:
                 values[place] = value
         return tuple(values)
 
-    def _measure(self, tick: int, again: bool = False) -> None:
-        """Send the measurements of a step; with ``again``, only those of loops of which an input has not arrived."""
+    def _measure(self, tick: int, again: bool = False, asked: str | None = None) -> None:
+        """Send the measurements of a step, perhaps only of loops of which an input has not arrived, or of one link."""
         for loop, plant in enumerate(self.plants):
             if again and self._complete(loop, tick):
                 continue
-            for link, to in self._sensors.items():
+            for link, to in self._sensors.items() if asked is None else [(asked, self._sensors[asked])]:
                 y = tuple(plant.measurement[i] for i in self.wire.plant[link].outputs)
                 packet = Packet("measurement", link, tick, tick & 0xFFFFFFFF, y, self._epoch, loop)
                 self.endpoint.send(self.wire.encode(packet), to)
@@ -234,7 +234,9 @@ class PlantServer:
                 self._sort(packet)
 
     def _expects(self, packet: Packet) -> bool:
-        """Return whether a packet is one that nodes send to the plant."""
+        """Return whether a packet is one that nodes send to the plant; who challenges it receives measurements."""
+        if packet.kind == "challenge" and packet.link not in self._sensors:
+            return False
         return packet.link in self.wire.plant and (packet.kind in BACK or (packet.kind in PROOFS and packet.back))
 
     def _admits(self, packet: Packet, sender: Address) -> bool:
@@ -242,7 +244,7 @@ class PlantServer:
         if packet.kind == "challenge":
             answer = self.reception.answer(packet, self._epoch, self._now)
             self.endpoint.send(self.wire.encode(answer), self._sensors[packet.link])
-            self._measure(self._now, again=True)
+            self._measure(self._now, again=True, asked=packet.link)
             return False
         if packet.kind == "answer":
             if self.reception.accepts(packet):
