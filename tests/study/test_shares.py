@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 
 import taciturn
 from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.lqg.multirate import MultirateControl, Timing
 from taciturn.model.network import LinkLaw, Network, NodeRole
 from taciturn.problem import Problem
+from taciturn.study.clocks import LinkClocks, clocks_of_links, clocks_or_reason
 from taciturn.study.tuning import shares
 from taciturn.study.tuning.tuned import Tuned
 
@@ -130,5 +135,26 @@ def test_policies_are_compared_at_equal_traffic(monkeypatch: pytest.MonkeyPatch)
     assert found.ranking[0].name == "model"
     assert found.document()["ranking"][0]["link"] is None
     assert "traffic" in str(found)
+    assert isinstance(found.clocks, LinkClocks)
+    assert found.ranking[0].cost.value < found.clocks.cost
+    assert found.document()["clocks"]["kind"] == "model"
     with pytest.raises(ProblemError, match="expected a rate, perhaps with a link, or a traffic alone"):
         taciturn.compare(rivals)
+
+
+@pytest.mark.parametrize("traffic", few([1.0, 0.7, 1.4], 1))
+def test_the_clocks_of_the_links_are_the_best_of_all_periods(traffic: float) -> None:
+    """Of all periods up to 8 of both links in phase, none with at most this traffic costs less."""
+    problem = two_links()
+    found = clocks_of_links(problem, traffic)
+    control = MultirateControl(discretise(problem.plant, problem.cost, None), problem.network, plans=True)
+    costs = [
+        control.cost({"level": Timing(one), "valve": Timing(other)})
+        for one, other in itertools.product(range(1, 9), repeat=2)
+        if 4 / one + 1 / other <= traffic
+    ]
+    assert found.cost <= min(costs) * (1 + 1e-9)
+    assert sum(found.shares) == pytest.approx(1.0)
+    lossy = Network(nodes=problem.network.nodes, links={"level": LinkLaw(loss=0.1, acknowledged=True)})
+    other = Problem(problem.plant, problem.cost, lossy, problem.kind, problem.parameters)
+    assert "deliver every packet" in str(clocks_or_reason([other], traffic))

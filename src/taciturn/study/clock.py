@@ -182,7 +182,7 @@ class Ticked(Clock):
         ticks = max(1.0, 1 / (rate * self._tick))
         nearest = int(ticks * (1 + SAME))
         lengths = max(1, nearest // 2), 2 * nearest + REACH, nearest
-        found = self._exact(lengths, lambda corners: _beside(corners, rate))
+        found = self._exact(lengths, lambda corners: beside(corners, rate))
         return (found[0], found[1]) if found else None
 
     def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
@@ -290,7 +290,7 @@ class Either(Clock):
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
         """Return the two corners of the convex lower hull of all costs that are next to a rate."""
         near = max(rate / 1.5, self._slowest), min(1.5 * rate, 1 / self._tick)
-        found = _beside(lower_hull([*(self.ticked.around(rate) or ()), *self._free(rate, *near)]), rate)
+        found = beside(lower_hull([*(self.ticked.around(rate) or ()), *self._free(rate, *near)]), rate)
         return (found[0], found[1]) if found else None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
@@ -313,7 +313,7 @@ class Either(Clock):
         return [points[0] for points in found if points is not None]
 
 
-def _beside(corners: Sequence[ClockPoint], rate: float) -> Sequence[ClockPoint]:
+def beside(corners: Sequence[ClockPoint], rate: float) -> Sequence[ClockPoint]:
     """Return the corner of at most a rate, and that of at least it; none where all are faster."""
     slower = [corner for corner in corners if corner.rate <= rate * (1 + SAME)]
     faster = [corner for corner in corners if corner.rate > rate * (1 + SAME)] or slower[-1:]

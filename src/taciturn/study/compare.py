@@ -23,6 +23,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied
 from taciturn.simulation.average import check_effort, difference
 from taciturn.study.alike import comparable
+from taciturn.study.clocks import LinkClocks, clocks_document, clocks_or_reason
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
@@ -103,6 +104,8 @@ class Comparison(Tabular):
             None if it is unknown.
         ranking: the policies in the order of their costs.
         of: what is equal for all policies: the ``"rate"`` of a link, or the ``"traffic"``.
+        clocks: for policies at the same traffic, fair periodic control with the best timing of each link that was found
+            at this traffic, or the reason why there is none; else None.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_all_time", "method")
@@ -112,6 +115,7 @@ class Comparison(Tabular):
     cost_all_time: float | None
     ranking: tuple[Contestant, ...]
     of: str = "rate"
+    clocks: LinkClocks | str | None = None
 
     @property
     def method(self) -> str:
@@ -152,6 +156,7 @@ class Comparison(Tabular):
             "rate_unit": self.rate_unit,
             "method": self.method,
             "cost_all_time": self.cost_all_time,
+            **({} if self.clocks is None else {"clocks": clocks_document(self.clocks)}),
             "ranking": [
                 {
                     "name": one.name,
@@ -281,7 +286,8 @@ def compare(
         best = ranking[0]
         beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
         ranking = tuple(sorted(beside, key=lambda one: one.above.value))
-    return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal)
+    clocks = None if traffic is None else clocks_or_reason([one.tuned.problem for one in ranking], level)
+    return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal, clocks)
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:

@@ -157,6 +157,10 @@ def comparison_text(found: Comparison) -> str:
     lines.append(("measured", f"{', '.join(measured)}; each cost is corrected for the difference"))
     if found.cost_all_time is not None:
         lines.append(("every sample", f"{found.cost_all_time:.6g}"))
+    if isinstance(found.clocks, str):
+        lines.append(("periodic", f"none at this traffic: {found.clocks}"))
+    elif found.clocks is not None:
+        lines.append(("periodic", f"{found.clocks.cost:.6g}, the least found: {found.clocks.short()} steps"))
     parts = [table_text(header, rows, 2), pairs_text(lines)]
     for one in found.ranking:
         share = percent(one.share, 1, error=one.share_error)
