@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from catalogue import KEEPING, POLICIES, closed
@@ -42,13 +44,14 @@ TANKS = {
     "tank, rounded": {"links.level-2.payload": "float32", "nodes.pump-1.site": "plc"},
     "tank, crossed": {f"nodes.{n}.{does}": [i] for does, n, i in CROSSED},
 }
-PARTICULAR = (*CONTINUOUS, *KEEPING, *TANKS)
+STRING = "vehicle-string"
+PARTICULAR = (*CONTINUOUS, *KEEPING, *TANKS, STRING)
 
 
 def build(name: str) -> Loop:
     """Return the loop of a policy of the catalogue on a random plant, or of one for a particular plant."""
-    if name in TANKS:
-        problem = taciturn.load("quadruple-tank").changed(TANKS[name])
+    if name in (*TANKS, STRING):
+        problem = taciturn.load("quadruple-tank").changed(TANKS[name]) if name in TANKS else taciturn.load(name)
         return problem.close(problem.design())
     if name in KEEPING:
         problem = taciturn.load("pid-tank").changed(dict(KEEPING[name]))
@@ -81,7 +84,7 @@ def test_nodes_decide_as_the_program_for_100_000_ticks(name: str) -> None:
     assert_same(build(name), 100_000, 4, fast=True)
 
 
-@pytest.mark.parametrize("name", TANKS)
+@pytest.mark.parametrize("name", [*TANKS, STRING])
 def test_two_sensors_and_two_pumps_decide_as_the_loop(name: str) -> None:
     """Each with its own outputs and inputs, over links of their own."""
     assert_same(build(name), 200, 3, fast=False)
@@ -363,3 +366,13 @@ def test_a_packet_that_is_read_before_it_is_sent_is_that_of_the_tick_before() ->
     plant = Plant([[1.05]], [[1.0]], [[0.1]])
     policy = Policy("late", steps, plant, sites=(frozenset({"sensor", "controller"}),))
     assert_same(taciturn.close(plant, policy, Network("udp", 0.2), Cost(one, one)), 500, 1, fast=False)
+
+
+def test_places_that_wait_for_each_other_are_refused() -> None:
+    """A sensor and a pump in one process: its packet decides that of the controller, on which its input depends."""
+    tank = taciturn.load("quadruple-tank").changed({"nodes.pump-1.site": "level-1"})
+    policy = tank.design()
+    assert Node(policy, "pump-1").actuates
+    together = replace(policy, sites=policy.network.sites)
+    with pytest.raises(ProblemError, match="within a step, level-1.pump-1 and plc wait for packets of each other"):
+        Node(together, "plc")

@@ -82,6 +82,7 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
     """
     NODES.check(policy.parts, policy.designed_for, network)
     check_separable(policy)
+    expect_order(policy)
     return _Lowering(policy, site, network, precision).result()
 
 
@@ -117,6 +118,37 @@ def check_separable(policy: Policy) -> None:
                     f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
                     f"that computes {step.signal} from the packet; expected the Send after the change"
                 )
+
+
+def expect_order(policy: Policy) -> None:
+    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other.
+
+    Raises:
+        ProblemError: there is no order in which the places can execute a step.
+    """
+    sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
+    waits: dict[frozenset[str], set[frozenset[str]]] = {}
+    for i, step in enumerate(policy.steps):
+        on, here = _condition(step), policy.site(step.at)
+        if isinstance(on, Received) and sent.get(on.link, i) < i and _needed_for_output(policy, here, i):
+            waits.setdefault(here, set()).add(policy.site(policy.steps[sent[on.link]].at))
+    left = dict(waits)
+    while ready := [place for place, others in left.items() if not others & left.keys()]:
+        for place in ready:
+            del left[place]
+    if left:
+        names = " and ".join(sorted("+".join(sorted(place)) for place in left))
+        raise ProblemError(
+            f"the nodes of {policy.kind} cannot be separated: within a step, {names} wait for packets of each other; "
+            "expected nodes at different places"
+        )
+
+
+def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool:
+    """Return whether a place has an output in a step after an operation, which then cannot wait for the next step."""
+    applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
+    later = (step for step in policy.steps[place:] if step.at in site)
+    return any(isinstance(step, Send) or not applied.isdisjoint(assigned(step)) for step in later)
 
 
 class _Part(TimeStep):

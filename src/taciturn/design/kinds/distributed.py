@@ -117,7 +117,8 @@ def distributed(
             sums=sums if told else {},
             covers=covers | BURSTS if lossy and told else covers,
         ),
-        sites=network.sites,
+        # nodes at another place do not use each other's signals, so each of them runs by itself
+        sites=tuple(group for group in network.sites if network.controller in group),
         initial={"prior": problem.plant.mean},
         tick=problem.tick,
         network=network,
