@@ -374,5 +374,5 @@ def test_places_that_wait_for_each_other_are_refused() -> None:
     policy = tank.design()
     assert Node(policy, "pump-1").actuates
     together = replace(policy, sites=policy.network.sites)
-    with pytest.raises(ProblemError, match="within a step, level-1.pump-1 and plc wait for packets of each other"):
+    with pytest.raises(ProblemError, match=r"within a step, .* and plc .* wait for packets of each other"):
         Node(together, "plc")

@@ -59,10 +59,10 @@ class MultirateControl(Displayed):
         >>> from taciturn.lqg.discrete import discretise
         >>> from taciturn.model.cost import Cost
         >>> from taciturn.model.plant import Plant
-        >>> found = discretise(Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[0.0]]), None)
+        >>> found = discretise(Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), None)
         >>> control = MultirateControl(found, Network(), plans=False)
         >>> round(control.cost({"sensor": Timing(1), "actuator": Timing(2)}), 6)
-        4.030057
+        12.788306
     """
 
     problem: Discrete

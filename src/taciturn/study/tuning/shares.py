@@ -17,10 +17,10 @@ from taciturn.study.evaluation import Evaluation
 from taciturn.study.tuning.goal import Goal, RatesGoal
 from taciturn.study.tuning.trials import look_at
 
-EFFORT = 1_000_000  # steps of a trial; all trials use the same draws
+EFFORT = 400_000  # steps of a trial; all trials use the same draws
 FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of √δ_l
 WORTH = 3e-4  # least relative improvement for which the search continues
-CLOSE = 1e-3  # relative distance from the budget at which a scale is accepted
+CLOSE = 3e-3  # relative distance from the budget at which a scale is accepted, and the rest corrected
 TRIES, ROUNDS = 12, 8  # trials for one scale, and rounds over all links for given rates
 SLOPE = 0.5  # first guess of the change of the logarithm of a rate, per unit of the logarithm of √δ_l
 STRIDE, FARTHEST = 1.5, 12.0  # longest step of a scale, and longest way from the start, in the logarithm
@@ -59,6 +59,9 @@ class Division:
         self._problem, self._tuning, self._goal, self._seed = problem, tuning, goal, seed
         self._name, self._links = problem.record.shares, list(problem.network.links)
         self._progress, self._done = progress, 0
+        self._slopes: tuple[float, float] | None = (
+            None  # of the last scale: of what is limited, and of what is minimised
+        )
 
     def best(self) -> dict[str, float]:
         """Return the best shares, with three digits and the mean 1.
@@ -124,21 +127,23 @@ class Division:
         Raises:
             ProblemError: no trial reaches 0.
         """
-        place, slope, last = 0.0, SLOPE * sign, None
+        place, last = 0.0, None
+        slope, along = self._slopes or (SLOPE * sign, None)
         low, high = -FARTHEST, FARTHEST
         for _ in range(TRIES):
             trial = self._try(logs + place * direction)
             missing = above(trial)
-            if abs(missing) <= CLOSE and last is not None:
-                change = other(trial) - last[2]
-                along = change / (place - last[0]) if place != last[0] else 0.0
+            if last is not None and place != last[0]:
+                along = (other(trial) - last[2]) / (place - last[0])
+                if (missing - last[1]) * (place - last[0]) * sign > 0:
+                    slope = (missing - last[1]) / (place - last[0])
+            if abs(missing) <= CLOSE and along is not None:
+                self._slopes = slope, along
                 return trial, other(trial) - along * missing / slope
             if missing * sign > 0:
                 high = min(high, place)
             else:
                 low = max(low, place)
-            if last is not None and (missing - last[1]) * (place - last[0]) * sign > 0:
-                slope = (missing - last[1]) / (place - last[0])
             last = place, missing, other(trial)
             moved = place - float(np.clip(missing / slope, -STRIDE, STRIDE))
             place = moved if low < moved < high else (low + high) / 2
@@ -159,6 +164,7 @@ class Division:
         for _ in range(ROUNDS):
             before = logs.copy()
             for place in named:
+                self._slopes = None
                 logs = self._root(logs, self._axis(place), self._above_limit(goal, place), lambda _: 0.0, -1.0)[0].logs
             if np.abs(logs[named] - before[named]).max() < CLOSE or len(named) == 1:
                 break
