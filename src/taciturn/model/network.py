@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -92,6 +92,9 @@ class Network(Displayed):
                 "nodes or links are given with a protocol, losses or encodings of a network of three nodes; expected "
                 "these properties in links"
             )
+        for name, given in (("nodes", nodes), ("links", links)):
+            if given is not None:
+                instance(name, given, Mapping)
         object.__setattr__(self, "nodes", dict(TRIANGLE if nodes is None else nodes))
         self._check_nodes()
         object.__setattr__(self, "links", self._checked_links(links or {}))
@@ -108,7 +111,7 @@ class Network(Displayed):
     def _check_nodes(self) -> None:
         for name, role in self.nodes.items():
             instance(f"nodes.{name}", role, NodeRole)
-            if not re.fullmatch(NAME, name) or name == PLANT:
+            if not isinstance(cast("object", name), str) or not re.fullmatch(NAME, name) or name == PLANT:
                 raise ProblemError(
                     f"nodes.{name} has the name {name!r}; expected at most 32 letters, digits, hyphens and "
                     f"underscores, with a letter first, and not {PLANT!r}"
@@ -216,12 +219,14 @@ class Network(Displayed):
 
     def _signals(self, role: RoleName, signal: str, entry: str, size: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
         held = {name: one.entries(role, size) for name, one in self.nodes.items() if getattr(one, role)}
-        for index in range(max([size, *(i + 1 for listed in held.values() for i in listed)])):
-            by = [name for name, listed in held.items() if index in listed]
-            if index >= size:
+        for name, listed in held.items():
+            if max(listed, default=0) >= size:
                 raise ProblemError(
-                    f"nodes.{by[0]}.{role} contains {index}; expected indices below {size}, the {entry}s of the plant"
+                    f"nodes.{name}.{role} contains {max(listed)}; expected indices below {size}, the {entry}s of the "
+                    "plant"
                 )
+        for index in range(size):
+            by = [name for name, listed in held.items() if index in listed]
             if len(by) != 1:
                 raise ProblemError(
                     f"{entry} {index} of the plant belongs to {' and '.join(by) or 'no node'}; expected one node that "

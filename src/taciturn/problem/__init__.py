@@ -229,7 +229,11 @@ class Problem(Displayed):
         touched: set[str] = set()
         for name, value in values.items():
             *path, key = name.split(".")
-            if value is None and name in tables and name not in parameters:
+            divided = path[1:] if path[:1] == ["policy"] else path  # such as shares.level-1
+            if len(divided) == 1 and _holds_numbers(self.record, divided[0]):
+                held = {**cast("Mapping[str, object]", parameters.get(divided[0]) or {}), key: value}
+                parameters[divided[0]] = {one: number for one, number in held.items() if number is not None}
+            elif value is None and name in tables and name not in parameters:
                 del tables[name]
                 touched.add(name)
             elif not path or path == ["policy"]:
@@ -263,6 +267,11 @@ class Problem(Displayed):
         kind, parameters = read_policy(tables["policy"], CHANGED, self.own)  # plant, cost and network are unchanged
         source = None if self.source is None else tables
         return replace(self, kind=kind, parameters=parameters, source=source, name=CHANGED)
+
+
+def _holds_numbers(record: Kind, name: str) -> bool:
+    """Return whether a parameter of a kind is a table of numbers by name, of which single entries can be changed."""
+    return name in record.parameters and "dict[" in str(record.hints.get(name))
 
 
 def load(path: str | Path, *, functions: bool = True) -> Problem:
