@@ -95,7 +95,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period to tune here"),
         (
             ["--cost", "1", "--least-period", "0.1"],
-            "--least-period is given without a number for --rate, or with --cost; expected --rate",
+            "--least-period is given without a number for --rate, or with --cost or --traffic; expected --rate",
         ),
     ],
 )

@@ -240,7 +240,7 @@ def tune(
         else:
             if not isinstance(allowed, float) or spent is not None or paid is not None:
                 raise taciturn.ProblemError(
-                    "--least-period is given without a number for --rate, or with another budget; expected --rate "
+                    "--least-period is given without a number for --rate, or with --cost or --traffic; expected --rate "
                     "with a number, and no --cost or --traffic"
                 )
             found = tune_period(
