@@ -113,7 +113,7 @@ GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the rando
 Link = Annotated[
     str | None,
     typer.Option(
-        help="Link to which the rate refers if the policy decides on both links: sensor or actuator.",
+        help="Link to which the rate refers if the policy decides on several links.",
         autocompletion=complete_from("sensor", "actuator"),
     ),
 ]

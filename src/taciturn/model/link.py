@@ -122,6 +122,13 @@ class LinkLaw(Displayed):
         """``"ideal"`` if every packet arrives, ``"tcp"`` with acknowledgements and ``"udp"`` without them."""
         return "ideal" if self.acknowledged is None else "tcp" if self.acknowledged else "udp"
 
+    def spending(self) -> str:
+        """Return price, energy and battery as text, if they are given."""
+        parts = [f"price {self.price:g}"] if self.price != 1.0 else []
+        parts += [] if self.energy is None else [f"{self.energy:g} J per packet"]
+        parts += [] if self.battery is None else [f"battery of {self.battery:g} J"]
+        return "".join(f"; {part}" for part in parts)
+
     @property
     def ideal(self) -> bool:
         """True if every packet arrives."""

@@ -16,6 +16,7 @@ from typing import Any
 
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
+from taciturn._text import percent
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.multirate import MultirateControl, Timing
@@ -50,10 +51,15 @@ class LinkClocks(Displayed):
     tried: int
 
     def short(self) -> str:
-        """Return the periods of the links as text."""
-        return " or ".join(
-            ", ".join(f"{link} every {one.period}" for link, one in timing.items()) for timing in self.timings
-        )
+        """Return the periods and phases of the links in steps as text."""
+        texts = [
+            ", ".join(
+                f"{link} every {one.period}{f' from {one.phase}' if one.phase else ''}" for link, one in timing.items()
+            )
+            for timing in self.timings
+        ]
+        both = [f"{percent(share, 3)} of the time {text}" for share, text in zip(self.shares, texts, strict=True)]
+        return "; ".join(both) if len(both) > 1 else texts[0]
 
     def document(self) -> dict[str, Any]:
         """Return a JSON document."""

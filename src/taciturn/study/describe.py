@@ -135,7 +135,8 @@ class Description(Displayed):
         if self.diagram is not None:
             for link in self.diagram.links:
                 told = ", acknowledged" if link.acknowledged else ""
-                lines.append((f"link, {link.name}", f"{link.packet}: {link.condition}{told}"))
+                law = problem.network.links[link.name].spending()
+                lines.append((f"link, {link.name}", f"{link.packet}: {link.condition}{told}{law}"))
         lines += self._fault_lines()
         return [*lines, *(("note", note) for note in self.notes)]
 

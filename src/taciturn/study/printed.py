@@ -160,7 +160,7 @@ def comparison_text(found: Comparison) -> str:
     if isinstance(found.clocks, str):
         lines.append(("periodic", f"none at this traffic: {found.clocks}"))
     elif found.clocks is not None:
-        lines.append(("periodic", f"{found.clocks.cost:.6g}, the least found: {found.clocks.short()} steps"))
+        lines.append(("periodic", f"{found.clocks.cost:.6g}, the least found, in steps: {found.clocks.short()}"))
     parts = [table_text(header, rows, 2), pairs_text(lines)]
     for one in found.ranking:
         share = percent(one.share, 1, error=one.share_error)
