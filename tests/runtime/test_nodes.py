@@ -42,6 +42,10 @@ TANKS = {
         f"links.{link}.{key}": value for link in ("level-1", "pump-2") for key, value in ACKNOWLEDGED.items()
     },
     "tank, rounded": {"links.level-2.payload": "float32", "nodes.pump-1.site": "plc"},
+    "tank, dead bands": {
+        **{"kind": "send-on-delta", "theta": None, "prediction": None, "actuation": None, "delta": 0.4},
+        "shares": {"level-1": 2.0},
+    },
     "tank, crossed": {f"nodes.{n}.{does}": [i] for does, n, i in CROSSED},
 }
 STRING = "vehicle-string"
