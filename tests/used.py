@@ -64,6 +64,7 @@ KINDS: dict[str, Problem] = {
     "mixed": stated(SEEN, "mixed", sigma=0.1, threshold=0.3),
     "dynamic": stated(SEEN, "dynamic", sigma=0.1, rho=0.8, gain=1.5),
     "send-on-delta": stated(SEEN, "send-on-delta", delta=0.5),
+    "distributed": stated(SEEN, "distributed", theta=0.3),
     "variance": stated(SEEN, "variance", threshold=0.5),
     "rollout": stated(SEEN, "rollout", horizon=4, every=2),
     "self-triggered": stated(SEEN, "self-triggered", beta=1.3, max_interval=4),
