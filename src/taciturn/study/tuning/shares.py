@@ -18,12 +18,13 @@ from taciturn.study.tuning.goal import Goal, RatesGoal
 from taciturn.study.tuning.trials import look_at
 
 EFFORT = 400_000  # steps of a trial; all trials use the same draws
-FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of √δ_l
+FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of a share
 WORTH = 3e-4  # least relative improvement for which the search continues
 CLOSE = 3e-3  # relative distance from the budget at which a scale is accepted, and the rest corrected
 TRIES, ROUNDS = 12, 8  # trials for one scale, and rounds over all links for given rates
-SLOPE = 0.5  # first guess of the change of the logarithm of a rate, per unit of the logarithm of √δ_l
+SLOPE = 0.5  # first guess of the change of the logarithm of a rate or cost, per unit of the scale
 STRIDE, FARTHEST = 1.5, 12.0  # longest step of a scale, and longest way from the start, in the logarithm
+LEAST = 1e-6  # least ratio to the budget, for rates of 0
 LEFT = 0.97  # share of the remaining progress that a trial leaves
 
 
@@ -32,7 +33,7 @@ class Trial(Displayed):
     """A trial of the thresholds of all links.
 
     Args:
-        logs: logarithm of √δ_l by link, in units in which δ is the tuning parameter.
+        logs: logarithm of the share of each link, plus that of a common scale, whose square is the tuning parameter.
         evaluation: cost and rates.
     """
 
@@ -60,7 +61,7 @@ class Division:
         self._name, self._links = problem.record.shares, list(problem.network.links)
         self._progress, self._done = progress, 0
         self._slopes: tuple[float, float] | None = (
-            None  # of the last scale: of what is limited, and of what is minimised
+            None  # of the limited and of the minimised quantity, at the last scale
         )
 
     def best(self) -> dict[str, float]:
@@ -96,7 +97,7 @@ class Division:
         return self._shares(best.logs)
 
     def _start(self) -> float:
-        """Return the logarithm of √δ for the given threshold, or for one of usual size."""
+        """Return the scale of the given threshold, or of one of usual size."""
         given = self._problem.parameters.get(self._tuning.name)
         return 0.5 * float(np.log(given)) if isinstance(given, int | float) and given > 0 else 0.0
 
@@ -106,7 +107,7 @@ class Division:
         sign = 1.0 if goal.limits_cost else -1.0  # of the change of the limited quantity with the scale
 
         def above(trial: Trial) -> float:
-            return float(np.log(goal.of(trial.evaluation).value / goal.budget))
+            return float(np.log(max(goal.of(trial.evaluation).value / goal.budget, LEAST)))
 
         def other(trial: Trial) -> float:
             found = trial.evaluation
