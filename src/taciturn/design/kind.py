@@ -82,6 +82,7 @@ class Kind(Displayed):
         requires: the condition on plant and cost as a phrase, for messages.
         check: function that raises a ``ProblemError`` if the kind does not support a plant and a cost.
         several_nodes: whether the design takes networks of several sensors or actuators.
+        ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
         shares: the parameter that divides a threshold among several links, if there is one.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
         keeps_controller: whether the argument ``controller`` of the design is a controller that the user has.
@@ -112,6 +113,7 @@ class Kind(Displayed):
     keeps_controller: bool = False
     for_dropouts: bool = False
     several_nodes: bool = False
+    ideal_links: bool = False
     shares: str | None = None
 
     def __post_init__(self) -> None:

@@ -51,17 +51,20 @@ def expect_network(kind: Kind, key: str) -> None:
         kind: the policy kind.
         key: the key that is given, such as ``network.delay``.
     """
-    if "network" in kind.tables:
+    if _takes(kind):
         return
     kept, kinds = kind.keeps_controller, [CATALOGUE[name] for name in own_kinds()]
-    able = [one.name for one in kinds if "network" in one.tables and (one.keeps_controller or not kept)]
-    expect_argument(
-        kind,
-        "network",
-        key,
-        f"ideal links: remove it, or use {' or '.join(able)}, which {'keep the controller and ' * kept}use the "
-        "network; `taciturn network FILE --loss P` drops packets of policies of any kind",
+    able = [one.name for one in kinds if _takes(one) and (one.keeps_controller or not kept)]
+    raise ProblemError(
+        f"{key} is given, which {kind.name} does not use; expected ideal links: remove it, or use "
+        f"{' or '.join(able)}, which {'keep the controller and ' * kept}use the network; `taciturn network FILE --loss "
+        "P` drops packets of policies of any kind"
     )
+
+
+def _takes(kind: Kind) -> bool:
+    """Return whether a policy kind is designed for links that drop or delay packets."""
+    return "network" in kind.tables and not kind.ideal_links
 
 
 def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:

@@ -244,5 +244,6 @@ KIND = Kind(
     offered=6,
     keeps_controller=True,
     several_nodes=True,
+    ideal_links=True,
     shares="shares",
 )
