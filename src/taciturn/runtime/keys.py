@@ -173,6 +173,7 @@ class KeyFile(RenewedKeys):
         """Read the file."""
         self._path = Path(path)
         super().__init__(time.monotonic)
+        self._source = f"the key file {path}"
 
     def __str__(self) -> str:
         """Return the name of the file."""
