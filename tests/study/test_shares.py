@@ -105,9 +105,14 @@ def test_given_shares_are_kept() -> None:
         ({}, "none of rate, cost and traffic is given"),
         ({"rate": 0.3, "traffic": 1.0}, "rate and traffic are given"),
         ({"rate": {"level": 0.3}, "link": "level"}, "expected rates by link, and no link"),
-        ({"rate": {"pump": 0.3}}, "rate has the link 'pump'; expected links of the network: level, valve"),
+        ({"rate": {"pump": 0.3}}, "link is 'pump', on which distributed does not decide; expected level or valve"),
         ({"traffic": "-5%"}, "expected a number, or a percentage such as 50% of the traffic"),
-        ({"traffic": 50.0}, "no theta gives distributed the traffic at most 50|above the traffic"),
+        (
+            {"traffic": 50.0},
+            "the traffic 50 per step is above the traffic of sending at every step; expected at most 5",
+        ),
+        ({"rate": {"level": 1.5}}, "the rate 1.5 of level is above the rate of sending at every step"),
+        ({"cost": 0.01}, "is below the cost of sending at every step"),
         ({"rate": 0.3}, "decides on 2 links; expected link to be one of level, valve"),
     ],
 )

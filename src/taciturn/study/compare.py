@@ -251,10 +251,9 @@ def compare(
     """
     check_effort(seed, standard_error, None)
     if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
-        raise ProblemError(
-            f"rate is {rate}, traffic is {traffic} and link is {link!r}; expected a rate, perhaps with a link, or a "
-            "traffic alone"
-        )
+        named = {"rate": rate, "traffic": traffic, "link": link}
+        got = " and ".join(name for name, value in named.items() if value is not None) or "neither rate nor traffic"
+        raise ProblemError(f"{got} is given; expected a rate, perhaps with a link, or a traffic alone")
     goal, level = (
         ("rate", number("rate", rate, 0.0)) if traffic is None else ("traffic", number("traffic", traffic, 0.0))
     )

@@ -136,8 +136,15 @@ class RatesGoal(Goal):
         """Return the largest ratio of a rate to its limit.
 
         Raises:
-            ProblemError: the policy does not decide on one of the links.
+            ProblemError: the policy does not decide on one of the links, or a limit is above the largest rate.
         """
+        most = evaluation.base_rate
+        for link, limit in self.limits.items():
+            if most is not None and limit > most * (1 + EXACT):
+                raise ProblemError(
+                    f"the rate {limit:g} of {link} is above the rate of sending at every step; expected at most "
+                    f"{most:g}"
+                )
         shares = [_rate(evaluation, link).scaled(1 / limit) for link, limit in self.limits.items()]
         return max(shares, key=lambda share: share.value)
 

@@ -223,6 +223,14 @@ class Search:
         assert isinstance(why, TaciturnError)
         raise why
 
+    def expect_start(self) -> None:
+        """Reject a budget that no value can meet, before a search of more than this parameter.
+
+        Raises:
+            ProblemError: no policy can be designed, or the budget is beyond that of sending at every step.
+        """
+        self.expect_possible(self._start().evaluation)
+
     def expect_possible(self, found: Evaluation) -> None:
         """Reject a budget that no value can meet, by comparison with sending at every step.
 

@@ -154,11 +154,6 @@ class Division:
 
     def _given_rates(self, goal: RatesGoal) -> dict[str, float]:
         """Return the shares at which the links with a limit reach it; the others send every sample."""
-        for link in goal.limits:
-            if link not in self._links:
-                raise ProblemError(
-                    f"rate has the link {link!r}; expected links of the network: {', '.join(self._links)}"
-                )
         named = [self._links.index(link) for link in goal.limits]
         logs = np.full(len(self._links), -np.inf)
         logs[named] = self._start() - np.log(len(named))

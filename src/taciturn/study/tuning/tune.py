@@ -83,6 +83,7 @@ def tune(
     goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic}, link)
     shares, bar = None, Stages(in_notebook(progress))
     if _divides(problem, goal, link):
+        Search(problem, tuning, goal, seed, None).expect_start()
         shares = Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best()
         problem = problem.changed({str(problem.record.shares): shares})
         bar = bar.stage(DIVIDED, 1.0)
@@ -116,7 +117,7 @@ def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, obj
     given = {name: budget for name, budget in budgets.items() if budget is not None}
     if len(given) != 1:
         got = " and ".join(given) + " are given" if given else "none of rate, cost and traffic is given"
-        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost or traffic (--rate, --cost)")
+        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost or traffic")
     ((name, budget),) = given.items()
     if isinstance(budget, Mapping):
         if link is not None or not budget:
