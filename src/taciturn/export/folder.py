@@ -16,7 +16,7 @@ from taciturn._files import write_whole
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.data import link_code
-from taciturn.export.library import print_library
+from taciturn.export.library import named, print_library
 from taciturn.export.node import EXPORTED, CNode, CoreSizes, identifier, print_node, table
 from taciturn.export.vector import RecordedRun, record_loop
 from taciturn.loop import Loop
@@ -259,8 +259,8 @@ def _snippet(loop: Loop, node: CNode) -> str:
     return _SNIPPET.format(
         node=node.name,
         title=f"{node.role}{shared}",
-        apply=f"void apply(const tac_real *input); /* {len(m)} of them */\n" if m else "",
-        given=f", const tac_real *measurement /* {len(p)} of them */" if p else "",
+        apply=f"void apply(const tac_real *input); /* {named('u', m)} */\n" if m else "",
+        given=f", const tac_real *measurement /* {named('y', p)} */" if p else "",
         measurement="measurement" if p else "NULL",
         applied="  apply(tac_input(node));\n" if m else "",
     )
@@ -342,12 +342,13 @@ include the headers. Compile the sources as C99 or as C++11.
 {snippets}
 You write these functions: `receive` returns the size of the next received datagram, or 0. `send` sends a datagram to
 its destination. Byte 6 of a datagram is its link ({links}).
-Byte 5 is 0 for data, or 1 for an acknowledgement, which is sent back to the sender of the data. `apply` sets the input
-of the plant. Call `begin` once, and `step` in each step.
+Byte 11 is 0 if the datagram goes along its link, as data does, and 1 if it goes back to the sender of the data, as an
+acknowledgement does. `apply` sets the input of the plant. Call `begin` once, and `step` in each step.
 
 * All nodes use the same **step** numbers. In each step the nodes that measure run first, then the controller, then the
   nodes that apply inputs; leave enough time between them for packets to arrive. A node that starts while the loop runs
-  waits for a packet, and starts with step `tac_heard(node) - 1`.
+  waits for a packet, and starts with step `tac_heard(node) - 1`. If several nodes measure, a common clock must give them
+  the same step number, for example the time divided by the period.
 * The **epoch** must increase with each start of a node whose memory is lost. Use for example a wall clock in seconds,
   or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them. With keys
   on all links, the epoch must only differ from those of earlier starts, so it may be random.

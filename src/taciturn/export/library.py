@@ -63,6 +63,11 @@ def print_library(name: str, policy: Policy, core: Sequence[str], nodes: Sequenc
     return texts
 
 
+def named(signal: str, entries: Sequence[int]) -> str:
+    """Return the outputs or inputs of the plant that a node measures or applies, as text."""
+    return ", ".join(f"{signal}[{index}]" for index in entries)
+
+
 def _print_json(document: Mapping[str, object]) -> str:
     """Return a JSON document whose first line shows that it was exported."""
     return json.dumps(document, indent=2).replace("{\n  ", "{ ", 1) + "\n"
@@ -70,11 +75,12 @@ def _print_json(document: Mapping[str, object]) -> str:
 
 def _print_sketch(policy: Policy, node: CNode) -> str:
     """Return a program for Arduino whose loop never waits."""
-    p, m = len(outputs_at(policy, node.role)), len(inputs_at(policy, node.role))
+    outputs, inputs = outputs_at(policy, node.role), inputs_at(policy, node.role)
+    p, m = len(outputs), len(inputs)
     return _SKETCH.format(
         mark=MARK, node=node.name, role=node.role,
-        measure=_MEASURE.format(p=p) if p else "",
-        apply=_APPLY.format(m=m) if m else "",
+        measure=_MEASURE.format(p=p, outputs=named("y", outputs)) if p else "",
+        apply=_APPLY.format(inputs=named("u", inputs)) if m else "",
         time=_TIMER if p else _HEARD_TIME,
         hear="tac_receive(node, datagram, size)" if p else "tac_clock_receive(&beat, node, datagram, size, now)",
         start="" if p else "  tac_clock_start(&beat, PERIOD);\n",
@@ -168,14 +174,14 @@ static uint64_t timer()
 """
 _HEARD_TIME = f"static tac_clock beat; /* estimates when a step begins, from the packets */\n{_TIMER}"
 _MEASURE = """
-/* Yours: read the sensors: {p} of them. */
+/* Yours: read the sensors: {outputs}. */
 static void measure(tac_real *y)
 {{
   for (unsigned i = 0; i < {p}; i++) y[i] = 0;
 }}
 """
 _APPLY = """
-/* Yours: set the inputs of the plant: {m} of them. */
+/* Yours: set the inputs of the plant: {inputs}. */
 static void apply(const tac_real *u)
 {{
   (void)u;
