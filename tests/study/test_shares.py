@@ -18,6 +18,7 @@ from taciturn.lqg.multirate import MultirateControl, Timing
 from taciturn.model.network import LinkLaw, Network, NodeRole
 from taciturn.problem import Problem
 from taciturn.study.clocks import LinkClocks, clocks_of_links, clocks_or_reason
+from taciturn.study.record import fingerprint
 from taciturn.study.tuning import shares
 from taciturn.study.tuning.tuned import Tuned
 
@@ -163,3 +164,10 @@ def test_the_clocks_of_the_links_are_the_best_of_all_periods(traffic: float) -> 
     lossy = Network(nodes=problem.network.nodes, links={"level": LinkLaw(loss=0.1, acknowledged=True)})
     other = Problem(problem.plant, problem.cost, lossy, problem.kind, problem.parameters)
     assert "deliver every packet" in str(clocks_or_reason([other], traffic))
+
+
+def test_prices_and_energies_belong_to_the_digest_of_a_problem() -> None:
+    """A stored result of other prices is not taken for that of a problem."""
+    masses = taciturn.load("two-mass")
+    changes: list[dict[str, object]] = [{}, {"links.actuator.price": 2.0}, {"network.actuator_energy": 1e-3}]
+    assert len({fingerprint(masses.changed(changed)) for changed in changes}) == 3

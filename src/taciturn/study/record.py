@@ -57,6 +57,8 @@ def fingerprint(problem: Problem) -> str:
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [] if problem.controller is None else [problem.controller]
+    paid = {link: [law.price, law.energy, law.battery] for link, law in problem.network.links.items() if law.spending()}
+    own += [paid] if paid and short is not None else []  # the short form has no prices and energies
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 
