@@ -347,8 +347,8 @@ acknowledgement does. `apply` sets the input of the plant. Call `begin` once, an
 
 * All nodes use the same **step** numbers. In each step the nodes that measure run first, then the controller, then the
   nodes that apply inputs; leave enough time between them for packets to arrive. A node that starts while the loop runs
-  waits for a packet, and starts with step `tac_heard(node) - 1`. If several nodes measure, a common clock must give
-  them the same step number, for example the time divided by the period.
+  waits for a packet, and starts with step `tac_heard(node) - 1`. If several nodes measure, they need
+  the same step number, for example the time of synchronised wall clocks divided by the period.
 * The **epoch** must increase with each start of a node whose memory is lost. Use for example a wall clock in seconds,
   or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them. With keys
   on all links, the epoch must only differ from those of earlier starts, so it may be random.
