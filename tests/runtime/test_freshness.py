@@ -276,6 +276,7 @@ def test_keys_change_without_a_stop(tmp_path: Path) -> None:
         ("", "contains no key"),
         ("bus: " + "01" * 16, "names the link 'bus'; expected one of sensor, actuator, plant"),
         ("sensor: " + "01" * 16 + "\nsensor: " + "02" * 16, "two lines for the sensor link"),
+        ("sensor: " + "01" * 16 + "\n" + "02" * 16, "has a key for all links and keys of single links"),
         ("sensor: 0102", "holds 2 bytes"),
         ("sensor: secret", "other characters than hexadecimal digits"),
     ],

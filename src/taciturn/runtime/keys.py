@@ -66,10 +66,15 @@ class Keys:
                 continue
             name, colon, digits = line.rpartition(":")
             link = name.strip() if colon else EVERY
-            if link in links or (links and EVERY in (link, *links)):
-                twice = f"two lines for {f'the {link} link' if link in links and link else 'a link'}"
+            if link in links:
                 raise ProblemError(
-                    f"{source} has {twice}; expected all keys of a link on one line, separated by spaces"
+                    f"{source} has two lines for {f'the {link} link' if link else 'all links'}; expected all keys of a "
+                    "link on one line, separated by spaces"
+                )
+            if links and EVERY in (link, *links):
+                raise ProblemError(
+                    f"{source} has a key for all links and keys of single links; expected one line KEY, or a line "
+                    "LINK: KEY for each link"
                 )
             links[link] = tuple(_key(word, source) for word in digits.split())
         if not any(links.values()):
