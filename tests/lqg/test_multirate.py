@@ -72,7 +72,7 @@ def test_every_sample_costs_what_lqg_does(seed: int) -> None:
 @pytest.mark.parametrize("seed", few(range(20), 2))
 @pytest.mark.parametrize("ages", [(0, 3), (2, 0), (1, 4), (2, 2)])
 def test_the_error_is_that_of_conditioning_on_all_measurements_that_arrived(seed: int, ages: tuple[int, int]) -> None:
-    """All measurements of a window and the state are one Gaussian vector; what was before, the filter knows."""
+    """The measurements of a window and the state are jointly Gaussian; the filter gives the covariance at its start."""
     plant, cost = two_by_two(seed)
     found = MultirateControl(discretise(plant, cost, None), MANY, plans=False)._error(ages)
     before, window, n = steady_filter(plant.A, plant.C, plant.W, plant.V).prior, max(ages) + 1, plant.states

@@ -30,7 +30,7 @@ from taciturn.export.description import (
     used_links,
 )
 from taciturn.export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, print_folder
-from taciturn.export.node import CNode
+from taciturn.export.node import CNode, core_links
 from taciturn.export.vector import entries_of_nodes
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
@@ -255,17 +255,13 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
 
 def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     """Return C source of the function that starts the nodes, and of the list of links."""
-    used, names = used_links(loop), wire_links(loop.policy)
-    last = max([names.index(link) for link in loop.policy.network.links], default=0)
+    used, links = used_links(loop), wire_links(loop.policy)[: core_links(loop.policy)]
     outputs, inputs = entries_of_nodes(loop.policy)
     lines = [f'{GENERATED_BY}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
-    lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in names[: last + 1])}}};"]
+    lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in links)}}};"]
     lines += [
         f"const unsigned fmu_{name}[] = {{{', '.join(f'{i}U' for i in places)}}};"
-        for name, places in (
-            ("outputs", outputs),
-            ("inputs", inputs),
-        )
+        for name, places in {"outputs": outputs, "inputs": inputs}.items()
     ]
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]

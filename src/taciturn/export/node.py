@@ -143,6 +143,12 @@ def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: 
             )
 
 
+def core_links(policy: Policy) -> int:
+    """Return the largest number of a link between the nodes of a policy, plus one."""
+    codes = wire_links(policy)
+    return 1 + max([codes.index(link) for link in policy.network.links], default=0)
+
+
 @dataclass(frozen=True, repr=False)
 class CoreSizes(Displayed):
     """The sizes for which the core is compiled.
@@ -164,10 +170,10 @@ class CoreSizes(Displayed):
     @staticmethod
     def of(policy: Policy, network: Network, waiting: int, precision: Precision) -> CoreSizes:
         """Return the sizes that the nodes of a policy need."""
-        shapes, codes = packet_shapes(policy, network).values(), wire_links(policy)
+        shapes = packet_shapes(policy, network).values()
         payload = max(calcsize(CODES[encoding.name]) * entries for encoding, entries in shapes)
         return CoreSizes(
-            links=1 + max([codes.index(link) for link in policy.network.links], default=0),
+            links=core_links(policy),
             values=max(1, *(entries for _, entries in shapes)),
             datagram=HEADER_SIZE + payload + CRC_SIZE + TAG_SIZE,
             waiting=waiting,

@@ -124,7 +124,7 @@ def expect_order(policy: Policy) -> None:
     """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other.
 
     Raises:
-        ProblemError: there is no order in which the places can execute a step.
+        ProblemError: two places wait for each other.
     """
     sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
     waits: dict[frozenset[str], set[frozenset[str]]] = {}

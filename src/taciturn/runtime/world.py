@@ -234,7 +234,7 @@ class PlantServer:
                 self._sort(packet)
 
     def _expects(self, packet: Packet) -> bool:
-        """Return whether a packet is one that nodes send to the plant; who challenges it receives measurements."""
+        """Return whether nodes send such packets to the plant. Only a node that receives measurements challenges it."""
         if packet.kind == "challenge" and packet.link not in self._sensors:
             return False
         return packet.link in self.wire.plant and (packet.kind in BACK or (packet.kind in PROOFS and packet.back))

@@ -74,7 +74,7 @@ class LinkClocks(Displayed):
 
 
 class NoLinkClocksError(Exception):
-    """Error that states why there is no periodic control to compare with."""
+    """No periodic control of each link can be compared with a policy; the message gives the reason."""
 
 
 @dataclass(eq=False)

@@ -60,9 +60,8 @@ class Division:
         self._problem, self._tuning, self._goal, self._seed = problem, tuning, goal, seed
         self._name, self._links = problem.record.shares, list(problem.network.links)
         self._progress, self._done = progress, 0
-        self._slopes: tuple[float, float] | None = (
-            None  # of the limited and of the minimised quantity, at the last scale
-        )
+        # slopes of the limited and of the minimised quantity, at the last scale
+        self._slopes: tuple[float, float] | None = None
 
     def best(self) -> dict[str, float]:
         """Return the best shares, with three digits and the mean 1.
@@ -157,19 +156,15 @@ class Division:
         named = [self._links.index(link) for link in goal.limits]
         logs = np.full(len(self._links), -np.inf)
         logs[named] = self._start() - np.log(len(named))
+        axes = np.eye(len(self._links))
         for _ in range(ROUNDS):
             before = logs.copy()
             for place in named:
                 self._slopes = None
-                logs = self._root(logs, self._axis(place), self._above_limit(goal, place), lambda _: 0.0, -1.0)[0].logs
+                logs = self._root(logs, axes[place], self._above_limit(goal, place), lambda _: 0.0, -1.0)[0].logs
             if np.abs(logs[named] - before[named]).max() < CLOSE or len(named) == 1:
                 break
         return self._shares(logs)
-
-    def _axis(self, place: int) -> Array:
-        found = np.zeros(len(self._links))
-        found[place] = 1.0
-        return found
 
     def _above_limit(self, goal: RatesGoal, place: int) -> Callable[[Trial], float]:
         link = self._links[place]
