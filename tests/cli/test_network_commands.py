@@ -171,39 +171,37 @@ def terminals() -> list[list[list[str]]]:
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("relayed", few([False, True], 1, 1), ids=["four terminals", "with a relay"])
-def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("typed", few(["four", "relayed", "three", "tank"], 1, 1))
+def test_the_terminals_of_the_page_talk(tmp_path: Path, typed: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the page tells to type, on free ports: the plant ends after its steps, the nodes when they are told to."""
     monkeypatch.chdir(tmp_path)
-    four, relay, three = terminals()
-    for group in ([*relay, *four] if relayed else four, [] if relayed else three):
-        if not group:
-            continue
-        ports = sorted({word for command in group for word in command if re.fullmatch(r":\d+", word)})
-        free = dict(zip(ports, (f":{port}" for _, port in free_addresses(len(ports))), strict=True))
-        commands = [[free.get(word, word) for word in command] for command in group]
-        if relayed:
-            sensor = next(command for command in commands if command[:2] == ["node", "sensor"])
-            sensor[sensor.index("--peer") + 1] = free[":9012"]
-        *others, plant = commands
-        processes = [Process(command) for command in others]
-        for process in processes:
-            process.expect()
-        command = [sys.executable, "-m", "taciturn.cli", *plant]
-        done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
-        assert done.returncode == 0, done.stderr
-        reports = [process.stop() for process in processes]
-        ticks = int(plant[plant.index("--ticks") + 1])
-        report = json.loads(done.stdout)
-        assert report["tick"] == ticks - 1
-        assert report["cost"]["value"] > 0
-        assert all(report["tick"] == ticks - 1 for report in reports if report["role"] != "relay")
-        if "--log" in plant:
-            lines = (tmp_path / "plant.jsonl").read_text().splitlines()
-            assert len(lines) == ticks
-            running = sum(json.loads(line)["cost"] for line in lines)
-            assert report["unit"] == "mission"
-            assert report["cost"]["value"] >= running > 0  # and what the last state costs
+    four, relay, three, tank = terminals()
+    group = {"four": four, "relayed": [*relay, *four], "three": three, "tank": tank}[typed]
+    ports = sorted({port for command in group for word in command for port in re.findall(r":\d+$", word)})
+    free = dict(zip(ports, (f":{port}" for _, port in free_addresses(len(ports))), strict=True))
+    commands = [[re.sub(r":\d+$", lambda found: free[found[0]], word) for word in command] for command in group]
+    if typed == "relayed":
+        sensor = next(command for command in commands if command[:2] == ["node", "sensor"])
+        sensor[sensor.index("--peer") + 1] = free[":9012"]
+    *others, plant = commands
+    processes = [Process(command) for command in others]
+    for process in processes:
+        process.expect()
+    command = [sys.executable, "-m", "taciturn.cli", *plant]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, done.stderr
+    reports = [process.stop() for process in processes]
+    ticks = int(plant[plant.index("--ticks") + 1])
+    report = json.loads(done.stdout)
+    assert report["tick"] == ticks - 1
+    assert report["cost"]["value"] > 0
+    assert all(report["tick"] == ticks - 1 for report in reports if report["role"] != "relay")
+    if "--log" in plant:
+        lines = (tmp_path / "plant.jsonl").read_text().splitlines()
+        assert len(lines) == ticks
+        running = sum(json.loads(line)["cost"] for line in lines)
+        assert report["unit"] == "mission"
+        assert report["cost"]["value"] >= running > 0  # and what the last state costs
 
 
 def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:

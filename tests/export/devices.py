@@ -15,7 +15,7 @@ import pytest
 
 import taciturn
 from taciturn.export.folder import CORE_SOURCES
-from taciturn.export.node import CoreSizes, print_node
+from taciturn.export.node import CoreSizes, core_links, print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import inputs_at, outputs_at, wire_links
@@ -79,6 +79,15 @@ def compile_core(entries: int, precision: Precision, links: int) -> Path:
     return folder
 
 
+def compile_core_for(policy: Policy, network: Network, precision: Precision) -> Path:
+    """Return the folder of ``compile_core`` with the sizes that a policy needs."""
+    return compile_core(_entries(policy, network), precision, core_links(policy))
+
+
+def _entries(policy: Policy, network: Network) -> int:
+    return max(8, *(entries for _, entries in packet_shapes(policy, network).values()))
+
+
 def compile_node(
     policy: Policy,
     role: str,
@@ -89,8 +98,7 @@ def compile_node(
 ) -> Library:
     """Return a node of a policy as a library that is loaded."""
     found = print_node(policy, role, network, "device", precision=precision, seed=seed)
-    entries = max(8, *(entries for _, entries in packet_shapes(policy, network).values()))
-    core = compile_core(entries, precision, CoreSizes.of(policy, network, WAITING, precision).links)
+    core = compile_core_for(policy, network, precision)
     (folder / "device.h").write_text(found.header, encoding="ascii")
     (folder / "device.c").write_text(found.source, encoding="ascii")
     (folder / "access.c").write_text(ACCESS, encoding="ascii")
@@ -107,7 +115,7 @@ def compile_node(
         getattr(code, name).restype = c.c_bool
     memory = found.header.split("tac_real memory[")[1].split("]")[0]
     sizes = len(outputs_at(policy, role)), len(inputs_at(policy, role)), int(memory)
-    return Library(code, number, _packet(number, max(1, entries)), sizes, wire_links(policy))
+    return Library(code, number, _packet(number, _entries(policy, network)), sizes, wire_links(policy))
 
 
 def _packet(number: type, entries: int) -> type[c.Structure]:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 from counts import few
-from export.devices import CORE, Device, compile_core, compile_node, needs_compiler
+from export.devices import CORE, Device, compile_core_for, compile_node, needs_compiler
 from export.test_folders import compile_check, run_check, two_mass, write
 from export.test_nodes_in_c import LOOPS, places
 
 from taciturn.export.folder import print_folder
 from taciturn.export.node import print_node
-from taciturn.model.packets import packet_shapes
 
 FLIP = """
 #include "device.c"
@@ -64,8 +63,7 @@ def test_every_changed_bit_of_the_data_is_found(of: tuple[str, str], precision: 
     (tmp_path / "device.h").write_text(found.header)
     (tmp_path / "device.c").write_text(found.source)
     (tmp_path / "flip.c").write_text(FLIP % "\n  ".join(flips))
-    entries = max(8, *(entries for _, entries in packet_shapes(loop.policy, loop.network).values()))
-    core = compile_core(entries, precision)  # type: ignore[arg-type]
+    core = compile_core_for(loop.policy, loop.network, precision)  # type: ignore[arg-type]
     includes = [f"-I{CORE}", f"-I{core}", f"-I{tmp_path}"]
     options = ["-std=c99", "-O1", "-include", "stdio.h", "-include", "string.h", "-include", "math.h", *includes]
     program = [str(tmp_path / "flip.c"), *map(str, core.glob("*.o")), "-o", str(tmp_path / "flip")]

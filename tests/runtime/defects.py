@@ -56,7 +56,7 @@ def _late_input_wins(true: Callable[..., None], server: Any, packet: Packet) -> 
     true(server, packet)
     if server.refused["late"] > before:
         server.refused["late"], server.taken = before, server.taken + 1
-        server._apply(packet)
+        server._inputs[packet.loop][packet.link].apply(packet)
 
 
 def _numbers_start_again(true: Callable[..., None], node: Node, saved: Any) -> None:
