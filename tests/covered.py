@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, ProblemError, Reference, close, design
+from taciturn import ContinuousPlant, Cost, Jumps, Network, Plant, ProblemError, Reference, close, design
 from taciturn.analyse.limits import resets
 from taciturn.analyse.renewal import NoQuadratureError, chain_of
 from taciturn.analyse.switched import switched
@@ -100,14 +100,12 @@ def with_form(step: Decide) -> Decide:
 
 CONTINUOUS = ContinuousPlant([[0.1]], ONE, ONE)
 JUMPS = grown(Jumps(1.0, np.eye(1)), "skewness")
-BURST = grown(Burst(0.1, 0.5, 0.0, 0.5), "memory", init=True)
 CASES = (
     Case("plant.dead_zone", plant=grown(PLANT, "dead_zone")),
     Case("plant.dead_zone", plant=grown(CONTINUOUS, "dead_zone")),
     Case("jumps.skewness", plant=ContinuousPlant([[0.1]], ONE, jumps=JUMPS), around="jumps"),
     Case("cost.risk_aversion", cost=grown(COST, "risk_aversion")),
     Case("network.random_delay", network=grown(Network(), "random_delay", init=True)),
-    Case("burst.memory", network=Network("udp", actuator_burst=BURST), around="burst|drops packets"),
     Case("Assign.saturation", change=only(Assign, lambda step: grown(step, "saturation"))),
     Case("Decide.hysteresis", change=only(Decide, lambda step: grown(step, "hysteresis"))),
     Case("Send.repeats", change=only(Send, lambda step: grown(step, "repeats", init=True))),
@@ -157,7 +155,7 @@ OTHERS: Mapping[str, Callable[[Case], object]] = {
 }
 SAMPLED = dict.fromkeys(("node", "nodes", "diagram"), lambda case: isinstance(case.plant, ContinuousPlant))
 IRRELEVANT = SAMPLED | {  # interpreters that do not see the class
-    "links": lambda case: not case.name.startswith(("network", "burst")),
+    "links": lambda case: not case.name.startswith("network"),
     "control": lambda case: not case.name.startswith(("plant", "jumps")),
 }
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from taciturn.errors import UnstableError as UnstableError
     from taciturn.loop import Loop as Loop
     from taciturn.loop import close as close
+    from taciturn.model.bursts.gilbert_elliott import Burst as Burst
     from taciturn.model.controller import Controller as Controller
     from taciturn.model.cost import Cost as Cost
     from taciturn.model.disturbance import Disturbance as Disturbance
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from taciturn.model.dynamics import linearise as linearise
     from taciturn.model.estimate import Estimate as Estimate
     from taciturn.model.kept import controller_from as controller_from
-    from taciturn.model.network import Burst as Burst
     from taciturn.model.network import Network as Network
     from taciturn.model.pid import PID as PID
     from taciturn.model.plant import ContinuousPlant as ContinuousPlant
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 # Module of each public name; it is imported at the first access, so that `taciturn --help` starts quickly.
 _HOME = {
-    "Burst": "model.network",
+    "Burst": "model.bursts.gilbert_elliott",
     "ContinuousPlant": "model.plant",
     "Controller": "model.controller",
     "Cost": "model.cost",

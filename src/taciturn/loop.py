@@ -28,7 +28,7 @@ from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import TimeStep, is_bad
+from taciturn.program.lower import TimeStep, link_state
 from taciturn.program.names import Name, Sent, named
 from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
@@ -203,7 +203,7 @@ class Loop(Displayed):
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
         for link, burst in ((link, network.burst(link)) for link in network.links):
             if burst is not None:
-                drawn[is_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
+                drawn[link_state(link)] = burst.pick(draws.random(paths)).astype(np.float64)[None]
         starts = [state.start for state in program.states]
         rows = [drawn[at[0]][at[1]] if isinstance(at, tuple) else np.full(paths, at) for at in starts]
         return np.array(rows).reshape(len(rows), paths)

@@ -73,7 +73,10 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         ),
         (["network", "two-mass", "--world", "-1"], "seed is -1"),
         (["network", "lossy-double-integrator", "--world", "1"], "is for a horizon of 100 steps"),
-        (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
+        (
+            ["relay", "--peer", ":9", "--burst", "0.1"],
+            "--burst is '0.1'; expected to_bad, to_good, loss_good, loss_bad",
+        ),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "--loss and --burst are both given"),
     ],
 )

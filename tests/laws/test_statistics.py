@@ -9,11 +9,10 @@ import pytest
 from laws.test_estimates import COST, PLANT, SEEDS, coverage, covers
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
+from taciturn import Burst, ContinuousPlant, Cost, Network, Plant, close, design
 from taciturn.analyse.renewal import solve_renewal
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
-from taciturn.model.network import Burst
 from taciturn.program.controls import MOST
 from taciturn.program.engine import prepare
 from taciturn.program.names import Control, Sent

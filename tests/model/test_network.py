@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from drawn import law
 from hypothesis import strategies as st
+from model.fading import FADING, JAMMER
 from parity.loops import assert_parity, differences, same
 
 from taciturn import Burst, Cost, Network, Plant, ProblemError, Reference, close, design
 from taciturn.loop import Loop
+from taciturn.model.dropouts import Dropouts
 from taciturn.model.policy import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.machine import Kernel
@@ -111,7 +113,7 @@ def test_a_network_that_contradicts_itself_is_refused(action: Callable[[], objec
     assert refusal(action) == sentence
 
 
-def bursty(protocol: str = "udp", **bursts: Burst) -> Loop:
+def bursty(protocol: str = "udp", **bursts: Dropouts) -> Loop:
     """Return a loop that sends on both links at every step, designed for the same losses without memory."""
     network = Network(protocol, **bursts)
     policy = design.lossy_lqg(PLANT, COST, price=0.0, network=network)
@@ -144,19 +146,19 @@ CHAINS = [Burst(0.1, 0.25, 0.0, 1.0), Burst(0.02, 0.1, 0.05, 0.7), Burst(0.9, 0.
 
 
 @pytest.mark.parametrize("link", ["actuator", "sensor"])
-@pytest.mark.parametrize("burst", CHAINS, ids=["all or nothing", "slow", "restless"])
-def test_a_bursty_link_loses_as_its_chain_says(burst: Burst, link: str) -> None:
+@pytest.mark.parametrize(
+    "burst", [*CHAINS, JAMMER, FADING], ids=["all or nothing", "slow", "restless", "jammer", "own"]
+)
+def test_a_bursty_link_loses_as_its_chain_says(burst: Dropouts, link: str) -> None:
     """Loss frequency, from the first step on, and that of two in a row: what a chain in its stationary law does."""
     sent, gone = lost(bursty(**{f"{link}_burst": burst}), link, seed=3)
     assert sent.all()
     everywhere = np.ones(PATHS)
     assert agrees(ratio(gone.mean(axis=0), everywhere), burst.loss)
     assert agrees(ratio(gone[0].astype(float), everywhere), burst.loss)
-    bad = burst.share_bad
-    stays = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
-    chance = np.array([burst.loss_good, burst.loss_bad])
+    chance = burst.losses
     for distance in (1, 2, 5):
-        again = (np.array([1 - bad, bad]) * chance) @ np.linalg.matrix_power(stays, distance) @ chance / burst.loss
+        again = (burst.start * chance) @ np.linalg.matrix_power(burst.turns, distance) @ chance / burst.loss
         both = (gone[distance:] & gone[:-distance]).sum(axis=0)
         assert agrees(ratio(both.astype(float), gone[:-distance].sum(axis=0)), again), distance
 
@@ -231,13 +233,13 @@ def test_links_start_as_the_stationary_law_says_on_the_same_paths() -> None:
     """The first state of a path depends on seed and path alone, and its share of bad ones is the stationary share."""
     loop = bursty(actuator_burst=CHAINS[1], sensor_burst=CHAINS[2])
     program = loop.program()
-    rows = [i for i, state in enumerate(program.states) if state.name.endswith("link is bad")]
+    rows = [i for i, state in enumerate(program.states) if state.name.startswith("state of the ")]
     assert len(rows) == 2
     start = loop.start(program, 20_000, 8)
     assert same(start, loop.start(program, 20_000, 8))
     assert set(np.unique(start[rows])) == {0.0, 1.0}
     for row, burst in zip(rows, (CHAINS[1], CHAINS[2]), strict=True):
-        link = program.states[row].name.split()[0]
+        link = program.states[row].name.split()[3]
         expected = {"actuator": CHAINS[1], "sensor": CHAINS[2]}[link].share_bad
         assert agrees(ratio(start[row], np.ones(20_000)), expected), (link, burst)
 

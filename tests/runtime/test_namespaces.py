@@ -17,9 +17,9 @@ import pytest
 from counts import few
 
 import taciturn
-from taciturn import cli
+from taciturn import Burst, cli
 from taciturn.errors import ProblemError
-from taciturn.model.network import Burst, Network
+from taciturn.model.network import Network
 from taciturn.model.policy import Send
 from taciturn.runtime.namespaces import KernelLoss, Namespaces, predict_drops
 from taciturn.runtime.packet import Packet, Wire

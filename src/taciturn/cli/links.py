@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from taciturn.model.network import Burst, Network
+    from taciturn.model.dropouts import Dropouts
+    from taciturn.model.network import Network
     from taciturn.model.policy import Policy
     from taciturn.runtime.relay import Fate
 
@@ -46,18 +47,11 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
     return fates
 
 
-def read_burst(text: str | None) -> Burst | None:
-    """Return the burst model of a link from four probabilities, or None."""
-    from taciturn.errors import ProblemError
-    from taciturn.model.network import Burst
+def read_burst(text: str | None) -> Dropouts | None:
+    """Return the law of bursty losses of a link from the values of --burst, or None."""
+    from taciturn.model.bursts import read_law
 
-    if text is None:
-        return None
-    try:
-        to_bad, to_good, loss_good, loss_bad = map(float, text.split(","))
-    except ValueError:
-        raise ProblemError(f"--burst is {text!r}; expected four probabilities, such as 0.05,0.3,0.01,0.7") from None
-    return Burst(to_bad, to_good, loss_good, loss_bad)
+    return None if text is None else read_law("--burst", text)
 
 
 def read_outage(text: str | None) -> tuple[int, int] | None:

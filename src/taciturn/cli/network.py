@@ -292,9 +292,7 @@ def relay(
     loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is dropped.")] = "0",
     burst: Annotated[
         str | None,
-        typer.Option(
-            metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts (Gilbert-Elliott model)."
-        ),
+        typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts; also LAW:VALUES."),
     ] = None,
     delay: Annotated[float, typer.Option(help="Delay of every packet in seconds.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Largest additional random delay in seconds.")] = 0.0,

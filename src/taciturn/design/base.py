@@ -27,6 +27,7 @@ from taciturn._display import Displayed
 from taciturn._modes import mode_text, radius
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
+from taciturn.model.dropouts import stationary
 
 WIDTH = 1e-6  # accuracy of the critical loss
 GROWTH = 1e-6  # growth per step above which a loop is unstable, although its cost is finite
@@ -89,9 +90,7 @@ class Attempts(Displayed):
     @property
     def start(self) -> Array:
         """Stationary distribution of the channel state, (s,)."""
-        s = len(self.turns)
-        equations = np.vstack([self.turns.T - np.eye(s), np.ones((1, s))])
-        return np.asarray(np.linalg.lstsq(equations, np.append(np.zeros(s), 1.0), rcond=None)[0], dtype=np.float64)
+        return stationary(self.turns)
 
     def scaled(self, factor: float) -> Attempts:
         """Return the same attempts over a link with ``factor`` times the losses."""

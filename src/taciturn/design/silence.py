@@ -18,7 +18,7 @@ from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Evaluate, St
 from taciturn.model.trigger import Form
 
 BELIEF = "belief"
-NAMES = ("cost if good", "cost if bad")
+GOOD_OR_BAD = ("cost if good", "cost if bad")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,23 +63,29 @@ def cost_of_silence(
         values, identity = square[:, 0], signals
         silence = Silence(Form(signals, _by_clock(values)), (Form(), Form()))
     else:
-        forms = [Form(signals, _by_clock(square[:, m])) for m in range(2)]
-        values, identity = np.zeros((len(phases), 4, 4)), (BELIEF, *NAMES)
-        values[:, [0, 2, 1, 3], [2, 0, 3, 1]] = 0.5
+        states = range(len(attempts.losses))
+        names = GOOD_OR_BAD if len(states) == 2 else tuple(f"cost in state {m}" for m in states)
+        forms = [Form(signals, _by_clock(square[:, m])) for m in states]
+        half = 0.5 * np.eye(len(states))
+        product = np.block([[0.0 * half, half], [half, 0.0 * half]])  # of the belief and the costs
+        values, identity = np.tile(product, (len(phases), 1, 1)), (BELIEF, *names)
         known = (({ONE: np.zeros((1, 1))}, {ONE: np.ones((1, 1))}),) * 2
         silence = Silence(
             Form(identity, values[0]),
             (Form(), Form()),
-            tuple(Evaluate(route.node, name, (form,)) for name, form in zip(NAMES, forms, strict=True)),
             (
-                Assign(route.node, "attempted", known[0], SEND),
-                Assign(route.node, "arrived", known[1], Acknowledged(link)),
+                # first the update by the previous step, so that decision and identity read the same belief
                 Apply(
                     route.node,
-                    {BELIEF: 2},
+                    {BELIEF: len(states)},
                     ChannelBelief(attempts.turns, attempts.losses),
                     (BELIEF, "attempted", "arrived"),
                 ),
+                *(Evaluate(route.node, name, (form,)) for name, form in zip(names, forms, strict=True)),
+            ),
+            (
+                Assign(route.node, "attempted", known[0], SEND),
+                Assign(route.node, "arrived", known[1], Acknowledged(link)),
             ),
             {BELIEF: attempts.start},
         )

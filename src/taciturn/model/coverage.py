@@ -20,14 +20,15 @@ import numpy.typing as npt
 
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.dropouts import Dropouts
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
-_OWN = ("Cost", "Network", "Burst", "Jumps", "Reference", "Tracking", "Controller", "Disturbance")
+_OWN = ("Cost", "Network", "Jumps", "Reference", "Tracking", "Controller", "Disturbance")
 _PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "LinkLaw": "links"}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _OPAQUE = ("plant.function", "Apply.function")  # callables
-_PLAIN = (str, int, float, np.ndarray, type(None))
+_PLAIN = (str, int, float, np.ndarray, type(None), Dropouts)  # every law of losses has the same two properties
 
 
 def names(owner: str, properties: str) -> frozenset[str]:
@@ -44,7 +45,7 @@ ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
 LINKS = names("network", "links delay") | names("links", "acknowledged range price energy battery")
 GRAPH = names("nodes", "measures applies controls site") | {"network.nodes"}
 LOSSES = frozenset({"links.loss"})
-BURSTS = names("burst", "to_bad to_good loss_good loss_bad") | {"links.burst"}
+BURSTS = frozenset({"links.burst"})
 ROUNDING = frozenset({"links.payload"})
 CONTROLLER = names("controller", "A B C D E dt disturbance setpoint rest start_input") | (
     names("disturbance", "time_constant deviation")

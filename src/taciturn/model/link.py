@@ -10,57 +10,20 @@ from taciturn._arrays import choice, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
+from taciturn.model.dropouts import Dropouts
 from taciturn.model.estimate import Estimate
 from taciturn.model.wire import CODES, EncodingName
-
-
-@dataclass(frozen=True, repr=False)
-class Burst(Displayed):
-    """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
-
-    Args:
-        to_bad: probability per step of a transition from good to bad, in [0, 1].
-        to_good: probability per step of a transition from bad to good, in [0, 1].
-        loss_good: loss probability in the good state, in [0, 1].
-        loss_bad: loss probability in the bad state, in [0, 1].
-
-    Raises:
-        ProblemError: if a probability is outside [0, 1].
-
-    Source: gilbert1960, elliott1963
-    """
-
-    to_bad: float
-    to_good: float
-    loss_good: float
-    loss_bad: float
-
-    def __post_init__(self) -> None:
-        """Check the ranges of the arguments."""
-        for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
-            object.__setattr__(self, name, number(name, getattr(self, name), 0.0, 1.0, closed=True))
-
-    @property
-    def share_bad(self) -> float:
-        """Stationary probability of the bad state; 0 for a link that remains in its initial good state."""
-        turns = self.to_bad + self.to_good
-        return 0.0 if turns == 0 else self.to_bad / turns
-
-    @property
-    def loss(self) -> float:
-        """Stationary loss probability."""
-        return (1 - self.share_bad) * self.loss_good + self.share_bad * self.loss_bad
 
 
 @dataclass(frozen=True, repr=False)
 class LinkLaw(Displayed):
     """The properties of a link.
 
-    A burst model that never leaves its initial state is stored as its loss probability.
+    A law of bursts that never leaves its initial state is stored as its loss probability.
 
     Args:
         loss: loss probability of a packet, in [0, 1].
-        burst: bursty losses instead of ``loss``.
+        burst: bursty losses instead of ``loss``: a ``Burst``, or another law derived from ``Dropouts``.
         acknowledged: whether the sender learns whether each packet arrives; None for a link on which every packet
             arrives, and False if losses are given without it.
         payload: encoding of the numbers in a packet: ``"float64"`` (exact), or ``"float32"`` or ``"int16"`` (rounded).
@@ -79,7 +42,7 @@ class LinkLaw(Displayed):
     """
 
     loss: float = 0.0
-    burst: Burst | None = None
+    burst: Dropouts | None = None
     acknowledged: bool | None = None
     payload: EncodingName = "float64"
     range: tuple[float, ...] | None = None
@@ -91,10 +54,11 @@ class LinkLaw(Displayed):
         """Check the arguments."""
         loss = number("loss", self.loss, 0.0, 1.0, closed=True)
         if self.burst is not None:
-            instance("burst", self.burst, Burst)
+            instance("burst", self.burst, Dropouts)
             if loss > 0:
                 raise ProblemError("loss and burst are both given; expected one of them")
-            if self.burst.share_bad in (0.0, 1.0):
+            self.burst.check()
+            if self.burst.constant:
                 loss = self.burst.loss
                 object.__setattr__(self, "acknowledged", self.acknowledged or False)
                 object.__setattr__(self, "burst", None)

@@ -13,8 +13,8 @@ from taciturn._arrays import Array, choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
+from taciturn.model.dropouts import Dropouts
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
-from taciturn.model.link import Burst as Burst
 from taciturn.model.link import LinkLaw as LinkLaw
 from taciturn.model.roles import TRIANGLE, RoleName
 from taciturn.model.roles import NodeRole as NodeRole
@@ -68,8 +68,8 @@ class Network(Displayed):
         actuator_loss: float = 0.0,
         sensor_loss: float = 0.0,
         delay: int = 0,
-        actuator_burst: Burst | None = None,
-        sensor_burst: Burst | None = None,
+        actuator_burst: Dropouts | None = None,
+        sensor_burst: Dropouts | None = None,
         payload: EncodingName = "float64",
         actuator_range: float | Sequence[float] | None = None,
         sensor_range: float | Sequence[float] | None = None,
@@ -305,8 +305,8 @@ class Network(Displayed):
             )
         return Encoding(law.payload, law.range or ())
 
-    def burst(self, link: str) -> Burst | None:
-        """Return the burst model of a link, or None if its loss probability is constant."""
+    def burst(self, link: str) -> Dropouts | None:
+        """Return the law of bursty losses of a link, or None if its loss probability is constant."""
         return self.links[link].burst
 
     def loss(self, link: str) -> float:
@@ -325,13 +325,10 @@ class Network(Displayed):
     def chain(self, link: str) -> tuple[Array, Array]:
         """Return the transition probabilities between the states of a link, (s, s), and the loss in each state, (s,).
 
-        A link with a constant loss probability has one state; otherwise the states are good and bad.
+        A link with a constant loss probability has one state.
         """
         burst = self.burst(link)
-        if burst is None:
-            return np.ones((1, 1)), np.array([self.loss(link)])
-        turns = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
-        return turns, np.array([burst.loss_good, burst.loss_bad])
+        return (np.ones((1, 1)), np.array([self.loss(link)])) if burst is None else (burst.turns, burst.losses)
 
     def with_laws(self, changes: Mapping[str, Any]) -> Network:
         """Return the network with changed properties of every link, such as ``loss`` or ``payload``."""
@@ -369,7 +366,7 @@ def _two_links(
     for link, law in reversed(tuple(stated.items())):
         loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
         if law["burst"] is not None:
-            instance(f"network.{link}_burst", law["burst"], Burst)
+            instance(f"network.{link}_burst", law["burst"], Dropouts)
         if law["burst"] is not None and loss > 0:
             raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
         if protocol == "ideal" and (loss > 0 or law["burst"] is not None):

@@ -37,7 +37,6 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.kept import Kept
-from taciturn.model.network import Burst as Burst
 from taciturn.model.network import Network
 from taciturn.model.placement import placed, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -55,9 +54,6 @@ from taciturn.problem.parts import (
     expect_network,
     network_of,
     plant_of,
-)
-from taciturn.problem.tables import (
-    BurstTable as BurstTable,
 )
 from taciturn.problem.tables import (
     ControllerTable as ControllerTable,

@@ -8,24 +8,26 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import Array, number, quoted
+from taciturn._pydantic import ValidationError, validate
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kept import cost_as_kept
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
+from taciturn.model.bursts import USUAL, find_law
 from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
+from taciturn.model.dropouts import Dropouts
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.kept import Kept
-from taciturn.model.link import Burst, LinkLaw
+from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.problem.functions import read_function
 from taciturn.problem.given import read_controller
 from taciturn.problem.tables import (
-    BurstTable,
     ControllerTable,
     CostTable,
     File,
@@ -33,6 +35,7 @@ from taciturn.problem.tables import (
     JumpsTable,
     NetworkTable,
     PlantTable,
+    first_mistake,
 )
 
 GAINS = ("kp", "ki", "kd")
@@ -206,6 +209,8 @@ def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Networ
 
 
 def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
+    actuator_burst = _burst("network.actuator_burst", table.actuator_burst)
+    sensor_burst = _burst("network.sensor_burst", table.sensor_burst)
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
         expect_network(kind, f"network.{lost[0]}")
@@ -214,8 +219,8 @@ def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
         table.actuator_loss,
         table.sensor_loss,
         table.delay,
-        _burst("network.actuator_burst", table.actuator_burst),
-        _burst("network.sensor_burst", table.sensor_burst),
+        actuator_burst,
+        sensor_burst,
         cast("Any", table.payload),
         table.actuator_range,
         table.sensor_range,
@@ -263,11 +268,23 @@ def _graph_of(file: File) -> Network:
     return Network(delay=delay, nodes=nodes or None, links=links)
 
 
-def _burst(key: str, table: BurstTable | None) -> Burst | None:
+def _burst(key: str, table: Mapping[str, Any] | None) -> Dropouts | None:
+    """Return the law of losses of a table: its key ``law`` names the class, and the other keys are its parameters."""
+    if table is None:
+        return None
+    name = table.get("law", USUAL)
+    if not isinstance(name, str):
+        raise ProblemError(f"{key}.law is {quoted(name)}; expected the name of a law in quotes")
+    law: type[Dropouts] = Dropouts
     try:
-        return None if table is None else Burst(**vars(table))
+        law = find_law(name)
+        return validate(law, {key: value for key, value in table.items() if key != "law"})
+    except ValidationError as error:
+        own = error.errors()[0].get("ctx", {}).get("error")  # raised by the law itself
+        text = first_mistake(error, law, key.split(".")) if own is None else f"{key}: {own}"
     except ProblemError as error:
-        raise ProblemError(f"{key}: {error}") from None
+        text = f"{key}.{error}"
+    raise ProblemError(text)
 
 
 _DEFAULTS = vars(NetworkTable())

@@ -70,16 +70,6 @@ class CostTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class BurstTable(Displayed):
-    """The keys of the tables ``[network.actuator_burst]`` and ``[network.sensor_burst]``."""
-
-    to_bad: float
-    to_good: float
-    loss_good: float
-    loss_bad: float
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
 class NetworkTable(Displayed):
     """The keys of the table ``[network]``."""
 
@@ -87,8 +77,8 @@ class NetworkTable(Displayed):
     actuator_loss: float = 0.0
     sensor_loss: float = 0.0
     delay: int = 0
-    actuator_burst: BurstTable | None = None
-    sensor_burst: BurstTable | None = None
+    actuator_burst: dict[str, Any] | None = None
+    sensor_burst: dict[str, Any] | None = None
     payload: str = "float64"
     actuator_range: float | list[float] | None = None
     sensor_range: float | list[float] | None = None
@@ -113,7 +103,7 @@ class LinkTable(Displayed):
     """The keys of the tables ``[links.NAME]``."""
 
     loss: float = 0.0
-    burst: BurstTable | None = None
+    burst: dict[str, Any] | None = None
     acknowledged: bool | None = None
     payload: str = "float64"
     range: float | list[float] | None = None
@@ -188,20 +178,24 @@ class File(Displayed):
     policy: dict[str, Any]
 
 
-def first_mistake(error: ValidationError, root: type) -> str:
-    """Return the first mistake as one clause: its location, the mistake, and a suggested correction."""
+def first_mistake(error: ValidationError, root: type, within: Sequence[str] = ()) -> str:
+    """Return the first mistake as one clause: its location, the mistake, and a suggested correction.
+
+    ``within`` are the keys that lead to the table of the class ``root``.
+    """
     mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
     first, place = mistakes[0], _place(root, mistakes[0]["loc"])
     extra = first["type"] == "extra_forbidden"
     place = [*place, first["loc"][-1]] if extra else place
-    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+    whole = [*within, *place]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in whole).removeprefix(".")
     if extra:
         names = _keys_at(root, [str(part) for part in place[:-1]])
         return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(place[-1]), names)}"
     if first["type"] == "missing":
-        kind = "the table" if len(place) == 1 else "the key"
-        shown = f"[{where}]" if len(place) == 1 else where
-        return f"{kind} {shown} is missing; expected {_required(root, [str(part) for part in place])}"
+        kind = "the table" if len(whole) == 1 else "the key"
+        shown = f"[{where}]" if len(whole) == 1 else where
+        return f"{kind} {shown} is missing; expected {_required([str(part) for part in whole])}"
     same = [mistake for mistake in mistakes if _place(root, mistake["loc"]) == place]
     texts = dict.fromkeys(ours(mistake["msg"]).removeprefix("expected ") for mistake in same)
     expected = f"expected {' or '.join(texts)}" if len(same) > 1 else ours(first["msg"])
@@ -238,7 +232,7 @@ def _keys_at(root: type, path: Sequence[str]) -> list[str]:
     return [field.name for field in fields(table)]
 
 
-def _required(root: type, path: Sequence[str]) -> str:
+def _required(path: Sequence[str]) -> str:
     return "a file with the tables [plant], [cost] and [policy]" if len(path) == 1 else f"it in [{'.'.join(path[:-1])}]"
 
 

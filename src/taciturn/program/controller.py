@@ -12,7 +12,7 @@ from taciturn.model.packets import told_by
 from taciturn.model.policy import Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import Operands, TimeStep, encode_payloads, is_bad
+from taciturn.program.lower import Operands, TimeStep, encode_payloads, link_state
 from taciturn.program.names import named
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
@@ -68,11 +68,11 @@ def begin_time_step(
 
     ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
     """
-    bad = [is_bad(link) for link in network.links]
+    held = [link_state(link) for link in network.links]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
-    sizes = {**policy.sizes, **sizes, **dict.fromkeys(bad, 1)}
-    initial = {**policy.initial, **initial, **{name: name for name in bad}}
+    sizes = {**policy.sizes, **sizes, **dict.fromkeys(held, 1)}
+    initial = {**policy.initial, **initial, **{name: name for name in held}}
     return begin(Builder(precision), sizes, initial, policy.locations, told)
 
 

@@ -131,12 +131,14 @@ class TimeStep:
             burst, b = network.burst(link), self.builder
             self.losses[link] = network.loss(link)
             if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
-                # Gilbert–Elliott: a memory in {0, 1} selects the loss, and changes with probability to_bad or to_good
-                (bad,) = self.read(is_bad(link))
-                self.losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
-                turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
-                turned = b.emit("sub", b.constant(1.0), bad)
-                self.signals[is_bad(link)] = [self.choose(b.emit("greater", turn, self.uniform()), turned, bad)]
+                # a memory holds the state of the link, which selects the loss and the probabilities of the next state
+                (state,) = self.read(link_state(link))
+                self.losses[link] = b.lookup(burst.losses.tolist(), state)
+                after, chance = state, self.uniform()
+                for limits, nexts in reversed(burst.branches()):
+                    moved = b.emit("greater", b.value(b.lookup(limits, state)), chance)
+                    after = self.choose(moved, b.value(b.lookup(nexts, state)), after)
+                self.signals[link_state(link)] = [after]
 
     def take(self, step: Step) -> None:
         """Translate one policy step to operations."""
@@ -376,9 +378,9 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
     return payloads
 
 
-def is_bad(link: str) -> str:
-    """Return the name of the memory that is 1 while a link with burst losses is in its bad state, and 0 otherwise."""
-    return f"{link} link is bad"
+def link_state(link: str) -> str:
+    """Return the name of the memory that holds the number of the state of a link with bursty losses."""
+    return f"state of the {link} link"
 
 
 def _arrival(link: str) -> str:

@@ -18,7 +18,7 @@ from taciturn.model.policy import Policy, Received
 from taciturn.program.controller import lower_policy
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
-from taciturn.program.lower import is_bad
+from taciturn.program.lower import link_state
 from taciturn.program.names import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.runtime.node import Values
@@ -32,7 +32,7 @@ class StepFunction:
     Args:
         program: program of one step, with uniform random numbers among its inputs.
         taken: number of entries of each other signal among its inputs.
-        network: network, which defines the probability that a link starts in the bad state.
+        network: network, which defines the distribution of the first state of each link.
         seed: seed of the random draws.
     """
 
@@ -43,8 +43,8 @@ class StepFunction:
         draws = np.random.default_rng(seed)
         drawn: dict[str, float] = {}
         for link in network.links:
-            burst, chance = network.burst(link), draws.random()
-            drawn[is_bad(link)] = float(burst is not None and chance < burst.share_bad)
+            burst, chance = network.burst(link), draws.random(1)
+            drawn[link_state(link)] = 0.0 if burst is None else float(burst.pick(chance)[0])
         self.states = tuple(f"{state.name}[{state.index}]" for state in program.states)
         # a start value is a number, or the name of a link state drawn above; the caller sets the state of a plant
         self.start: Values = tuple(

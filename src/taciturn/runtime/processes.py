@@ -16,6 +16,7 @@ from typing import Any
 
 from taciturn._ending import ENDED, GRACE, LIFELINE, at_once
 from taciturn.errors import ProblemError
+from taciturn.model.bursts import law_text
 from taciturn.model.places import peers_of, plant_link, plant_links, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy, Send
 from taciturn.runtime.keys import KEY, Keys
@@ -291,13 +292,12 @@ def _ends_with_parent() -> dict[str, str]:
 
 def _options(fate: Fate) -> list[str]:
     """Return link impairments as options of ``taciturn relay``."""
-    burst = fate.burst
     options = ["--seed", str(fate.seed)]
     for name in ("loss", "delay", "jitter", "hold", "duplicate", "reorder", "corrupt"):
         if getattr(fate, name):
             options += [f"--{name}", repr(getattr(fate, name))]
     if fate.outage is not None:
         options += ["--outage", "{},{}".format(*fate.outage)]
-    if burst is not None:
-        options += ["--burst", f"{burst.to_bad!r},{burst.to_good!r},{burst.loss_good!r},{burst.loss_bad!r}"]
+    if fate.burst is not None:
+        options += ["--burst", law_text(fate.burst)]
     return options

@@ -7,12 +7,14 @@ time. Therefore a run can be repeated, and its packet drops can be predicted (``
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from taciturn._arrays import count, instance, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.network import Burst
+from taciturn.model.dropouts import Dropouts
 from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
 
 _WORD = (1 << 64) - 1
@@ -27,7 +29,7 @@ class Fate(Displayed):
     Args:
         seed: seed of the random draws.
         loss: probability that a packet is dropped, in [0, 1].
-        burst: model of burst losses, used instead of ``loss``: the link is good or bad in each step.
+        burst: law of bursty losses, used instead of ``loss``.
         delay: delay of every packet and every mark, in seconds.
         jitter: largest additional random delay, in seconds.
         hold: delay of every packet in steps, counted by the marks on the link; for runs in virtual time.
@@ -47,7 +49,7 @@ class Fate(Displayed):
 
     seed: int = 0
     loss: float = 0.0
-    burst: Burst | None = None
+    burst: Dropouts | None = None
     delay: float = 0.0
     jitter: float = 0.0
     hold: int = 0
@@ -55,6 +57,7 @@ class Fate(Displayed):
     reorder: float = 0.0
     corrupt: float = 0.0
     outage: tuple[int, int] | None = None
+    _last: tuple[int, int] = field(default=(-1, 0), init=False, repr=False, compare=False)  # step, its state
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -65,7 +68,7 @@ class Fate(Displayed):
         for name in ("delay", "jitter"):
             number(name, getattr(self, name), 0.0, 3600.0, closed=True)
         if self.burst is not None:
-            instance("burst", self.burst, Burst)
+            instance("burst", self.burst, Dropouts)
             if self.loss > 0:
                 raise ProblemError("loss and burst are both given; expected only one of them")
         if self.outage is not None and not 0 <= self.outage[0] < self.outage[1]:
@@ -79,31 +82,25 @@ class Fate(Displayed):
         """Return whether a packet is dropped; bursts and outages affect all loops that share the link."""
         if self.outage is not None and self.outage[0] <= tick < self.outage[1]:
             return True
-        chance = self.loss if self.burst is None else self._loss_at(tick)
+        chance = self.loss if self.burst is None else float(self.burst.losses[self._state_at(self.burst, tick)])
         return self.uniform(_LOSS, of_loop(sequence, loop)) < chance
 
-    def _loss_at(self, tick: int) -> float:
-        assert self.burst is not None
-        return self.burst.loss_bad if self._bad_at(tick) else self.burst.loss_good
-
-    def _bad_at(self, tick: int) -> bool:
-        """Return whether the link is bad in a step, from the last earlier step at which all histories coincide."""
-        burst = self.burst
-        assert burst is not None
-        turns: list[float] = []
-        # one draw moves either state; if it leads from both states to the same one, earlier steps are irrelevant
+    def _state_at(self, burst: Dropouts, tick: int) -> int:
+        """Return the state of the link in a step, from the last earlier step at which all histories coincide."""
+        known, state = self._last
+        reached = tuple(range(len(burst.losses)))  # the state in this step, for each state in an earlier step
         for back in range(tick, 0, -1):
-            drawn = self.uniform(_TURN, back)
-            turns.append(drawn)
-            if (drawn < 1 - burst.to_good) == (drawn < burst.to_bad):
-                bad = drawn < burst.to_bad
-                turns.pop()
+            if back == known:
+                break
+            # one draw moves each state; if all lead to the same one, earlier steps are irrelevant
+            reached = tuple(reached[after] for after in burst.move(self.uniform(_TURN, back)))
+            if len(set(reached)) == 1:
+                state = 0
                 break
         else:
-            bad = self.uniform(_FIRST, 0) < burst.share_bad
-        for drawn in reversed(turns):
-            bad = drawn < (1 - burst.to_good if bad else burst.to_bad)
-        return bad
+            state = int(burst.pick(np.array([self.uniform(_FIRST, 0)]))[0])
+        object.__setattr__(self, "_last", (tick, reached[state]))
+        return reached[state]
 
 
 class EmulatedLink:

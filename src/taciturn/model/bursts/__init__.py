@@ -1,0 +1,91 @@
+"""The laws of bursty losses, one per file: a class derived from ``Dropouts`` and, at the end, its name ``LAW``.
+
+A problem file names the law with the key ``law``: the name of the file, with hyphens in place of underscores. A package
+of one's own registers a law by an entry point of the group ``taciturn.bursts``. A new law needs no other entry.
+"""
+
+from __future__ import annotations
+
+import json
+import pkgutil
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+from taciturn._plugins import find_plugins, load_entry
+from taciturn.errors import ProblemError
+from taciturn.model.dropouts import Dropouts
+
+GROUP = "taciturn.bursts"
+USUAL = "gilbert-elliott"
+
+
+def law_names() -> list[str]:
+    """Return the names of all laws: those of this folder, and those of installed packages."""
+    own = sorted(module.name.replace("_", "-") for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
+    return [*own, *(name for name in find_plugins(GROUP) if name not in own)]
+
+
+@cache
+def find_law(name: str) -> type[Dropouts]:
+    """Return the class of a law.
+
+    Raises:
+        ProblemError: there is no such law, or its class cannot be imported.
+    """
+    from importlib.metadata import EntryPoint
+
+    if name not in law_names():
+        raise ProblemError(f"law is {name!r}; expected one of {', '.join(law_names())}")
+    own = EntryPoint(name, f"taciturn.model.bursts.{name.replace('-', '_')}:LAW", GROUP)
+    found = load_entry(find_plugins(GROUP).get(name, (own,))[0], f"the law {name} of losses")
+    if not (isinstance(found, type) and issubclass(found, Dropouts)):
+        raise ProblemError(f"the law {name} of losses is {found!r}; expected a class derived from Dropouts")
+    return found
+
+
+def law_text(law: Dropouts) -> str:
+    """Return a law in one word, as the option ``--burst`` of a relay reads it.
+
+    Example:
+        >>> from taciturn import Burst
+        >>> law_text(Burst(0.05, 0.3, 0.01, 0.7))
+        'gilbert-elliott:0.05,0.3,0.01,0.7'
+    """
+    name = next((name for name in law_names() if find_law(name) is type(law)), None)
+    if name is None:
+        raise ProblemError(
+            f"losses follow {type(law).__name__}, which other processes cannot find; expected a law with a name: "
+            f"register the class by an entry point of the group {GROUP}"
+        )
+    values = [getattr(law, field.name) for field in fields(cast("Any", law))]
+    return f"{name}:{json.dumps(values, separators=(',', ':'))[1:-1]}"
+
+
+def read_law(name: str, text: str) -> Dropouts:
+    """Return the law that a text describes: its values in their order, after the name of a law and a colon, if given.
+
+    Args:
+        name: name of the option, for messages.
+        text: such as ``0.05,0.3,0.01,0.7``.
+
+    Raises:
+        ProblemError: there is no such law, or the values are not those of the law.
+    """
+    law_name, colon, values = text.rpartition(":")
+    try:
+        law = find_law(law_name if colon else USUAL)
+        given = json.loads(f"[{values}]")
+        keys = [field.name for field in fields(cast("Any", law))]
+        if len(given) == len(keys):
+            return law(*given)
+        expected = f"expected {', '.join(keys)}"
+    except json.JSONDecodeError:
+        expected = "expected numbers or lists of numbers"
+    except ProblemError as error:
+        expected = str(error)
+    raise ProblemError(
+        f"{name} is {text!r}; {expected}, such as 0.05,0.3,0.01,0.7, or the name of a law ({', '.join(law_names())}), "
+        "a colon and its values"
+    )
