@@ -17,10 +17,21 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Arra
     """Return scipy's solution of the continuous Riccati equation, or None if scipy finds none."""
     import scipy.linalg
 
+    return _riccati(scipy.linalg.solve_continuous_are, A, B, Q, R, N)
+
+
+def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
+    """Return scipy's solution of the discrete Riccati equation, or None if scipy finds none; R may be indefinite."""
+    import scipy.linalg
+
+    return _riccati(scipy.linalg.solve_discrete_are, A, B, Q, R, N)
+
+
+def _riccati(solve: Callable[..., Any], A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            K = cast(Array, scipy.linalg.solve_continuous_are(A, B, Q, R, s=N))
+            K = cast(Array, solve(A, B, Q, R, s=N))
     except (np.linalg.LinAlgError, ValueError):
         return None
     return (K + K.T) / 2 if np.isfinite(K).all() else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +9,8 @@ import numpy as np
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import balancing
+from taciturn._subspaces import invariant, unit_columns
 
-SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
 PATHS, TICKS, DROPPED = 32, 600, 100  # paths, steps and discarded steps of the run that measures the coordinates
 FORCED = 0.2  # share of its steps that take the last action, so that rarely sent signals are measured too
 HUGE = 1e100
@@ -98,38 +97,12 @@ def relevant(raw: Switched, starts: Array) -> Switched:
     """Return a switched linear map restricted to reachable and observable states, without scaling to unit variance."""
     sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
     found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
-    reached = invariant(np.column_stack([_unit(found.G), _unit(starts / sizes[:, None])]), found.F)
+    reached = invariant(np.column_stack([unit_columns(found.G), unit_columns(starts / sizes[:, None])]), found.F)
     found = found.changed(reached.T, reached)
     differences = [Psi - found.Psi[0] for Psi in found.Psi[1:]]
-    rows = np.vstack([_unit(found.X.T).T, *(_normed(each) for each in (*found.M, *differences))])
+    rows = np.vstack([unit_columns(found.X.T).T, *(_normed(each) for each in (*found.M, *differences))])
     seen = invariant(rows.T, [F.T for F in found.F])
     return found.changed(seen.T, seen)
-
-
-def invariant(columns: Array, maps: Sequence[Array]) -> Array:
-    """Return an orthonormal basis of the least subspace that contains given columns and is invariant under all maps."""
-    basis = np.zeros((len(columns), 0))
-    new = _added(columns, basis)
-    scales = [float(np.linalg.norm(map_, 2)) or 1.0 for map_ in maps]
-    while new.shape[1]:
-        basis = np.column_stack([basis, new])
-        moved = [map_ @ new / scale for map_, scale in zip(maps, scales, strict=True)]
-        new = _added(np.column_stack(moved), basis)
-    return basis
-
-
-def _added(columns: Array, basis: Array) -> Array:
-    """Return orthonormal columns for the part of the given columns that is orthogonal to the basis."""
-    rest = columns
-    for _ in range(2):  # the second pass removes rounding errors of the first
-        rest = rest - basis @ (basis.T @ rest)
-    left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, values > SAME]
-
-
-def _unit(columns: Array) -> Array:
-    lengths = np.linalg.norm(columns, axis=0)
-    return columns[:, lengths > 0] / lengths[lengths > 0]
 
 
 def _normed(matrix: Array) -> Array:

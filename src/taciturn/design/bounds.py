@@ -5,6 +5,9 @@ Completion of squares gives J = J_all + E[(1−σ)e'L'HLe].
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import sqrt
+
 import numpy as np
 
 from taciturn._arrays import Array, number, symmetrised
@@ -12,7 +15,7 @@ from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.model.theory import Guarantee
+from taciturn.model.theory import ErrorGain, Guarantee
 
 LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
 
@@ -106,6 +109,24 @@ def bound_by_state(
         per_silence / problem.tick,
     )
     return guarantee, ()
+
+
+def bound_by_errors(problem: Discrete, base: float, errors: Mapping[str, ErrorGain]) -> Guarantee:
+    """Return the bound √J ≤ √J_b + Σγ_lΔ_l, for the cost J_b of the same controller with every sample.
+
+    Args:
+        problem: the discrete-time problem.
+        base: J_b per step, without the inter-sample noise cost.
+        errors: gain and largest error of each link.
+    """
+    added = sum(one.gain * one.largest for one in errors.values())
+    return Guarantee(
+        problem.per_unit((sqrt(base) + added) ** 2),
+        f"√J ≤ √J_b + Σγ_lΔ_l{', without the inter-sample noise cost' if problem.noise_cost else ''}; J_b the cost of "
+        "this controller with every sample, γ_l the gain from the error of link l, Δ_l its largest error; a "
+        "conservative certificate for any noise, not an estimate",
+        "miskowicz2006",
+    )
 
 
 def bound_by_attempts(problem: Discrete, base: float, price: float, every: int, lossy: bool) -> Guarantee:

@@ -15,6 +15,7 @@ from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.kept import Kept
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy, Step
 from taciturn.model.theory import Theory
@@ -57,6 +58,7 @@ class KeptLoop(Displayed):
         steps: tuple[Step, ...],
         sites: tuple[frozenset[str], ...],
         initial: dict[str, Array],
+        network: Network | None = None,
     ) -> Policy:
         """Return a policy without a proven bound.
 
@@ -66,6 +68,7 @@ class KeptLoop(Displayed):
             steps: the policy steps, for the deviations.
             sites: groups of nodes at the same site.
             initial: initial values of the memories.
+            network: the network of the policy; default: ideal links of a sensor, a controller and an actuator.
 
         Raises:
             UnstableError: the loop that sends every sample is unstable.
@@ -90,5 +93,6 @@ class KeptLoop(Displayed):
                 tick=problem.tick,
                 notes=self.notes,
                 disturbance=self.disturbance,
+                network=Network() if network is None else network,
             )
         )

@@ -48,6 +48,11 @@ class OperatingPoint(Displayed):
     start: Array
     before: Array
 
+    @property
+    def moved(self) -> bool:
+        """True if state or input differ from zero at the point."""
+        return bool(self.state.any() or self.input.any())
+
     def deviations(self, problem: Discrete) -> Discrete:
         """Return the problem of the deviations from the point."""
         p = self.plant
@@ -58,7 +63,7 @@ class OperatingPoint(Displayed):
 
     def applied_to(self, policy: Policy) -> Policy:
         """Return a policy of deviations in the units of the plant; without a set-point and limits, it is the same."""
-        limit, moved = self.plant.input_limit, bool(self.state.any() or self.input.any())
+        limit, moved = self.plant.input_limit, self.moved
         if limit is None and not moved and not self.before.any():
             return policy
         tracked = tuple(

@@ -71,6 +71,22 @@ class Guarantee(Displayed):
         return None if self.base is None or self.deciders else self.base + self.per_silence * (1 - rate)
 
 
+@dataclass(frozen=True, repr=False)
+class ErrorGain(Displayed):
+    """The effect of silence on a link, which adds an error to the value that a packet would carry.
+
+    On every path, the root of the cost per step is at most that of sending every sample plus a sum over all links:
+    ``gain`` times the root mean square of the error.
+
+    Args:
+        gain: the largest gain from the error to the root of the stage cost (H∞ norm), with every sample sent.
+        largest: the largest length of the error.
+    """
+
+    gain: float
+    largest: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Identity(Displayed):
     """The exact identity cost = constant + E[form] from completion of squares, used to estimate the cost.
@@ -169,6 +185,7 @@ class Theory(Displayed):
         recovery: the same without the slow disturbances of the plant, which a fault of a node does not change; default:
             ``settling``.
         guarantee: proven upper bound on the cost, or None.
+        errors: gain and largest error of each link, for a certificate that assumes nothing of the noise.
         identity: exact identity for the cost, or None.
         innovations: white innovations of the policy's filter, or None.
         sums: signals that no node computes, as sums of signals of several nodes at the end of a step; identity and
@@ -198,6 +215,7 @@ class Theory(Displayed):
     covers: frozenset[str] = GAUSSIAN_THEORY
     functions: frozenset[str] = frozenset()
     periodic: Callable[[int], float] | None = None
+    errors: Mapping[str, ErrorGain] = field(default_factory=lambda: {})
     fourth: float | None = None
     sums: Mapping[str, Terms] = field(default_factory=lambda: {})
     recovery: float | None = None

@@ -43,7 +43,7 @@ def as_problem(name: str, value: object) -> Problem:
     if isinstance(value, Problem):
         return value
     if isinstance(value, Policy):
-        return _problem(BareKind(value.kind, _Given(value), "the given policy", base=value), {})
+        return _problem(value, _Given(value), "the given policy", {})
     if not callable(value):
         raise ProblemError(
             f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file; or a Policy, or a "
@@ -58,7 +58,9 @@ def as_problem(name: str, value: object) -> Problem:
             f"{name} is a function that returns {quoted(base)}; expected a function that returns a Policy"
         )
     tuning = tuple(_tuning(one) for one in given[:1])
-    return _problem(BareKind(base.kind, function, "the given function", tuning, base=base), defaults)
+    return _problem(
+        BareKind(base.kind, function, "the given function", tuning, base=base, several_nodes=True), defaults
+    )
 
 
 def _tuning(one: inspect.Parameter) -> TradeoffParameter:
@@ -66,9 +68,15 @@ def _tuning(one: inspect.Parameter) -> TradeoffParameter:
     return TradeoffParameter(one.name, least=float(whole), whole=whole)
 
 
-def _problem(kind: BareKind, parameters: Mapping[str, Any]) -> Problem:
-    assert kind.base is not None
-    plant, cost, network = own_problem(kind.base)
+def _problem(
+    base: Policy,
+    function: Callable[..., Policy],
+    goal: str,
+    parameters: Mapping[str, Any],
+    tuning: tuple[TradeoffParameter, ...] = (),
+) -> Problem:
+    kind = BareKind(base.kind, function, goal, tuning, base=base, several_nodes=True)
+    plant, cost, network = own_problem(base)
     return Problem(plant, cost, network, kind.name, parameters, own=kind)
 
 

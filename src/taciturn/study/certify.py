@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -22,7 +22,10 @@ from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.model.theory import ErrorGain
+from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
+from taciturn.program.draws import GENERATOR
 from taciturn.study.lines import proved
 from taciturn.study.printed import certificates_text
 from taciturn.study.units import TimeUnit, time_unit
@@ -54,6 +57,9 @@ class Certificates(Tabular):
         cost_all_time: exact cost of sending every sample.
         mean_square_bound: upper bound on the average of |x|² under white noise.
         mean_square_all_time: exact average of |x|² for sending every sample.
+        errors: for each link with a dead band, the largest gain from the error that silence causes to the root of the
+            stage cost, and the largest error; empty for other policies.
+        errors_bound: upper bound on the average cost under any noise, from these gains and errors; or None.
         seconds: wall time.
         notes: warnings and remarks for the reader.
     """
@@ -76,6 +82,8 @@ class Certificates(Tabular):
     cost_all_time: float | None
     mean_square_bound: float | None
     mean_square_all_time: float | None
+    errors: Mapping[str, ErrorGain]
+    errors_bound: float | None
     seconds: float
     notes: tuple[str, ...]
 
@@ -114,6 +122,8 @@ class Certificates(Tabular):
             "cost_all_time": self.cost_all_time,
             "mean_square_bound": self.mean_square_bound,
             "mean_square_all_time": self.mean_square_all_time,
+            "errors": {link: {"gain": one.gain, "largest": one.largest} for link, one in self.errors.items()},
+            "errors_bound": self.errors_bound,
             "seconds": round(self.seconds, 4),
         }
         return result | ({"notes": list(self.notes)} if self.notes else {})
@@ -123,7 +133,8 @@ def certify(problem: Studied) -> Certificates:
     """Certify decay, gain and cost of a problem's loop by quadratic Lyapunov functions.
 
     Every number follows from matrix inequalities whose solution was verified, with a bound on rounding errors, before
-    it is returned.
+    it is returned. For dead bands, the gains from errors of links to the cost are added (``Theory.errors``); they also
+    certify loops with several decisions, for which the matrix inequalities are not available.
 
     Args:
         problem: from ``load`` or ``Problem``; the simulated plant may differ from the plant of the design.
@@ -147,13 +158,19 @@ def certify(problem: Studied) -> Certificates:
     problem = as_problem("problem", problem)
     policy = problem.design()
     loop = problem.close(policy)
-    matrices = switched(loop)
+    errors: Mapping[str, ErrorGain] = policy.theory.errors if loop.nominal else {}
+    try:
+        matrices = switched(loop)
+    except ProblemError as error:
+        if not errors:
+            raise
+        return _of_errors(problem, loop, errors, str(error), began)
     expect_solver()
     law = switched_innovations(loop) if loop.reducible else matrices
     notes: list[str] = []
     decay, gain = _attempt(find_decay, matrices, notes), _attempt(find_gain, matrices, notes)
     cost, square = _attempt(bound_cost, law, notes), _attempt(bound_state, law, notes)
-    if decay is None and gain is None and cost is None and square is None:
+    if decay is None and gain is None and cost is None and square is None and not errors:
         raise ProblemError(f"nothing could be proved for this loop: {notes[0]}")
     always = _always(loop, matrices)
     tick = policy.tick
@@ -173,9 +190,35 @@ def certify(problem: Studied) -> Certificates:
         cost_all_time=always.cost,
         mean_square_bound=None if square is None else square.value,
         mean_square_all_time=always.mean_square,
+        errors=errors,
+        errors_bound=_bound(loop, errors),
         seconds=time.perf_counter() - began,
         notes=(*notes, *(f"proved for the simulated plant: {text}" for text in loop.violated_assumptions)),
     )
+
+
+def _of_errors(
+    problem: Problem, loop: Loop, errors: Mapping[str, ErrorGain], reason: str, began: float
+) -> Certificates:
+    """Return the certificates of a loop that has gains from errors, and no matrix inequalities."""
+    policy = loop.policy
+    return Certificates(
+        policy=policy.kind,
+        unit=time_unit(problem),
+        states=sum(state.name != GENERATOR for state in loop.program().states),
+        actions=tuple(policy.decisions),
+        decay=None, limit=None, overshoot=None, decay_all_time=None, gain=None, gain_residual=None, gain_all_time=None,
+        cost_bound=None, cost_all_time=None, mean_square_bound=None, mean_square_all_time=None,
+        errors=errors,
+        errors_bound=_bound(loop, errors),
+        seconds=time.perf_counter() - began,
+        notes=(f"only the gains from errors are available: {reason}",),
+    )  # fmt: skip
+
+
+def _bound(loop: Loop, errors: Mapping[str, ErrorGain]) -> float | None:
+    guarantee = loop.policy.theory.guarantee
+    return None if guarantee is None or not errors else guarantee.cost
 
 
 @dataclass(frozen=True)

@@ -231,8 +231,15 @@ def certificates_text(found: Certificates) -> str:
     ]
     policy = f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
     rows = [[name, _shown(value), _shown(always)] for name, value, always, _ in table]
-    parts = [pairs_text([("policy", policy)]), table_text(["", "proved", "every sample"], rows, 1)]
+    parts = [pairs_text([("policy", policy)])]
+    if any(value is not None for _, value, *_ in table):
+        parts.append(table_text(["", "proved", "every sample"], rows, 1))
     parts.append(pairs_text([(name, text) for name, value, _, text in table if value is not None]))
+    if found.errors:
+        links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in found.errors.items()]
+        parts.append(table_text(["link", "gain from its error", "largest error"], links, 1))
+        bound = f"at most {_shown(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
+        parts.append(pairs_text([("cost", bound)]))
     return "\n".join(filter(None, [*parts, pairs_text([("note", note) for note in found.notes])]))
 
 

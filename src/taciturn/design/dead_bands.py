@@ -1,0 +1,308 @@
+"""Dead bands: each node sends a value that has changed by more than Δ since it was sent, with any linear controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Protocol
+
+import numpy as np
+
+from taciturn._arrays import Array, number
+from taciturn._display import Displayed
+from taciturn.design.base import Base, advantage
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
+from taciturn.design.certainty import SEND
+from taciturn.design.contributions import decision
+from taciturn.design.estimation import ESTIMATE, HELD
+from taciturn.design.kept import REMEDY
+from taciturn.design.kept_loop import KeptLoop
+from taciturn.design.routes import actuator_base, nonempty
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.gain import largest_gain
+from taciturn.model.controller import Controller
+from taciturn.model.cost import Cost
+from taciturn.model.coverage import THEORY
+from taciturn.model.kept import Kept
+from taciturn.model.network import Network
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
+from taciturn.model.theory import ErrorGain, Guarantee
+from taciturn.model.trigger import Form, Trigger
+
+LAST, HEARD, REGISTER = "last", "heard", "register"
+
+
+def keep_at_nodes(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    kept: Kept,
+    delta: float,
+    shares: Mapping[str, float],
+    network: Network,
+) -> Policy:
+    """Return the policy of a given controller in a network of one's own, with a dead band on each link.
+
+    Raises:
+        ProblemError: the controller has a set-point or a start, or the inputs are limited.
+        UnstableError: the loop that sends every sample is unstable.
+    """
+    loop = KeptLoop.of(plant, cost, period, kept)
+    problem, plant = loop.problem, loop.problem.plant
+    if plant.input_limit is not None or loop.point.moved or loop.point.before.any() or loop.point.start.any():
+        got = "plant.input_limit is given" if plant.input_limit is not None else "the controller has a set-point"
+        raise ProblemError(
+            f"{got}, and packets are sent on {len(network.links)} links; expected inputs without limits and a "
+            "controller without set-point and start, or one link"
+        )
+    bands, control = DeadBands(network, plant, delta, shares), Given(loop.controller)
+    errors, guarantee = bands.certificate(problem, loop.controller)
+    initial = bands.begun(plant.C @ plant.mean)
+    base = actuator_base(problem, loop.controller)
+    own = Network(nodes=network.nodes)
+    policy = loop.policy("send-on-delta", base, bands.steps(control), bands.sites, initial, own)
+    theory = replace(policy.theory, guarantee=guarantee, errors=errors, covers=THEORY, periodic=None)
+    return replace(policy, theory=theory)
+
+
+class Control(Protocol):
+    """The policy steps of a controller, in terms of the measurements that it uses and the inputs that are applied."""
+
+    def before(self, at: str, used: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Return the steps before the command, at a node."""
+        ...
+
+    def command(self, rows: list[int], used: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Return some entries of the command as a sum of signals."""
+        ...
+
+    def after(self, at: str, used: Mapping[str, Array], held: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Return the steps after the packets to the actuators, at a node."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Filtered(Displayed):
+    """Feedback of a filtered estimate.
+
+    Args:
+        plant: the plant from step to step.
+        gain: gain of the filter, (n, p).
+        L: gain of the regulator, (m, n).
+    """
+
+    plant: Plant
+    gain: Array
+    L: Array
+
+    @property
+    def controller(self) -> Controller:
+        """The same feedback in state space; the state is the predicted estimate."""
+        left = np.eye(self.plant.states) - self.gain @ self.plant.C
+        A, B, L = self.plant.A, self.plant.B, self.L
+        return Controller(A @ left, A @ self.gain, L @ left, L @ self.gain, B, self.plant.dt)
+
+    def before(self, at: str, used: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Correct the prediction by the measurements."""
+        return (
+            Assign(at, "innovation", {**used, "prior": -self.plant.C}),
+            Assign(at, ESTIMATE, {"prior": np.eye(self.plant.states), "innovation": self.gain}),
+        )
+
+    def command(self, rows: list[int], used: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Return L x̂."""
+        return {ESTIMATE: self.L[rows]}
+
+    def after(self, at: str, used: Mapping[str, Array], held: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Predict the state at the next step."""
+        moved = {name: self.plant.B @ columns for name, columns in held.items()}
+        return (Assign(at, "prior", {ESTIMATE: self.plant.A, **moved}),)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Given(Displayed):
+    """A given controller.
+
+    Args:
+        controller: the controller at the step of the policy.
+    """
+
+    controller: Controller
+
+    def before(self, at: str, used: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Compute nothing before the command."""
+        return ()
+
+    def command(self, rows: list[int], used: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Return C z + D y."""
+        c = self.controller
+        return nonempty({REGISTER: c.C[rows], **{name: c.D[rows] @ columns for name, columns in used.items()}})
+
+    def after(self, at: str, used: Mapping[str, Array], held: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Move the state of the controller."""
+        c = self.controller
+        if not len(c.A):
+            return ()
+        moved = {name: c.B @ columns for name, columns in used.items()}
+        moved |= {name: c.E @ columns for name, columns in held.items()}
+        return (Assign(at, REGISTER, {REGISTER: c.A, **moved}),)
+
+
+class ErrorGains:
+    """The H∞ norms from errors of measurements and of inputs to the root of the stage cost, with every sample sent.
+
+    Args:
+        base: the loop that sends every sample; the measurement is at the end of its state.
+    """
+
+    def __init__(self, base: Base) -> None:
+        """Close the loop."""
+        self._base = base
+        values, vectors = np.linalg.eigh(base.stage)
+        root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        size = len(base.Phi)
+        self._closed, self._output = base.Phi + base.Gamma @ base.K, root[:, :size] + root[:, size:] @ base.K
+        self._chosen = root[:, size:]
+
+    def of_measurement(self, outputs: int, at: Sequence[int]) -> float:
+        """Return the gain from errors of some of the outputs that the controller uses."""
+        rows = [len(self._closed) - outputs + i for i in at]
+        return largest_gain(self._closed, self._closed[:, rows], self._output, self._output[:, rows])
+
+    def of_choice(self, at: Sequence[int]) -> float:
+        """Return the gain from errors of some of the inputs."""
+        columns = [*at]
+        return largest_gain(self._closed, self._base.Gamma[:, columns], self._output, self._chosen[:, columns])
+
+
+class DeadBands:
+    """The policy steps of sensors and of a controller, each of which sends a value that has changed by more than Δ.
+
+    Args:
+        network: the nodes. In the network of three nodes, the controller is at the place of the actuator.
+        plant: the plant from step to step.
+        delta: Δ.
+        shares: factor of Δ by link.
+
+    Raises:
+        ProblemError: a share is given for another link.
+    """
+
+    def __init__(self, network: Network, plant: Plant, delta: float, shares: Mapping[str, float]) -> None:
+        """Find what each node measures and applies."""
+        self._network, self._plant = network, plant
+        wired = set(network.actuators) if network.triangle else set[str]()
+        self._links = [link for link in network.links if link not in wired]
+        for link in shares.keys() - {*self._links}:
+            raise ProblemError(f"shares has the link {link!r}; expected links that send: {', '.join(self._links)}")
+        self._bands = {
+            link: delta * number(f"shares.{link}", shares.get(link, 1.0), 0.0, LARGEST_PARAMETER, closed=True)
+            for link in self._links
+        }
+        self._measured = network.measurements(plant.outputs).items()
+        self._applied = network.applications(plant.inputs).items()
+        at = network.controller
+        self.sites = (
+            (frozenset({at, *wired}),) if network.triangle else tuple(place for place in network.sites if at in place)
+        )
+
+    @property
+    def of_outputs(self) -> Array:
+        """Δ of each output; 0 for those that are measured at the controller's place."""
+        found = np.zeros(self._plant.outputs)
+        for _, (node, outputs) in self._measured:
+            found[[*outputs]] = self._bands.get(node, 0.0)
+        return found
+
+    def steps(self, control: Control) -> tuple[Step, ...]:
+        """Return all policy steps, with those of the controller."""
+        at, plant = self._network.controller, self._plant
+        used = {self._used(signal, node): np.eye(plant.outputs)[:, [*held]] for signal, (node, held) in self._measured}
+        inputs = np.eye(plant.inputs)
+        held = {self._named(HELD, node): inputs[:, [*rows]] for _, (node, rows) in self._applied}
+        return (
+            *(step for signal, (node, held) in self._measured for step in self._sensor(signal, node, len(held))),
+            *control.before(at, used),
+            *(
+                step
+                for signal, (node, rows) in self._applied
+                for step in self._actuator(signal, node, control.command([*rows], used), len(rows))
+            ),
+            *control.after(at, used, held),
+        )
+
+    def begun(self, measurement: Array) -> dict[str, Array]:
+        """Return the initial values of all memories of measurements, for the one that is expected first."""
+        return {
+            name: measurement[[*held]]
+            for signal, (node, held) in self._measured
+            if node in self._bands
+            for name in (self._named(LAST, node), self._used(signal, node))
+        }
+
+    def certificate(self, problem: Discrete, controller: Controller) -> tuple[dict[str, ErrorGain], Guarantee]:
+        """Return the gain and the largest error of each link, and the bound on the cost that follows from them.
+
+        In silence, a receiver uses the sum of the value that a packet would carry and an error. The loop is linear, so
+        its cost output is that of sending every sample plus the effects of all errors, and the norms add up at most.
+        """
+        base, plant = actuator_base(problem, controller), self._plant
+        gains = ErrorGains(base)
+        found = dict[str, ErrorGain]()
+        for _, (node, outputs) in self._measured:
+            if node in self._bands:
+                found[node] = ErrorGain(gains.of_measurement(len(plant.C), [*outputs]), self._longest(node, outputs))
+        for _, (node, inputs) in self._applied:
+            if node in self._bands:
+                found[node] = ErrorGain(gains.of_choice([*inputs]), self._longest(node, inputs))
+        return found, bound_by_errors(problem, advantage(base, REMEDY).cost, found)
+
+    def _longest(self, link: str, entries: Sequence[int]) -> float:
+        """Return the largest length of an error whose entries are at most Δ."""
+        return self._bands[link] * sqrt(len(entries))
+
+    def _sensor(self, signal: str, node: str, size: int) -> tuple[Step, ...]:
+        if node not in self._bands:
+            return ()
+        heard, unit = self._used(signal, node), np.eye(size)
+        receives = Assign(self._network.controller, heard, ({heard: unit}, {signal: unit}), Received(node))
+        return (*self._decide(node, node, signal, "output", size), receives)
+
+    def _actuator(self, signal: str, node: str, terms: Mapping[str, Array], size: int) -> tuple[Step, ...]:
+        at, unit = self._network.controller, np.eye(size)
+        command, held = self._named("command", node), self._named(HELD, node)
+        if node not in self._bands:
+            return (
+                Assign(at, command, terms),
+                Assign(node, signal, {command: unit}),
+                Assign(at, held, {command: unit}),
+            )
+        return (
+            Assign(at, command, terms),
+            *self._decide(at, node, command, "input", size, held),
+            Assign(node, signal, ({signal: unit}, {command: unit}), Received(node)),
+        )
+
+    def _decide(
+        self, at: str, link: str, signal: str, entry: str, size: int, last: str | None = None
+    ) -> tuple[Step, ...]:
+        """Return the steps that send a signal if one of its entries has changed by more than Δ since the last send."""
+        unit, last = np.eye(size), self._named(LAST, link) if last is None else last
+        moved, on = self._named("moved", link), SEND if self._network.triangle else decision((link,))
+        options = {f"{entry} {i}": Form((moved,), -np.diag(row), self._bands[link] ** 2) for i, row in enumerate(unit)}
+        return (
+            Assign(at, moved, {signal: unit, last: -unit}),
+            Decide(at, on, Trigger({"silent": Form(), **options})),
+            Send(at, link, (signal,), on),
+            Assign(at, last, ({last: unit}, *([{signal: unit}] * size)), on),
+        )
+
+    def _used(self, signal: str, node: str) -> str:
+        """Return the signal that the controller uses as a measurement."""
+        return self._named(HEARD, node) if node in self._bands else signal
+
+    def _named(self, name: str, node: str) -> str:
+        return name if self._network.triangle else f"{name}_{node}"
