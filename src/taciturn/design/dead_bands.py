@@ -36,6 +36,7 @@ LAST, HEARD, REGISTER = "last", "heard", "register"
 
 
 def keep_at_nodes(
+    kind: str,
     plant: Plant | ContinuousPlant,
     cost: Cost,
     period: float | None,
@@ -63,7 +64,7 @@ def keep_at_nodes(
     initial = bands.begun(plant.C @ plant.mean)
     base = actuator_base(problem, loop.controller)
     own = Network(nodes=network.nodes)
-    policy = loop.policy("send-on-delta", base, bands.steps(control), bands.sites, initial, own)
+    policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, own)
     theory = replace(policy.theory, guarantee=guarantee, errors=errors, covers=THEORY, periodic=None)
     return replace(policy, theory=theory)
 

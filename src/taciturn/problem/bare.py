@@ -58,9 +58,7 @@ def as_problem(name: str, value: object) -> Problem:
             f"{name} is a function that returns {quoted(base)}; expected a function that returns a Policy"
         )
     tuning = tuple(_tuning(one) for one in given[:1])
-    return _problem(
-        BareKind(base.kind, function, "the given function", tuning, base=base, several_nodes=True), defaults
-    )
+    return _problem(base, function, "the given function", defaults, tuning)
 
 
 def _tuning(one: inspect.Parameter) -> TradeoffParameter:

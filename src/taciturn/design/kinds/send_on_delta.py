@@ -99,7 +99,8 @@ def send_on_delta(
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
     if len(links) > 1:
-        return keep_at_nodes(plant, cost, period, controller_from(controller), delta, shares, network)
+        kept = controller_from(controller)
+        return keep_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
         raise ProblemError("shares is given with a controller and one link; expected shares with several links")
     three_nodes(network, "send-on-delta")
