@@ -31,6 +31,18 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["node", "sensor", "two-mass-lqg"], "at the site of the controller in lqg"),
         (["node", "controller", "two-mass"], "--plant is missing"),
         (["node", "controller", "two-mass", "--plant", ":9000"], "--peer is missing"),
+        (
+            ["node", "actuator", "two-mass", "--plant", ":9", "--peer", ":9"],
+            "--peer is given, but the actuator sends packets on no link; expected no --peer",
+        ),
+        (
+            ["node", "actuator", "two-mass", "--plant", ":9", "--peer", "actuator=:9"],
+            "--peer is given, but the actuator sends packets on no link",
+        ),
+        (
+            ["node", "controller", "lossy-double-integrator", "--peer", ":9", "--plant", ":9"],
+            "--plant is given, but the controller neither measures nor applies inputs; expected no --plant",
+        ),
         (["node", "actuator", "two-mass", "--plant", "9000"], "--plant is '9000'; expected HOST:PORT"),
         (["node", "actuator", "two-mass", "--plant", ":99999"], "a port from 0 to 65535"),
         (

@@ -62,6 +62,26 @@ def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
     assert shown["diagram"] == policy.diagram().document()
 
 
+def test_the_text_shows_the_outputs_and_inputs_of_each_node(run: Run, tmp_path: Path) -> None:
+    """By index, also of a node with all of them, and the place that nodes share; not of the three usual nodes."""
+    nodes = "\n".join([
+        "[nodes.level-2]", "measures = [1]", "[nodes.level-1]", "measures = [0]", "[nodes.plc]", "controls = true",
+        "[nodes.pumps]", "applies = true", 'site = "plc"',
+    ])  # fmt: skip
+    plant = "[plant]\nA = [[0.5, 0], [0, 0.5]]\nB = [[1, 0], [0, 1]]\nC = [[1, 0], [0, 1]]\nV = [[1, 0], [0, 1]]\n"
+    weights = "W = [[1, 0], [0, 1]]\ndt = 1\n[cost]\nQ = [[1, 0], [0, 1]]\nR = [[1, 0], [0, 1]]\n"
+    file = tmp_path / "tanks.toml"
+    file.write_text(f'{plant}{weights}{nodes}\n[policy]\nkind = "distributed"\ntheta = 1.0\n', encoding="utf-8")
+    found = [" ".join(line.split()) for line in run("show", str(file)).out.splitlines() if line.startswith("node,")]
+    assert found == [
+        "node, level-2 measures output 1",
+        "node, level-1 measures output 0",
+        "node, plc controls",
+        "node, pumps applies inputs 0, 1; at the place of plc",
+    ]
+    assert "node," not in run("show", "two-mass").out
+
+
 def test_the_text_says_what_the_document_says(run: Run) -> None:
     """Sizes, poles, guarantee, the trigger's forms; the diagram stands below."""
     told = run("show", "two-mass-lqg")

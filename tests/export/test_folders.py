@@ -30,6 +30,7 @@ from taciturn.export.folder import CORE_SOURCES, GENERATED_BY, CFolder, print_fo
 from taciturn.export.node import identifier
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
+from taciturn.model.wire import KINDS
 from taciturn.program.ops import Precision
 from taciturn.study.export import bear_single, export_c
 
@@ -240,6 +241,15 @@ def test_what_a_device_does_is_compiled_as_the_instructions_have_it(
     for piece in pieces:
         (folder / "mine.c").write_text(piece, encoding="utf-8")
         subprocess.run([needs_compiler(), *STRICT, "-c", "mine.c", "-o", "mine.o"], cwd=folder, check=True)
+
+
+def test_the_instructions_list_every_kind_of_packet_with_its_number() -> None:
+    """Those of the wire format: three between nodes, two with a key, and two with the plant."""
+    text = print_folder(two_mass(), "two_mass", rows=1).files["README.md"]
+    found = re.findall(r"^\| (\d) \| (\w+) \|", text, re.MULTILINE) + re.findall(r"(\d) \((measurement|input)\)", text)
+    assert {int(number): kind for number, kind in found} == dict(enumerate(KINDS))
+    assert "`tac_set_keys(node, link, key, other)`" in text
+    assert "`{NULL, 0}`" in text
 
 
 @pytest.mark.parametrize("option", ["-ffast-math", "-fassociative-math -fno-signed-zeros -fno-trapping-math"])

@@ -82,8 +82,9 @@ def test_a_node_in_c_does_not_stop_a_loop_in_virtual_time(
         process.stdin.write("{} {}\n".format(*ports))
         process.stdin.flush()
 
+    physical = {role: places["plant"] for role, node in nodes.items() if node.measures or node.actuates}
     servers = {
-        role: NodeServer([nodes[role]], wire, ends[role], peer=places.get(to[role]), plant=places["plant"])
+        role: NodeServer([nodes[role]], wire, ends[role], peer=places.get(to[role]), plant=physical.get(role))
         for role in here
         if role != in_c
     }

@@ -10,6 +10,8 @@ import pytest
 
 import taciturn
 from taciturn.errors import ProblemError
+from taciturn.model.packets import fingerprint
+from taciturn.model.places import roles
 from taciturn.problem import Problem, parse
 
 PLC = {"plc": {"controls": True}}
@@ -56,6 +58,23 @@ def test_losses_and_acknowledgements_belong_to_the_named_links() -> None:
     )
 
 
+def test_a_place_away_from_the_controller_merges_nodes_only_in_kinds_of_three_nodes() -> None:
+    """With several nodes, it changes the fingerprint of the packets, and no cost."""
+    beside = {"b": {"applies": True, "site": "a"}}
+    nodes = {"a": {"measures": True}, "b": {"applies": True}}
+    losses = {"a": {"loss": 0.6}, "b": {"loss": 0.3}}
+    lossy = taciturn.load("lossy-double-integrator")
+    assert roles(named(lossy, nodes, losses).design()) == ("a", "plc", "b")
+    assert roles(named(lossy, {**nodes, **beside}, losses).design()) == ("a", "plc")
+    several = taciturn.load("two-mass-lqg").changed({"kind": "distributed"})
+    apart, together = (named(several, {**nodes, **more}) for more in ({}, beside))
+    one, other = apart.design(), together.design()
+    assert roles(one) == roles(other) == ("a", "plc", "b")
+    costs = [taciturn.evaluate(problem, steps=20_000, seed=3).cost.value for problem in (apart, together)]
+    assert costs[0] == costs[1]
+    assert fingerprint(one, one.network) != fingerprint(other, other.network)
+
+
 @pytest.mark.parametrize(
     ("nodes", "links", "expected"),
     [
@@ -63,7 +82,12 @@ def test_losses_and_acknowledgements_belong_to_the_named_links() -> None:
         ({"a": {"measures": True}, **APPLIED}, {}, r"but a has a link; expected nodes.a.site = \"plc\""),
         ({**WIRED, "valve": {"applies": True, "site": "plc"}}, {}, "a link between actuator and controller, but valve"),
         ({**WIRED, **APPLIED}, {"level-1": {"loss": 0.1}}, "but level-1 is at the controller's place"),
-        ({**WIRED, "valve": {"applies": [0, 1]}}, {}, "nodes.valve.applies contains 1; expected indices"),
+        ({**WIRED, "valve": {"applies": [0, 1]}}, {}, "nodes.valve.applies contains the index 1; expected indices"),
+        ({"a": {"measures": [2.0]}, **APPLIED}, {}, r"nodes.a: measures is \[2.0\]; expected a list of whole numbers"),
+        ({"a": {"measures": [True]}, **APPLIED}, {}, r"is \[True\]; expected a list of whole numbers, the indices"),
+        ({"a": {"measures": 1}, **APPLIED}, {}, "measures is 1; expected .* of outputs from 0 on, or true for all"),
+        ({**WIRED, "valve": {"applies": ["0"]}}, {}, r"applies is \['0'\]; expected .* the indices of inputs from 0"),
+        ({**WIRED, "valve": {"applies": [-1]}}, {}, "applies contains the index -1; expected indices of inputs from 0"),
         ({"a": {"measures": [0, 0]}, **APPLIED}, {}, r"nodes.a: measures is \[0, 0\]; expected each index once"),
         ({"plant": {"measures": True}, **APPLIED}, {}, "nodes.plant has the name 'plant'"),
         ({"a": {"measures": True, "site": "b"}, **APPLIED}, {}, "nodes.a.site is 'b'; expected one of valve, plc"),

@@ -20,7 +20,7 @@ from runtime.attacks import KEY
 from runtime.loops import by_hand
 
 import taciturn
-from taciturn.model.places import links_to, place_of, role_at, roles
+from taciturn.model.places import links_to, peers_of, place_of, plant_link, role_at, roles
 from taciturn.runtime.description import describe_wire
 from taciturn.runtime.udp import free_addresses
 from taciturn.study.testbed.network import losses
@@ -130,9 +130,10 @@ def run(case: Case, folder: Path, program: str = "", foreign: Sequence[str] = ()
                 process([*library, "relay", "--bind", at[f"relay {link}"], "--peer", at[role], *fate])
             )
         for role in roles(policy):
-            peers = [f"relay {link}" for link in ends if senders[link] == role]
-            peers += [senders[link] for link in ends if ends[link] == role]  # for acknowledgements
-            to = ["--peer", at[peers[0]], "--plant", at["plant"]]
+            others = peers_of(policy, role).items()
+            peers = [at[f"relay {link}"] if senders[link] == role else at[other] for link, other in others]
+            to = ["--peer", peers[0]] if peers else []
+            to += ["--plant", at["plant"]] if plant_link(policy, role) else []
             node = [*library, "node", role, case.file, *logged(role), *to]
             if role in foreign:
                 node = [program, str(PEER), str(folder / "wire.json"), role, "--bind", at[role], *to]

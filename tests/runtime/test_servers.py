@@ -30,10 +30,11 @@ def here() -> Iterator[Endpoint]:
 
 
 def serving(role: str, here: Endpoint, tick: float | None) -> NodeServer:
-    """Return the server of one node, whose peer and plant are here."""
+    """Return the server of one node, whose peer, if it needs one, and plant are here."""
     node = Node(POLICY, role)  # type: ignore[arg-type]
     there = Endpoint(("127.0.0.1", 0))
-    return NodeServer([node], WIRE, there, peer=here.address, plant=here.address, tick=tick)
+    peer = here.address if role == "controller" else None
+    return NodeServer([node], WIRE, there, peer=peer, plant=here.address, tick=tick)
 
 
 def soon(seconds: float) -> Callable[[], bool]:

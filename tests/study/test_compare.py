@@ -109,6 +109,12 @@ def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], w
     assert words in str(caught.value)
 
 
+def test_policies_that_are_the_same_at_a_traffic_are_refused_with_this_word() -> None:
+    """Not with the word rate."""
+    with pytest.raises(ProblemError, match=r"are the same policy, lqg, at the same traffic; expected policies that"):
+        compare({"one": MASSES, "other": MASSES}, traffic=0.3)
+
+
 @pytest.mark.evidence
 def test_a_cost_that_the_rate_does_not_fix_is_refused() -> None:
     """At the edge of what a policy keeps stable, the rate's standard error alone moves the cost by more than it is."""

@@ -8,8 +8,8 @@ import pytest
 import taciturn
 from taciturn import Cost, Plant, close, design
 from taciturn.simulation.statistics import batch_means
-from taciturn.study.testbed.network import _unheard
-from taciturn.study.testbed.ticks import plant_cost, settled
+from taciturn.study.testbed.network import NetworkRun, _datagrams, _unheard
+from taciturn.study.testbed.ticks import measured, plant_cost, rate_of_ticks, remark_on_rates, settled
 
 PROBLEM = taciturn.load("two-mass-lqg")
 LOOP = PROBLEM.close(PROBLEM.design())
@@ -51,3 +51,40 @@ def test_a_short_run_has_a_mean_alone() -> None:
     assert found["cost"] == {"value": 3.0, "standard_error": None, "method": "simulation"}
     assert found["notes"][0].startswith("3 steps are too few for a mean cost with its error")
     assert plant_cost(PROBLEM, LOOP, [[], []], 0.0)["cost"] is None
+
+
+def test_a_rate_has_an_error_only_by_batch_means() -> None:
+    """Not in a finite-horizon run or in a short one, whose correlated sends give no valid error; a note says so."""
+    mission, short = taciturn.load("rover"), settled(LOOP) + 50
+    runs = np.repeat(np.random.default_rng(1).random(1000) < 0.3, 10)  # sends come ten at a time
+    for loop, steps in ((mission.close(mission.design()), 1000), (LOOP, short)):
+        rate = rate_of_ticks(loop, runs[:steps])
+        assert measured(rate) == {"value": runs[:steps].mean(), "standard_error": None, "method": "simulation"}
+        assert remark_on_rates([rate], steps) == (
+            f"the rates are those of this run of {steps} steps, without standard errors",
+        )
+    rate = rate_of_ticks(LOOP, runs)
+    independent = np.sqrt(0.3 * 0.7 / len(runs))
+    assert rate.standard_error == pytest.approx(np.sqrt(10) * independent, rel=0.5)
+    assert rate.standard_error > 1.5 * independent
+    assert remark_on_rates([rate], len(runs)) == ()
+
+
+@pytest.mark.parametrize("relay", [True, False])
+def test_the_text_of_a_run_shows_degraded_nodes_and_packets_that_were_sent_again(relay: bool) -> None:
+    """If there are any; with a relay, and where the kernel drops packets."""
+    text: dict[int, str] = {}
+    for again in (0, 3):
+        counters = {"sent data actuator": 5, "sent mark actuator": 2, "sent again data actuator": again}
+        reports = {
+            "controller": {"counters": counters, "arrived": {}, "degraded": {}},
+            "actuator": {"counters": {}, "arrived": {"actuator": 4}, "degraded": {"late": 2} if again else {}},
+        }
+        link = {"counters": {"delivered": 4, "lost": 1}, "pending": 0}
+        reports |= {"relay actuator": link} if relay else {}
+        sent = {"actuator": _datagrams("actuator", reports)}
+        run = NetworkRun(LOOP, "step", None, {}, sent, reports, np.ones(5), {}, {}, 0, True, 0.1, ())
+        text[again] = " ".join(str(run).split())
+    assert "5 sent, 4 delivered, 1 lost, 2 marks, 3 sent again degraded actuator: 2 late" in text[3]
+    assert "degraded" not in text[0]
+    assert "again" not in text[0]

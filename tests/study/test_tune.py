@@ -12,11 +12,13 @@ from counts import few
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
 from taciturn.design.catalogue import CATALOGUE
+from taciturn.model.estimate import Estimate
 from taciturn.problem.parameters import check_parameters
 from taciturn.study.tuning import search
 from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.goal import RateGoal
+from taciturn.study.tuning.goal import CostGoal, RateGoal
 from taciturn.study.tuning.search import Search
+from taciturn.study.tuning.tuned import Parameter, Tuned
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
@@ -296,6 +298,18 @@ def test_a_confidence_is_claimed_only_where_it_holds() -> None:
     near = RateGoal(found.rates["actuator"].value)
     assert near.confidence(found) == pytest.approx(0.5)
     assert near.confidence(replace(found, trusted=False)) is None
+
+
+@pytest.mark.parametrize(("excess", "confidence", "words"), [
+    (0.0, 1.0, "met exactly"), (5e-11, 1.0, "met up to a rounding error of 1e-09 of it"), (2e-9, 0.0, "met with 0 %"),
+])  # fmt: skip
+def test_a_budget_is_met_up_to_rounding(excess: float, confidence: float, words: str) -> None:
+    """Also if the standard error is smaller than the rounding error, as next to sending every sample."""
+    found = taciturn.evaluate(MASSES, steps=20_000)
+    found = replace(found, cost=Estimate(1.0 + excess, 1e-15, "simulation"), trusted=True)
+    tuned = Tuned(CostGoal(1.0), Parameter("theta", 1.0, 0.0), MASSES, found, None, None)
+    assert tuned.confidence == confidence
+    assert words in " ".join(str(tuned).split())
 
 
 def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -205,10 +205,7 @@ class DeadBands:
         }
         self._measured = network.measurements(plant.outputs).items()
         self._applied = network.applications(plant.inputs).items()
-        at = network.controller
-        self.sites = (
-            (frozenset({at, *wired}),) if network.triangle else tuple(place for place in network.sites if at in place)
-        )
+        self.sites = (frozenset({network.controller, *wired}),) if network.triangle else network.sites_of_controller
 
     @property
     def of_outputs(self) -> Array:

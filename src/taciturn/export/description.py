@@ -137,7 +137,7 @@ def describe_unit(loop: Loop, name: str, version: Version, token: str, sources: 
     Xml.SubElement(
         root, "DefaultExperiment", {"startTime": "0", "stopTime": repr(tick * ticks), "stepSize": repr(tick)}
     )
-    _list(root, variables, version)
+    _list(root, variables, version, references(loop)["time"])
     _structure(root, variables, version)
     return _text(root)
 
@@ -152,11 +152,11 @@ def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
     return _text(root)
 
 
-def _list(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Version) -> None:
+def _list(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Version, time: int) -> None:
     listed = Xml.SubElement(root, "ModelVariables")
     if version == "3.0":
-        time = {"name": "time", "valueReference": "0", "causality": "independent"}
-        Xml.SubElement(listed, "Float64", {**time, "variability": "continuous", "description": "Time in seconds"})
+        said = {"name": "time", "valueReference": str(time), "causality": "independent"}
+        Xml.SubElement(listed, "Float64", {**said, "variability": "continuous", "description": "Time in seconds"})
     for one in variables:
         said = {
             "name": one.name, "valueReference": str(one.reference), "description": one.text,

@@ -345,6 +345,20 @@ its destination. Byte 6 of a datagram is its link ({links}).
 Byte 11 is 0 if the datagram goes along its link, as data does, and 1 if it goes back to the sender of the data, as an
 acknowledgement does. `apply` sets the input of the plant. Call `begin` once, and `step` in each step.
 
+Byte 5 is the kind of a datagram. Pass on every datagram that `tac_send` writes, and give every datagram that arrives
+from another node to `tac_receive`:
+
+| byte 5 | kind | sent |
+|---|---|---|
+| 0 | data | along the link, in the steps in which the policy sends |
+| 1 | acknowledgement | back to the sender of the data, if the policy uses the acknowledgements of this link |
+| 2 | mark | after `tac_mark_after`: along the link, or back from a node that only acknowledges on it |
+| 5 | challenge | with a key: to the sender of packets that has not proven yet that it is running |
+| 6 | answer | with a key: to the node that has sent the challenge |
+
+The kinds 3 (measurement) and 4 (input) are packets between a node and a plant that is another process. `tac_receive`
+discards them: read them with `tac_decode` and write them with `tac_encode`, using `&node->data->wire`.
+
 * All nodes use the same **step** numbers. In each step the nodes that measure run first, then the controller, then the
   nodes that apply inputs; leave enough time between them for packets to arrive. A node that starts while the loop runs
   waits for a packet, and starts with step `tac_heard(node) - 1`. If several nodes measure, they need
@@ -352,6 +366,10 @@ acknowledgement does. `apply` sets the input of the plant. Call `begin` once, an
 * The **epoch** must increase with each start of a node whose memory is lost. Use for example a wall clock in seconds,
   or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them. With keys
   on all links, the epoch must only differ from those of earlier starts, so it may be random.
+* `begin` gives all links the same **key**, or none. `tac_set_keys(node, link, key, other)` gives one link a key of its
+  own, by the number of the link, also while the node runs: the node authenticates its packets with `key`, and accepts
+  packets with `key` or with `other`, which may be `{{NULL, 0}}`. The node reads the bytes of a key in place, so they
+  must remain in memory.
 * `NODE_start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
 * `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
   the measurement is not finite, or if more missed steps are left than one call executes (`tac_behind`, `TAC_CATCH_UP`).

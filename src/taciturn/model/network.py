@@ -173,6 +173,11 @@ class Network(Displayed):
         return tuple(frozenset(group) for group in groups.values() if len(group) > 1)
 
     @property
+    def sites_of_controller(self) -> tuple[frozenset[str], ...]:
+        """The group of nodes at the controller's place, as the only one, or no group if the controller is alone."""
+        return tuple(group for group in self.sites if self.controller in group)
+
+    @property
     def triangle(self) -> bool:
         """True if the nodes are a sensor, a controller and an actuator, which a policy kind may place together."""
         return self.nodes == TRIANGLE
@@ -222,8 +227,8 @@ class Network(Displayed):
         for name, listed in held.items():
             if max(listed, default=0) >= size:
                 raise ProblemError(
-                    f"nodes.{name}.{role} contains {max(listed)}; expected indices below {size}, the {entry}s of the "
-                    "plant"
+                    f"nodes.{name}.{role} contains the index {max(listed)}; expected indices below {size}, the "
+                    f"{entry}s of the plant"
                 )
         for index in range(size):
             by = [name for name, listed in held.items() if index in listed]

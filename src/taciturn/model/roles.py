@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Literal, cast
 
-from taciturn._arrays import count, quoted
+from taciturn._arrays import quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
 RoleName = Literal["measures", "applies"]
 Entries = bool | tuple[int, ...]
+ENTRIES: Mapping[str, str] = {"measures": "outputs", "applies": "inputs"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -36,12 +38,20 @@ class NodeRole(Displayed):
     def __post_init__(self) -> None:
         """Check the indices."""
         for name in ("measures", "applies"):
-            value = getattr(self, name)
+            value: object = getattr(self, name)
             if isinstance(value, bool):
                 continue
-            if isinstance(value, str) or not isinstance(value, Sequence):
-                raise ProblemError(f"{name} is {quoted(value)}; expected a list of indices from 0 on, or true for all")
-            listed = tuple(count(name, index, 0) for index in cast("Sequence[object]", value))
+            whole = _whole_numbers(value)
+            if whole is None:
+                raise ProblemError(
+                    f"{name} is {quoted(value)}; expected a list of whole numbers, the indices of {ENTRIES[name]} from "
+                    "0 on, or true for all"
+                )
+            if min(whole, default=0) < 0:
+                raise ProblemError(
+                    f"{name} contains the index {min(whole)}; expected indices of {ENTRIES[name]} from 0 on"
+                )
+            listed = tuple(whole)
             if len(set(listed)) < len(listed):
                 raise ProblemError(f"{name} is {list(listed)}; expected each index once")
             object.__setattr__(self, name, listed or False)
@@ -53,9 +63,28 @@ class NodeRole(Displayed):
         given: Entries = getattr(self, role)
         return (tuple(range(size)) if given else ()) if isinstance(given, bool) else given
 
+    def text(self, outputs: int, inputs: int) -> str:
+        """Return the role with the indices of outputs and inputs, of a plant that has so many of them."""
+        parts = ["controls"] if self.controls else []
+        both: tuple[tuple[RoleName, int], ...] = (("measures", outputs), ("applies", inputs))
+        for role, size in both:
+            found = self.entries(role, size)
+            noun = ENTRIES[role].removesuffix("s") if len(found) == 1 else ENTRIES[role]
+            parts += [f"{role} {noun} {', '.join(map(str, found))}"] if found else []
+        return "; ".join(parts) + ("" if self.site is None else f"; at the place of {self.site}")
+
     def short(self) -> str:
         """Return the role in a few words."""
         return ", ".join(name for name in ("measures", "controls", "applies") if getattr(self, name))
+
+
+def _whole_numbers(value: object) -> list[int] | None:
+    """Return a list of whole numbers, or None if the value is something else."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return None
+    given = cast("Sequence[object]", value)
+    whole = [int(index) for index in given if not isinstance(index, bool) and isinstance(index, Integral)]
+    return whole if len(whole) == len(given) else None
 
 
 TRIANGLE: Mapping[str, NodeRole] = {

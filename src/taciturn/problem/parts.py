@@ -251,7 +251,7 @@ def _graph_of(file: File) -> Network:
     nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
     for name, table in (file.nodes or {}).items():
         try:
-            nodes[name] = NodeRole(cast("Any", table.measures), cast("Any", table.applies), table.controls, table.site)
+            nodes[name] = NodeRole(table.measures, table.applies, table.controls, table.site)
         except ProblemError as error:
             raise ProblemError(f"nodes.{name}: {error}") from None
     for name, table in (file.links or {}).items():

@@ -92,8 +92,8 @@ class NetworkTable(Displayed):
 class NodeTable(Displayed):
     """The keys of the tables ``[nodes.NAME]``."""
 
-    measures: bool | list[int] = False
-    applies: bool | list[int] = False
+    measures: Any = False  # checked by the role of the node: true or a list of indices
+    applies: Any = False
     controls: bool = False
     site: str | None = None
 

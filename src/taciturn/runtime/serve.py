@@ -26,7 +26,7 @@ from taciturn.runtime.outbox import Outbox
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.reception import Reception
 from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, log_line, take_until
-from taciturn.runtime.udp import Address, peers_by_link
+from taciturn.runtime.udp import Address, check_plant, peers_by_link
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
@@ -56,7 +56,8 @@ class NodeServer:
         draw: function that returns the random number of a challenge; default: one of the operating system.
 
     Raises:
-        ProblemError: a peer, a plant or a key is missing, or the saved state is not valid for this node.
+        ProblemError: a peer, a plant or a key is missing, a peer or a plant is not needed, or the saved state is not
+            valid for this node.
     """
 
     def __init__(
@@ -79,11 +80,7 @@ class NodeServer:
         """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
-        if (first.measures or first.actuates) and plant is None:
-            raise ProblemError(
-                f"--plant is missing, but the {first.role} exchanges packets with the plant; expected HOST:PORT of the "
-                "plant"
-            )
+        check_plant(f"the {first.role}", plant, first.measures or first.actuates)
         peers = peers_by_link(f"the {first.role}", peer, [*first.program.sends, *first.acknowledges])
         self._plant = plant_link(first.policy, first.role)
         if self._plant is not None and plant is not None:

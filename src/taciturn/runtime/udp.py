@@ -65,10 +65,12 @@ def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, link
     """Return the address of each link on which a process sends, from one address or from addresses by link.
 
     Raises:
-        ProblemError: an address is missing, or belongs to no such link.
+        ProblemError: an address is missing, belongs to no such link, or is not needed.
     """
     if given is None and links:
         raise ProblemError(f"--peer is missing, but {name} sends packets; expected HOST:PORT of their receiver")
+    if given and not links:
+        raise ProblemError(f"--peer is given, but {name} sends packets on no link; expected no --peer: remove it")
     if not isinstance(given, Mapping):
         if len(links) > 1:
             raise ProblemError(
@@ -83,6 +85,22 @@ def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, link
                 f"on which {name} sends: {', '.join(links) or 'none'}"
             )
     return dict(given)
+
+
+def check_plant(name: str, given: Address | None, needed: bool) -> None:
+    """Check that the address of the plant is given to a process exactly if it exchanges packets with the plant.
+
+    Raises:
+        ProblemError: the address is missing or not needed.
+    """
+    if needed and given is None:
+        raise ProblemError(
+            f"--plant is missing, but {name} exchanges packets with the plant; expected HOST:PORT of the plant"
+        )
+    if given is not None and not needed:
+        raise ProblemError(
+            f"--plant is given, but {name} neither measures nor applies inputs; expected no --plant: remove it"
+        )
 
 
 def hosts_of(*places: Address | Mapping[str, Address] | None) -> list[str]:

@@ -15,8 +15,8 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 
 
-def comparable(given: Mapping[str, Studied], link: str | None) -> dict[str, Problem]:
-    """Return the problems to compare by name.
+def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "rate") -> dict[str, Problem]:
+    """Return the problems to compare by name, at the same ``budget``: the rate or the traffic.
 
     Raises:
         ProblemError: if they cannot be compared.
@@ -32,8 +32,8 @@ def comparable(given: Mapping[str, Studied], link: str | None) -> dict[str, Prob
                 raise ProblemError(f"{one} and {other} differ in {where}; expected the same {where} in all problems")
         if first.record is second.record and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
-                f"{one} and {other} are the same policy, {first.kind}, at the same rate; expected policies that differ "
-                "in more than the tuned parameter"
+                f"{one} and {other} are the same policy, {first.kind}, at the same {budget}; expected policies that "
+                "differ in more than the tuned parameter"
             )
     return problems
 

@@ -257,7 +257,7 @@ def compare(
     goal, level = (
         ("rate", number("rate", rate, 0.0)) if traffic is None else ("traffic", number("traffic", traffic, 0.0))
     )
-    problems = comparable(problems, link)
+    problems = comparable(problems, link, goal)
     bar = in_notebook(progress)
     found: list[Contestant] = []
     for index, (name, choices) in enumerate(_measuring_alike(problems).items()):

@@ -31,7 +31,8 @@ def network_text(found: NetworkRun) -> str:
     if found.nominal:
         lines.append(("every sample", f"{policy.cost_all_time:.6g}"))
     for link, counted in found.datagrams.items():
-        lines.append((f"link, {link}", ", ".join(f"{count} {name}" for name, count in counted.items())))
+        told = (f"{count} {'sent again' if name == 'again' else name}" for name, count in counted.items())
+        lines.append((f"link, {link}", ", ".join(told)))
     for name, report in found.reports.items():
         if report.get("degraded"):
             lines.append(("degraded", f"{name}: " + ", ".join(f"{n} {why}" for why, n in report["degraded"].items())))

@@ -118,7 +118,7 @@ def distributed(
             covers=covers | BURSTS if lossy and told else covers,
         ),
         # nodes at another place do not use each other's signals, so each of them runs by itself
-        sites=tuple(group for group in network.sites if network.controller in group),
+        sites=network.sites_of_controller,
         initial={"prior": problem.plant.mean},
         tick=problem.tick,
         network=network,

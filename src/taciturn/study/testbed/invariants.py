@@ -62,6 +62,7 @@ class Life:
         """Remember what the counters show at the start."""
         self.server, self.port = server, port
         self.node: Node = server.nodes[0]
+        self.plant = plant_link(self.node.policy, self.node.role)
         self._kept = Counter(self.node.counters)  # of an earlier life, if the state was saved
         self.heard = began  # last step in which a datagram of a peer arrived, or which excuses silence
         self.turn = 0  # steps since the process woke
@@ -200,7 +201,7 @@ class Monitor:
             self.fail(f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
         if node.tick > now + EARLY:
             self.fail(f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
-        given = plant_link(node.policy, role)
+        given = life.plant
         if "y" in line and given and (0, node.tick) not in self._sent["measurement", given, tuple(line["y"])]:
             self.fail(f"the {role} uses the measurement {line['y']} in step {node.tick}, which the plant has not sent")
         for (kind, link), values in node.readings.items():

@@ -37,10 +37,9 @@ from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
-from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.printed import network_text
 from taciturn.study.testbed.logs import PART, Logs
-from taciturn.study.testbed.ticks import cost_of_ticks, measured, settled
+from taciturn.study.testbed.ticks import cost_of_ticks, measured, rate_of_ticks, remark_on_rates
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ class NetworkRun(Tabular):
         cost: mean over the steps, with its standard error by batch means, or the total of a finite-horizon run; None if
             the run was too short for a mean.
         rates: sends per step or per second, by scheduled link (in a finite-horizon run, the share of steps with a
-            send).
+            send); without standard errors in a finite-horizon run, or if the run was too short for batch means.
         datagrams: numbers of packets sent, delivered and lost, and of marks sent, by link; ``again``: packets that a
             node repeated, which the link delivers or drops once more. In namespaces, also the
             number of ``predicted`` losses and the counters of nftables, which count every retransmission
@@ -250,13 +249,13 @@ def run_network(
         datagrams[link] |= {"predicted": int(found.sum()), "nft_seen": counts.seen, "nft_dropped": counts.dropped}
     cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
-    skipped = settled(loop)
+    rates = {link: rate_of_ticks(loop, sends[link]).scaled(pace) for link in policy.scheduled if link in sends}
     differences = loop.violated_assumptions + _other_links(chosen, losses(problem.network, seed))
     return NetworkRun(
         loop=loop,
         unit=cost_unit(problem),
         cost=cost,
-        rates={link: _rate(sends[link], skipped).scaled(pace) for link in policy.scheduled if link in sends},
+        rates=rates,
         datagrams=datagrams,
         reports=reports,
         costs=costs,
@@ -266,6 +265,7 @@ def run_network(
         nominal=not differences,
         seconds=time.monotonic() - began,
         notes=notes
+        + remark_on_rates(rates.values(), len(costs))
         + _unheard(loop, datagrams)
         + _unforeseen(datagrams)
         + tuple(f"{text}: no guarantee holds" for text in differences),
@@ -333,15 +333,6 @@ def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile:
         disturbance.result()
 
 
-def _rate(sends: Array, skipped: int) -> Estimate:
-    """Return the share of steps with a send; its standard error is at least one event in all these steps."""
-    kept = sends[skipped:]
-    if len(kept) < 10 * BATCHES:
-        return Estimate(float(sends.mean()), float(sends.std() / np.sqrt(max(len(sends) - 1, 1))), "simulation")
-    found = batch_means(kept)
-    return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
-
-
 def _unheard(loop: Loop, datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
     """Return a warning for each link on which no packet arrived, if the plant does not come to rest without packets."""
     return tuple(
@@ -367,16 +358,17 @@ def _datagrams(link: str, reports: Mapping[str, Mapping[str, Any]]) -> dict[str,
         sum(report["counters"].get(f"sent {kind} {link}", 0) for report in reports.values() if "counters" in report)
         for kind in ("data", "again data", "mark")
     )
+    repeated = {"again": again} if again else {}
     if f"relay {link}" not in reports:
         delivered = sum(report["arrived"].get(link, 0) for report in reports.values() if "arrived" in report)
-        return {"sent": sent, "delivered": delivered, "lost": sent - delivered, "marks": marks}
+        return {"sent": sent, "delivered": delivered, "lost": sent - delivered, "marks": marks, **repeated}
     counted = reports[f"relay {link}"]["counters"]
     return {
         "sent": sent,
         "delivered": counted.get("delivered", 0),
         "lost": counted.get("lost", 0),
         "marks": marks,
-        **({"again": again} if again else {}),
+        **repeated,
         **{name: counted[name] for name in ("duplicated", "reordered", "corrupted") if name in counted},
         **({"pending": reports[f"relay {link}"]["pending"]} if reports[f"relay {link}"]["pending"] else {}),
     }

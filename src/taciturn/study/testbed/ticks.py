@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,26 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
     notes = (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
     cost = _in_units(loop, found)
     return cost, notes + doubt_errors(cost, len(kept))
+
+
+def rate_of_ticks(loop: Loop, sends: Array) -> Estimate:
+    """Return the share of steps with a send, without an error if the run has a finite horizon or is too short.
+
+    Sends of successive steps are correlated, so only batch means have a valid standard error. It is at least one send
+    in all these steps.
+    """
+    kept = sends[settled(loop) :]
+    if loop.horizon is not None or len(kept) < 10 * BATCHES:
+        return Estimate(float(sends.mean()), 0.0, "exact")
+    found = batch_means(kept)
+    return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
+
+
+def remark_on_rates(rates: Iterable[Estimate], steps: int) -> tuple[str, ...]:
+    """Return a remark if rates were measured only once."""
+    if all(rate.method != "exact" for rate in rates):
+        return ()
+    return (f"the rates are those of this run of {steps} steps, without standard errors",)
 
 
 def _in_units(loop: Loop, found: Estimate) -> Estimate:

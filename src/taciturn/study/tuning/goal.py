@@ -14,7 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.study.evaluation import Evaluation
 
-EXACT = 1e-9  # relative tolerance of the budget
+EXACT = 1e-9  # relative tolerance of the budget, for the rounding errors of costs and rates
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,17 +54,18 @@ class Goal(Displayed, ABC):
     def confidence(self, evaluation: Evaluation) -> float | None:
         """Return the probability that the answer meets the budget, for normally distributed errors.
 
-        It is 1 for a rate that no policy exceeds, and None if the standard error cannot be trusted.
+        A value that exceeds the budget by at most ``EXACT`` of it meets the budget. The probability is 1 for a rate
+        that no policy exceeds, and None if the standard error cannot be trusted.
         """
         found, most = self.of(evaluation), self.most(evaluation)
         if most is not None and self.budget >= most:
             return 1.0
         if not evaluation.trusted:
             return None
-        below = self.budget - found.value - found.error
+        below = self.budget * (1 + EXACT) - found.value - found.error
         if found.standard_error > 0:
             return 0.5 * math.erfc(-below / found.standard_error / math.sqrt(2))
-        return float(below >= -EXACT * self.budget)
+        return float(below >= 0)
 
 
 @dataclass(frozen=True, repr=False)

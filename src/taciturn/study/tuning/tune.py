@@ -41,7 +41,8 @@ def tune(
     The parameter is the tuning parameter of the policy kind; rate and cost are assumed to be monotone in it. All trials
     of the search use the same draws. The answer is then measured more precisely and corrected, until it is at least two
     standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
-    policy on the side of the jump that meets the budget.
+    policy on the side of the jump that meets the budget. A budget that is exceeded by at most 1e-9 of it counts as met,
+    since costs and rates have rounding errors of this size.
 
     If the policy divides a threshold among several links, the shares of the links are tuned too, unless the problem
     states them or a link is named: for the least traffic at a cost, or for the least cost at a traffic or at given

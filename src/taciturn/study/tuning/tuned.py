@@ -15,7 +15,7 @@ from taciturn.problem import Problem
 from taciturn.study.clock import Cycle
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.lines import shares_text
-from taciturn.study.tuning.goal import Goal
+from taciturn.study.tuning.goal import EXACT, Goal
 
 
 @dataclass(frozen=True, repr=False)
@@ -134,5 +134,7 @@ def _budget_text(found: Tuned) -> str:
     if sure is None:
         kept = "met in this simulation, whose standard error cannot be trusted"
     else:
-        kept = "met exactly" if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
+        over = found.goal.of(found.evaluation).value > found.goal.budget
+        exactly = f"met up to a rounding error of {EXACT:g} of it" if over else "met exactly"
+        kept = exactly if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
     return f"{found.goal.text(found.evaluation)}, {kept}"
