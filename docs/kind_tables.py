@@ -35,7 +35,7 @@ def problems(kinds: Sequence[Kind]) -> str:
         lambda kind: (
             plants(kind),
             ", ".join(COSTS[word] for word in kind.costs),
-            "yes" if "network" in kind.tables else "no",
+            "yes" if _drops(kind) else "no",
             "yes" if "reference" in kind.arguments else "no",
             kind.refused,
         ),
@@ -47,7 +47,7 @@ def nodes(kinds: Sequence[Kind]) -> str:
     return _grouped(
         ("nodes", "plant", "links", "kinds"),
         kinds,
-        lambda kind: (kind.nodes, plants(kind), "drop packets" if "network" in kind.tables else "ideal"),
+        lambda kind: (kind.nodes, plants(kind), "drop packets" if _drops(kind) else "ideal"),
         last=True,
     )
 
@@ -75,6 +75,11 @@ def plants(kind: Kind) -> str:
     return "; ".join(
         filter(None, (" or ".join(times), measured, *(PLANTS[one] for one in PLANTS if one in kind.plants)))
     )
+
+
+def _drops(kind: Kind) -> bool:
+    """Return whether a kind is designed for links that drop or delay packets."""
+    return "network" in kind.tables and not kind.ideal_links
 
 
 def _grouped(

@@ -46,6 +46,10 @@ TANKS = {
         **{"kind": "send-on-delta", "theta": None, "prediction": None, "actuation": None, "delta": 0.4},
         "shares": {"level-1": 2.0},
     },
+    "tank, variances": {
+        **{"kind": "variance", "theta": None, "prediction": None, "actuation": None, "threshold": 0.12},
+        **{"nodes.pump-1.site": "plc", "nodes.pump-2.site": "plc"},
+    },
     "tank, crossed": {f"nodes.{n}.{does}": [i] for does, n, i in CROSSED},
 }
 STRING = "vehicle-string"

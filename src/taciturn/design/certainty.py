@@ -25,9 +25,9 @@ from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Decide, Location, Policy, Received, Send, Step
-from taciturn.model.schedule import Schedule
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Reset, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
@@ -230,57 +230,18 @@ def certainty_policy(
     )
 
 
-def sensor_policy(
-    kind: str,
-    certainty: CertaintyEquivalentDesign,
-    estimation: FilterSteps,
-    settling: float,
-    *,
-    locations: tuple[Location, ...] = (),
-    closed_form: ClosedForm | None = None,
-    schedule: Schedule | None = None,
-) -> Policy:
-    """Return a policy whose controller is at the actuator's site and receives packets from the sensor.
-
-    Args:
-        kind: name of the policy kind in the catalogue.
-        certainty: filter and regulator of sending every sample.
-        estimation: policy steps that decide, send and filter.
-        settling: time constant of regulator and filter in steps.
-        locations: finite discrete states.
-        closed_form: exact cost and rates.
-        schedule: offline schedule of the sensor, or None.
-    """
-    problem = certainty.problem
-    return Policy(
-        kind=kind,
-        steps=steps_at_the_actuator(problem.plant, estimation, certainty.regulator.L),
-        model=problem.plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(certainty.cost_all_time),
-            noise_cost=problem.noise_cost,
-            settling=settling,
-            closed_form=closed_form,
-            fixed_rates={} if schedule is None else {"sensor": schedule.rate},
-            covers=_covered(problem, closed_form),
-        ),
-        sites=(frozenset({"controller", "actuator"}),),
-        locations=locations,
-        initial=estimation.initial,
-        tick=problem.tick,
-        schedule=schedule,
-    )
-
-
-def steps_at_the_actuator(plant: Plant, estimation: FilterSteps, L: Matrix) -> tuple[Step, ...]:
-    """Return the policy steps of a controller at the actuator's site, which needs no actuator link."""
-    command = {"command": np.eye(plant.inputs)}
+def steps_at_the_actuator(
+    plant: Plant, estimation: FilterSteps, L: Matrix, network: Network = IDEAL
+) -> tuple[Step, ...]:
+    """Return the policy steps of a controller at the site of all actuators, which needs no actuator link."""
+    unit, applied = np.eye(plant.inputs), network.applications(plant.inputs)
+    parts = [Assign(node, name, {"input": unit[[*rows]]}) for name, (node, rows) in applied.items() if name != "input"]
     return (
         *estimation.correct,
-        Assign("controller", "command", {ESTIMATE: L}),
-        Assign("actuator", "input", command),
-        Assign("controller", HELD, command),
+        Assign(network.controller, "command", {ESTIMATE: L}),
+        Assign(network.actuators[0], "input", {"command": unit}),
+        *parts,
+        Assign(network.controller, HELD, {"command": unit}),
         *estimation.predict,
     )
 

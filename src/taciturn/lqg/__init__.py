@@ -18,5 +18,6 @@ Read the modules in this order:
 2. ``sampling`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between samples.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``_mean_square``: control over links that drop packets, and the critical loss probabilities.
-5. ``queries``, ``_flow`` and ``_interval``: the value of a measurement, and the resulting schedule of measurements.
+5. ``queries``, ``_flow`` and ``_interval``: the value of a measurement, and the resulting schedule of measurements;
+   ``variances``: schedules of several sensors by the variances of the predicted outputs.
 """

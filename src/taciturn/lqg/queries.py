@@ -56,15 +56,19 @@ class Predictor:
 
     Args:
         plant: plant with A, C, W and V.
+        outputs: indices of the outputs that a measurement contains; default all.
     """
 
-    def __init__(self, plant: Plant) -> None:
-        """Prepare the computation of gains, which depends on whether V is definite."""
-        self.plant, self._noisy = plant, is_definite(plant.V)
-        self._observer = np.zeros((plant.states, plant.outputs))
+    def __init__(self, plant: Plant, outputs: Sequence[int] | None = None) -> None:
+        """Select the rows of C and the block of V, and prepare the gains, which depend on whether V is definite."""
+        self.plant, self._C, self._V = plant, plant.C, plant.V
+        if outputs is not None:
+            self._C, self._V = plant.C[[*outputs]], plant.V[np.ix_(outputs, outputs)]
+        self._noisy = is_definite(self._V)
+        self._observer = np.zeros(self._C.T.shape)
         if not self._noisy:
             with suppress(UnstableError):
-                self._observer = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
+                self._observer = steady_filter(plant.A, self._C, plant.W, self._V).gain
 
     def gain(self, Sigma: Array) -> Array:
         """Return the gain AΣC'(CΣC' + V)^{-1} of the Kalman predictor for an error covariance Σ, (…, n, p)."""
@@ -76,14 +80,14 @@ class Predictor:
         If CΣC' + V is singular, some outputs are known in advance, and any gain is optimal in these directions. The
         gain of a stable observer is used there, so that errors from rounding and from the initial state decay.
         """
-        p = self.plant
-        seen = p.C @ Sigma
+        C, V = self._C, self._V
+        seen = C @ Sigma
         if self._noisy:
-            turned = np.linalg.solve(seen @ p.C.T + p.V, seen)
+            turned = np.linalg.solve(seen @ C.T + V, seen)
             return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
-        prices = [_dare.price(p.C.T, one, p.V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
-        S, inverse = (np.reshape(part, (*Sigma.shape[:-2], *p.V.shape)) for part in zip(*prices, strict=True))
-        return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(p.V)) - S @ inverse)
+        prices = [_dare.price(C.T, one, V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
+        S, inverse = (np.reshape(part, (*Sigma.shape[:-2], *V.shape)) for part in zip(*prices, strict=True))
+        return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(V)) - S @ inverse)
 
     def silent(self, Sigma: Array) -> Array:
         """Return the next error covariance without a measurement, AΣA' + W."""
@@ -92,8 +96,8 @@ class Predictor:
     def queried(self, Sigma: Array, gain: Array) -> Array:
         """Return the next error covariance with a measurement, in Joseph's form, (…, n, n)."""
         p = self.plant
-        F, turned = p.A - gain @ p.C, gain.swapaxes(-1, -2)
-        return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W)
+        F, turned = p.A - gain @ self._C, gain.swapaxes(-1, -2)
+        return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ self._V @ turned + p.W)
 
     def change(self, before: Array, after: Array) -> Array:
         """Return the largest difference of each covariance from a reference, in standard deviations of the reference.
@@ -244,7 +248,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     for tick in range(horizon or LONGEST):
         value.append(worth(covariance[-1], tick))
         covariance.append(predictor.follow(covariance[-1], value[-1] > price))
-        cycle = None if horizon is not None else _cycle(predictor, covariance)
+        cycle = None if horizon is not None else cycle_of(predictor, covariance)
         if cycle is not None:
             return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
     if horizon is None:
@@ -253,38 +257,6 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
             "expected another zeta, or a horizon"
         )
     return _schedule(plant, covariance[:-1], value, price, None, 1.0)
-
-
-def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
-    """Return the periodic schedule that queries the sensor if the variance of a predicted output exceeds a threshold.
-
-    The sensor is queried if max_i (CΣ_kC')_ii > threshold, where Σ_k is the covariance of the prediction.
-
-    Args:
-        plant: plant with A, C, W and V.
-        threshold: largest variance without a query, at least 0.
-
-    Returns:
-        The schedule; its value at each step is the largest variance of an output.
-
-    Raises:
-        UnstableError: the schedule does not repeat within 100,000 steps, or never queries an unstable plant.
-
-    Source: trimpe2014
-    """
-    predictor = Predictor(plant)
-    covariance, value = [steady_filter(plant.A, plant.C, plant.W, plant.V).prior], list[float]()
-    for _ in range(LONGEST):
-        value.append(float(np.diag(plant.C @ covariance[-1] @ plant.C.T).max()))
-        covariance.append(predictor.follow(covariance[-1], value[-1] > threshold))
-        cycle = _cycle(predictor, covariance)
-        if cycle is not None:
-            found = _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], threshold, cycle[0], 1.0)
-            return found.repeating()
-    raise UnstableError(
-        f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} steps; "
-        "expected another threshold"
-    )
 
 
 def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
@@ -307,7 +279,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     for _ in range((horizon or LONGEST) - 1):
         covariance.append(predictor.follow(covariance[-1], True))
         if horizon is None:
-            cycle = _cycle(predictor, covariance)
+            cycle = cycle_of(predictor, covariance)
             if cycle is not None:
                 return frozen(np.array(covariance[: cycle[1]])), cycle[0]
             continue
@@ -329,16 +301,22 @@ def _schedule(
 ) -> Schedule:
     values = frozen(np.array(value))
     found = Schedule(values > price, values, frozen(np.array(covariance)), price, start, discount)
-    moving = ~resting_states(plant)
-    if start is not None and not found.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
-        raise UnstableError(
-            f"at the price or threshold {price:g} the sensor is never queried, and the plant is unstable, so that the "
-            "estimation error would grow; expected a smaller price or threshold, or noise W on the unstable modes"
-        )
+    expect_queries(plant, found)
     return found
 
 
-def _cycle(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
+def expect_queries(plant: Plant, schedule: Schedule) -> None:
+    """Raise an ``UnstableError`` if the plant is unstable and no query is in the repeating part of a schedule."""
+    moving, start = ~resting_states(plant), schedule.start
+    if start is not None and not schedule.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
+        raise UnstableError(
+            f"at the price or threshold {schedule.price:g} the sensor is never queried, and the plant is unstable, so "
+            "that the estimation error would grow; expected a smaller price or threshold, or noise W on the unstable "
+            "modes"
+        )
+
+
+def cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
     """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet.
 
     The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that one

@@ -56,9 +56,9 @@ def placed(policy: Policy, network: Network) -> Policy:
     three_nodes(network, policy.kind)
     names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
     for role in ("sensor", "actuator"):
-        _check_place(policy, network, role, names[role])
+        check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
     links = {names[link]: law for link, law in policy.network.links.items() if names[link] in network.links}
-    theory, closed = policy.theory, policy.theory.closed_form
+    theory, closed, schedule = policy.theory, policy.theory.closed_form, policy.schedule
     renamed = replace(
         theory,
         fixed_rates=_keys(theory.fixed_rates, names),
@@ -78,21 +78,33 @@ def placed(policy: Policy, network: Network) -> Policy:
         theory=renamed,
         sites=network.sites,
         locations=locations,
+        schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
     )
 
 
-def _check_place(policy: Policy, network: Network, role: str, node: str) -> None:
-    """Raise an error if a node is at the controller's place in the policy or in the network, but not in both."""
-    together, wired = "controller" in policy.site(role), node not in network.links
+def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:
+    """Raise an error if a node is at the controller's place in a policy or in the network, but not in both.
+
+    Args:
+        kind: name of the policy kind.
+        network: the given network.
+        role: the role of the node in the policy: ``"sensor"`` or ``"actuator"``.
+        node: the node of the given network.
+        together: whether the node is at the controller's place in the policy.
+
+    Raises:
+        ProblemError: the places differ.
+    """
+    wired = node not in network.links
     if together and not wired:
         raise ProblemError(
-            f"the {role} of {policy.kind} is at the controller's place, but {node} has a link; expected "
+            f"the {role} of {kind} is at the controller's place, but {node} has a link; expected "
             f'nodes.{node}.site = "{network.controller}", or a kind that uses this link, such as distributed'
         )
     if wired and not together:
         raise ProblemError(
-            f"{policy.kind} uses a link between {role} and controller, but {node} is at the controller's place; "
+            f"{kind} uses a link between {role} and controller, but {node} is at the controller's place; "
             f"expected {node} at another place, or another policy"
         )
 

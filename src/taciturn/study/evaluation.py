@@ -269,7 +269,9 @@ def _details(found: Evaluation) -> Lines:
     if found.consistency is not None:
         lines.append(("consistent", found.consistency))
     if found.schedule is not None:
-        lines.append(("sensor queries", _queries(found.schedule)))
+        several = len(found.schedule.links) > 1
+        for link, one in found.schedule.by_link.items():
+            lines.append((f"queries, {link}" if several else "sensor queries", _queries(one)))
     if len(found.rates) > 1 and found.traffic is not None:
         lines.append(("traffic", f"{found.traffic} per {found.rate_unit}, the rates times the prices of a packet"))
     for link, power in found.power.items():

@@ -84,7 +84,8 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         return _kept(loop, nodes.theory.periodic, "zero" if _applies_zero(nodes) else actuation_of(nodes))
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
-        every, links = all_time(problem.plant, problem.cost, period=period), three_nodes(problem.network, policy.kind)
+        every = all_time(problem.plant, problem.cost, period=period)
+        links = three_nodes(problem.network, "periodic control")
         differences = close(problem.actual or problem.plant, every, links, problem.cost).violated_assumptions
     except TaciturnError as error:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None

@@ -1,42 +1,64 @@
-"""Variance-based triggering: the sensor sends when the predicted variance of an output exceeds a threshold."""
+"""Variance-based triggering: a sensor sends when the predicted variance of one of its outputs exceeds a threshold."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from taciturn._arrays import Array, number
-from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, sensor_policy
+from taciturn._arrays import Array, instance, number
+from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, steps_at_the_actuator
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
-from taciturn.lqg.queries import Predictor, schedule_by_variance
+from taciturn.lqg.variances import corrections_of, schedule_by_variance
 from taciturn.model.cost import Cost
+from taciturn.model.coverage import THEORY
+from taciturn.model.network import Network
+from taciturn.model.placement import check_place
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Policy, Received, Send
+from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
-from taciturn.model.theory import ClosedForm
+from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
+QUERY = "query"
 
-def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, period: float | None = None) -> Policy:
+
+def variance(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    threshold: float,
+    period: float | None = None,
+    network: Network | None = None,
+) -> Policy:
     """Design LQG control whose sensor sends when the predicted variance (CΣ̃C')_ii of some output exceeds a threshold.
 
-    Σ̃ is the error covariance of the state prediction at both ends. Since Σ̃ does not depend on the measured values, the
+    Σ̃ is the error covariance of the state prediction at all nodes. Since Σ̃ does not depend on the measured values, the
     rule is a repeating schedule that is computed offline. The controller is at the actuator and filters the received
     measurements.
+
+    In a network with nodes of one's own, each sensor with a link sends its outputs if the predicted variance of one of
+    them exceeds the threshold, and the outputs of sensors at the controller's place are read at every step. Σ̃ takes
+    into account which outputs were received.
 
     Args:
         plant: the plant.
         cost: the average cost.
         threshold: a variance in the units of y², at least 0.
         period: seconds between steps; only with a continuous plant.
+        network: the nodes, all actuators at the controller's place; default: a sensor, and a controller at the place of
+            the actuator. Links must be ideal.
 
     Returns:
-        The policy with its schedule and its exact cost.
+        The policy with its schedule, its exact cost and the exact rate of each link.
 
     Raises:
-        ProblemError: if the threshold is below 0, or period is missing or not applicable.
+        ProblemError: if the threshold is below 0, period is missing or not applicable, links drop or delay packets, an
+            actuator has a link or no sensor has one.
         UnstableError: if no stabilising gain or filter exists, or no schedule repeats.
 
     Source: trimpe2014
@@ -48,45 +70,101 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
         {'sensor': 0.3333333333333333}
     """
     threshold = number("threshold", threshold, 0.0, closed=True)
+    network = Network() if network is None else network
+    instance("network", network, Network)
+    wired = _wired(network)
     problem = discretise(plant, cost, period)
-    certainty = design_certainty("variance", problem)
-    schedule, plant = schedule_by_variance(problem.plant, threshold), problem.plant
-    corrections = Predictor(plant).correction(schedule.covariance) * schedule.queries[:, None, None]
+    certainty, plant = design_certainty("variance", problem), problem.plant
+    measured = network.measurements(plant.outputs)
+    sensors = {node: outputs for node, outputs in measured.values() if node in network.links}
+    schedule = schedule_by_variance(plant, threshold, sensors)
+    corrections = corrections_of(plant, schedule, sensors)
     unit = np.eye(plant.states)
     left = unit - corrections @ plant.C
     posterior = left @ schedule.covariance @ left.swapaxes(1, 2) + corrections @ plant.V @ corrections.swapaxes(1, 2)
     noise = float(np.sum(certainty.regulator.K * plant.W))
     average = noise + float(np.sum(certainty.square * posterior.mean(axis=0)))
-    return sensor_policy(
-        "variance",
-        certainty,
-        _measured(plant, schedule, corrections),
-        forgetting(
-            plant,
-            [plant.A @ kept for kept in left],
-            certainty.regulator.slowest,
-            "there are too few measurements to determine states that the noise does not reach; expected a smaller "
-            "threshold, or noise V on the measurement",
+    settling = forgetting(
+        plant,
+        [plant.A @ kept for kept in left],
+        certainty.regulator.slowest,
+        "there are too few measurements to determine states that the noise does not reach; expected a smaller "
+        "threshold, or noise V on the measurement",
+    )
+    estimation = _measured(plant, network, measured, schedule, corrections)
+    return Policy(
+        kind="variance",
+        steps=steps_at_the_actuator(plant, estimation, certainty.regulator.L, network),
+        model=plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(certainty.cost_all_time),
+            noise_cost=problem.noise_cost,
+            settling=settling,
+            closed_form=ClosedForm(problem.per_unit(average), schedule.rates),
+            fixed_rates=schedule.rates,
+            covers=THEORY,
         ),
+        sites=wired,
         locations=(count_ticks(len(schedule.queries), 0),),
-        closed_form=ClosedForm(problem.per_unit(average), {"sensor": schedule.rate}),
+        initial=estimation.initial,
+        tick=problem.tick,
+        network=Network(nodes=network.nodes),
         schedule=schedule,
     )
 
 
-def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> FilterSteps:
-    """Return the policy steps that send and filter the scheduled measurements."""
-    p, n = plant.outputs, plant.states
-    turn = Form(constant=Scheduled(CLOCK, np.where(schedule.queries, -1.0, 1.0)))
-    nothing, seen = {"prior": np.zeros((p, n))}, {"y": np.eye(p), "prior": -plant.C}
+def _wired(network: Network) -> tuple[frozenset[str], ...]:
+    """Return the nodes at the controller's place, as a group if there are several.
+
+    Raises:
+        ProblemError: links drop or delay packets, an actuator is not among these nodes, or all sensors are.
+    """
+    if network.unusual:
+        raise ProblemError(
+            f"{network.unusual[0]} is given, which variance does not use; expected ideal links: remove it"
+        )
+    if network.triangle:
+        return (frozenset({network.controller, *network.actuators}),)
+    for node in network.actuators:
+        check_place("variance", network, "actuator", node, True)
+    if not any(node in network.links for node in network.sensors):
+        check_place("variance", network, "sensor", network.sensors[0], False)
+    return tuple(place for place in network.sites if network.controller in place)
+
+
+def _measured(
+    plant: Plant,
+    network: Network,
+    measured: Mapping[str, tuple[str, Sequence[int]]],
+    schedule: Schedule,
+    corrections: Array,
+) -> FilterSteps:
+    """Return the policy steps that send and filter the scheduled measurements.
+
+    With one sensor, the signals have the names ``y`` and ``innovation``; with several, these and that of its node.
+    """
+    at, steps = network.controller, list[Step]()
+    corrected: dict[str, Array | Scheduled] = {"prior": np.eye(plant.states)}
+    for signal, (node, outputs) in measured.items():
+        of, sent, rows = (f"_{node}", signal, [*outputs]) if len(measured) > 1 else ("", "y", [*range(plant.outputs)])
+        if sent != signal:  # the outputs of the sensor in another order
+            steps.append(Assign(node, sent, {signal: np.eye(plant.outputs)[:, [*outputs]]}))
+        seen = {sent: np.eye(len(rows)), "prior": -plant.C[rows]}
+        if node in network.links:
+            turn = Form(constant=Scheduled(CLOCK, np.where(schedule.by_link[node].queries, -1.0, 1.0)))
+            nothing = {"prior": np.zeros((len(rows), plant.states))}
+            steps += [
+                Decide(node, f"{QUERY}{of}", Trigger({"silent": Form(), QUERY: turn})),
+                Send(node, node, (sent,), f"{QUERY}{of}"),
+                Assign(at, f"innovation{of}", (nothing, seen), Received(node)),
+            ]
+        else:
+            steps.append(Assign(at, f"innovation{of}", seen))
+        corrected[f"innovation{of}"] = Scheduled(CLOCK, corrections[:, :, rows])
     return FilterSteps(
-        (
-            Decide("sensor", "query", Trigger({"silent": Form(), "query": turn})),
-            Send("sensor", "sensor", ("y",), "query"),
-            Assign("controller", "innovation", (nothing, seen), Received("sensor")),
-            Assign("controller", ESTIMATE, {"prior": np.eye(n), "innovation": Scheduled(CLOCK, corrections)}),
-        ),
-        (Assign("controller", "prior", {ESTIMATE: plant.A, HELD: plant.B}),),
+        (*steps, Assign(at, ESTIMATE, corrected)),
+        (Assign(at, "prior", {ESTIMATE: plant.A, HELD: plant.B}),),
         {"prior": plant.mean},
         None,
     )
@@ -99,7 +177,9 @@ KIND = Kind(
     tuning=(TradeoffParameter("threshold"),),
     example={"threshold": 0.05},
     nodes="S, C+A",
-    proved="cost and rate, exactly",
+    proved="cost and rates, exactly",
     data="the step counter `clock` of the schedule; queries and filter gains are read by `clock`",
     order="decide by the step counter, send y, filter on `Received`, input",
+    several_nodes=True,
+    ideal_links=True,
 )
