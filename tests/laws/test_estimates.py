@@ -120,7 +120,7 @@ WRONG: dict[str, Callable[[], object]] = {
     "network is 'tcp'; expected a Network": lambda: close(PLANT, design.all_time(PLANT, COST), "tcp"),
     "policy is 'lqg'; expected a Policy": lambda: close(PLANT, "lqg"),
     "reference is [[0.0]]; expected a Reference": lambda: design.lossy_lqg(PLANT, COST, price=1, reference=[[0.0]]),
-    "network.sensor_burst is 0.1; expected a Burst": lambda: Network("udp", sensor_burst=0.1),
+    "network.sensor_burst is 0.1; expected a LossLaw": lambda: Network("udp", sensor_burst=0.1),
 }
 
 

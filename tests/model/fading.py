@@ -8,11 +8,11 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.model.bursts.chain import Chain
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 
 
 @dataclass(frozen=True, repr=False)
-class Fading(Dropouts):
+class Fading(LossLaw):
     """Equidistant levels of a channel, which moves to a neighbouring level with a given probability."""
 
     levels: int

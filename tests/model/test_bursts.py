@@ -18,8 +18,8 @@ from taciturn.analyse.outcomes import outcomes
 from taciturn.model import bursts
 from taciturn.model.bursts import law_text, read_law
 from taciturn.model.bursts.chain import Chain
-from taciturn.model.dropouts import Dropouts
 from taciturn.model.link import LinkLaw
+from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network
 from taciturn.runtime.relay import Fate
 from taciturn.simulation.average import plain_average
@@ -42,7 +42,7 @@ def test_a_chain_of_two_states_is_a_burst(to_bad: float, to_good: float, good: f
 
 
 @pytest.mark.parametrize("burst", [JAMMER, FADING, Burst(0.1, 0.3, 0.05, 0.8)], ids=["jammer", "own", "burst"])
-def test_a_relay_loses_as_the_chain_says_in_any_order(burst: Dropouts) -> None:
+def test_a_relay_loses_as_the_chain_says_in_any_order(burst: LossLaw) -> None:
     """Frequencies of losses and of two losses at a distance; a packet that is asked about later has the same fate."""
     ticks, seeds, distance = 120, 200, 2
     gone = np.array([[Fate(seed, burst=burst).lost(k, k) for k in range(ticks)] for seed in range(2)])
@@ -55,7 +55,7 @@ def test_a_relay_loses_as_the_chain_says_in_any_order(burst: Dropouts) -> None:
 
 
 @pytest.mark.parametrize("burst", [JAMMER, FADING], ids=["jammer", "own"])
-def test_any_chain_in_loops_nodes_and_exact_analyses(burst: Dropouts) -> None:
+def test_any_chain_in_loops_nodes_and_exact_analyses(burst: LossLaw) -> None:
     """The interpreters agree bit for bit; the exact cost of every sample is the simulated one, and nodes lose alike."""
     network = Network("tcp", actuator_burst=burst)
     policy = design.excess(PLANT, COST, theta=0.1, network=network)

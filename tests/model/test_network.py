@@ -15,7 +15,7 @@ from parity.loops import assert_parity, differences, same
 
 from taciturn import Burst, Cost, Network, Plant, ProblemError, Reference, close, design
 from taciturn.loop import Loop
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 from taciturn.model.policy import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.machine import Kernel
@@ -113,7 +113,7 @@ def test_a_network_that_contradicts_itself_is_refused(action: Callable[[], objec
     assert refusal(action) == sentence
 
 
-def bursty(protocol: str = "udp", **bursts: Dropouts) -> Loop:
+def bursty(protocol: str = "udp", **bursts: LossLaw) -> Loop:
     """Return a loop that sends on both links at every step, designed for the same losses without memory."""
     network = Network(protocol, **bursts)
     policy = design.lossy_lqg(PLANT, COST, price=0.0, network=network)
@@ -149,7 +149,7 @@ CHAINS = [Burst(0.1, 0.25, 0.0, 1.0), Burst(0.02, 0.1, 0.05, 0.7), Burst(0.9, 0.
 @pytest.mark.parametrize(
     "burst", [*CHAINS, JAMMER, FADING], ids=["all or nothing", "slow", "restless", "jammer", "own"]
 )
-def test_a_bursty_link_loses_as_its_chain_says(burst: Dropouts, link: str) -> None:
+def test_a_bursty_link_loses_as_its_chain_says(burst: LossLaw, link: str) -> None:
     """Loss frequency, from the first step on, and that of two in a row: what a chain in its stationary law does."""
     sent, gone = lost(bursty(**{f"{link}_burst": burst}), link, seed=3)
     assert sent.all()

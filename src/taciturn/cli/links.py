@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from taciturn.model.dropouts import Dropouts
+    from taciturn.model.losses import LossLaw
     from taciturn.model.network import Network
     from taciturn.model.policy import Policy
     from taciturn.runtime.relay import Fate
@@ -47,7 +47,7 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
     return fates
 
 
-def read_burst(text: str | None) -> Dropouts | None:
+def read_burst(text: str | None) -> LossLaw | None:
     """Return the law of bursty losses of a link from the values of --burst, or None."""
     from taciturn.model.bursts import read_law
 

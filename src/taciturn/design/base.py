@@ -27,7 +27,7 @@ from taciturn._display import Displayed
 from taciturn._modes import mode_text, radius
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
-from taciturn.model.dropouts import stationary
+from taciturn.model.losses import stationary
 
 WIDTH = 1e-6  # accuracy of the critical loss
 GROWTH = 1e-6  # growth per step above which a loop is unstable, although its cost is finite

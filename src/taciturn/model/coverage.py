@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
@@ -28,7 +28,7 @@ _OWN = ("Cost", "Network", "Jumps", "Reference", "Tracking", "Controller", "Dist
 _PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "LinkLaw": "links"}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _OPAQUE = ("plant.function", "Apply.function")  # callables
-_PLAIN = (str, int, float, np.ndarray, type(None), Dropouts)  # every law of losses has the same two properties
+_PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of losses has the same two properties
 
 
 def names(owner: str, properties: str) -> frozenset[str]:

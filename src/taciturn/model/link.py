@@ -10,8 +10,8 @@ from taciturn._arrays import choice, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
-from taciturn.model.dropouts import Dropouts
 from taciturn.model.estimate import Estimate
+from taciturn.model.losses import LossLaw
 from taciturn.model.wire import CODES, EncodingName
 
 
@@ -23,7 +23,7 @@ class LinkLaw(Displayed):
 
     Args:
         loss: loss probability of a packet, in [0, 1].
-        burst: bursty losses instead of ``loss``: a ``Burst``, or another law derived from ``Dropouts``.
+        burst: bursty losses instead of ``loss``: a ``Burst``, or another law derived from ``LossLaw``.
         acknowledged: whether the sender learns whether each packet arrives; None for a link on which every packet
             arrives, and False if losses are given without it.
         payload: encoding of the numbers in a packet: ``"float64"`` (exact), or ``"float32"`` or ``"int16"`` (rounded).
@@ -42,7 +42,7 @@ class LinkLaw(Displayed):
     """
 
     loss: float = 0.0
-    burst: Dropouts | None = None
+    burst: LossLaw | None = None
     acknowledged: bool | None = None
     payload: EncodingName = "float64"
     range: tuple[float, ...] | None = None
@@ -54,7 +54,7 @@ class LinkLaw(Displayed):
         """Check the arguments."""
         loss = number("loss", self.loss, 0.0, 1.0, closed=True)
         if self.burst is not None:
-            instance("burst", self.burst, Dropouts)
+            instance("burst", self.burst, LossLaw)
             if loss > 0:
                 raise ProblemError("loss and burst are both given; expected one of them")
             self.burst.check()

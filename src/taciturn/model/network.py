@@ -13,9 +13,9 @@ from taciturn._arrays import Array, choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
-from taciturn.model.dropouts import Dropouts
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
+from taciturn.model.losses import LossLaw
 from taciturn.model.roles import TRIANGLE, RoleName
 from taciturn.model.roles import NodeRole as NodeRole
 from taciturn.model.wire import PLANT, Encoding, EncodingName
@@ -68,8 +68,8 @@ class Network(Displayed):
         actuator_loss: float = 0.0,
         sensor_loss: float = 0.0,
         delay: int = 0,
-        actuator_burst: Dropouts | None = None,
-        sensor_burst: Dropouts | None = None,
+        actuator_burst: LossLaw | None = None,
+        sensor_burst: LossLaw | None = None,
         payload: EncodingName = "float64",
         actuator_range: float | Sequence[float] | None = None,
         sensor_range: float | Sequence[float] | None = None,
@@ -310,7 +310,7 @@ class Network(Displayed):
             )
         return Encoding(law.payload, law.range or ())
 
-    def burst(self, link: str) -> Dropouts | None:
+    def burst(self, link: str) -> LossLaw | None:
         """Return the law of bursty losses of a link, or None if its loss probability is constant."""
         return self.links[link].burst
 
@@ -371,7 +371,7 @@ def _two_links(
     for link, law in reversed(tuple(stated.items())):
         loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
         if law["burst"] is not None:
-            instance(f"network.{link}_burst", law["burst"], Dropouts)
+            instance(f"network.{link}_burst", law["burst"], LossLaw)
         if law["burst"] is not None and loss > 0:
             raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
         if protocol == "ideal" and (loss > 0 or law["burst"] is not None):

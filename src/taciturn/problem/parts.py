@@ -18,10 +18,10 @@ from taciturn.model.bursts import USUAL, find_law
 from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
-from taciturn.model.dropouts import Dropouts
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.kept import Kept
 from taciturn.model.link import LinkLaw
+from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
@@ -268,14 +268,14 @@ def _graph_of(file: File) -> Network:
     return Network(delay=delay, nodes=nodes or None, links=links)
 
 
-def _burst(key: str, table: Mapping[str, Any] | None) -> Dropouts | None:
+def _burst(key: str, table: Mapping[str, Any] | None) -> LossLaw | None:
     """Return the law of losses of a table: its key ``law`` names the class, and the other keys are its parameters."""
     if table is None:
         return None
     name = table.get("law", USUAL)
     if not isinstance(name, str):
         raise ProblemError(f"{key}.law is {quoted(name)}; expected the name of a law in quotes")
-    law: type[Dropouts] = Dropouts
+    law: type[LossLaw] = LossLaw
     try:
         law = find_law(name)
         return validate(law, {key: value for key, value in table.items() if key != "law"})

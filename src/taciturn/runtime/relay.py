@@ -14,7 +14,7 @@ import numpy as np
 from taciturn._arrays import count, instance, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
 
 _WORD = (1 << 64) - 1
@@ -49,7 +49,7 @@ class Fate(Displayed):
 
     seed: int = 0
     loss: float = 0.0
-    burst: Dropouts | None = None
+    burst: LossLaw | None = None
     delay: float = 0.0
     jitter: float = 0.0
     hold: int = 0
@@ -68,7 +68,7 @@ class Fate(Displayed):
         for name in ("delay", "jitter"):
             number(name, getattr(self, name), 0.0, 3600.0, closed=True)
         if self.burst is not None:
-            instance("burst", self.burst, Dropouts)
+            instance("burst", self.burst, LossLaw)
             if self.loss > 0:
                 raise ProblemError("loss and burst are both given; expected only one of them")
         if self.outage is not None and not 0 <= self.outage[0] < self.outage[1]:
@@ -85,7 +85,7 @@ class Fate(Displayed):
         chance = self.loss if self.burst is None else float(self.burst.losses[self._state_at(self.burst, tick)])
         return self.uniform(_LOSS, of_loop(sequence, loop)) < chance
 
-    def _state_at(self, burst: Dropouts, tick: int) -> int:
+    def _state_at(self, burst: LossLaw, tick: int) -> int:
         """Return the state of the link in a step, from the last earlier step at which all histories coincide."""
         known, state = self._last
         reached = tuple(range(len(burst.losses)))  # the state in this step, for each state in an earlier step

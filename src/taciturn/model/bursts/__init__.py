@@ -1,4 +1,4 @@
-"""The laws of bursty losses, one per file: a class derived from ``Dropouts`` and, at the end, its name ``LAW``.
+"""The laws of bursty losses, one per file: a class derived from ``LossLaw`` and, at the end, its name ``LAW``.
 
 A problem file names the law with the key ``law``: the name of the file, with hyphens in place of underscores. A package
 of one's own registers a law by an entry point of the group ``taciturn.bursts``. A new law needs no other entry.
@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from taciturn._plugins import find_plugins, load_entry
 from taciturn.errors import ProblemError
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 
 GROUP = "taciturn.bursts"
 USUAL = "gilbert-elliott"
@@ -28,7 +28,7 @@ def law_names() -> list[str]:
 
 
 @cache
-def find_law(name: str) -> type[Dropouts]:
+def find_law(name: str) -> type[LossLaw]:
     """Return the class of a law.
 
     Raises:
@@ -40,12 +40,12 @@ def find_law(name: str) -> type[Dropouts]:
         raise ProblemError(f"law is {name!r}; expected one of {', '.join(law_names())}")
     own = EntryPoint(name, f"taciturn.model.bursts.{name.replace('-', '_')}:LAW", GROUP)
     found = load_entry(find_plugins(GROUP).get(name, (own,))[0], f"the law {name} of losses")
-    if not (isinstance(found, type) and issubclass(found, Dropouts)):
-        raise ProblemError(f"the law {name} of losses is {found!r}; expected a class derived from Dropouts")
+    if not (isinstance(found, type) and issubclass(found, LossLaw)):
+        raise ProblemError(f"the law {name} of losses is {found!r}; expected a class derived from LossLaw")
     return found
 
 
-def law_text(law: Dropouts) -> str:
+def law_text(law: LossLaw) -> str:
     """Return a law in one word, as the option ``--burst`` of a relay reads it.
 
     Example:
@@ -63,7 +63,7 @@ def law_text(law: Dropouts) -> str:
     return f"{name}:{json.dumps(values, separators=(',', ':'))[1:-1]}"
 
 
-def read_law(name: str, text: str) -> Dropouts:
+def read_law(name: str, text: str) -> LossLaw:
     """Return the law that a text describes: its values in their order, after the name of a law and a colon, if given.
 
     Args:

@@ -9,11 +9,11 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn.errors import ProblemError
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 
 
 @dataclass(frozen=True, repr=False)
-class Chain(Dropouts):
+class Chain(LossLaw):
     """Losses of a link with any states, such as the levels of a fading channel or the phases of a periodic jammer.
 
     Args:

@@ -8,11 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from taciturn._arrays import Array, number
-from taciturn.model.dropouts import Dropouts
+from taciturn.model.losses import LossLaw
 
 
 @dataclass(frozen=True, repr=False)
-class Burst(Dropouts):
+class Burst(LossLaw):
     """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
 
     Args:

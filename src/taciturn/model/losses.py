@@ -13,7 +13,7 @@ from taciturn.errors import ProblemError
 SUMS = 1e-9  # largest deviation of a sum of probabilities from 1
 
 
-class Dropouts(Displayed):
+class LossLaw(Displayed):
     """Base class of the bursty losses of a link.
 
     The link has states, and it moves from one to the next once per step, whatever is sent. Its first state has the
