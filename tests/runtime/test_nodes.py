@@ -46,6 +46,11 @@ TANKS = {
         **{"kind": "send-on-delta", "theta": None, "prediction": None, "actuation": None, "delta": 0.4},
         "shares": {"level-1": 2.0},
     },
+    "tank, sets of links": {
+        **{"kind": "excess", "prediction": None, "actuation": "hold"},
+        **{f"nodes.level-{i}.site": "plc" for i in (1, 2)},
+        **{f"links.level-{i}": None for i in (1, 2)},
+    },
     "tank, variances": {
         **{"kind": "variance", "theta": None, "prediction": None, "actuation": None, "threshold": 0.12},
         **{"nodes.pump-1.site": "plc", "nodes.pump-2.site": "plc"},

@@ -36,11 +36,11 @@ def test_no_invariant_breaks(first: int) -> None:
         assert found.recovery <= found.promised
 
 
-@pytest.mark.parametrize("first", few(range(0, 128, 16), quick=0))
+@pytest.mark.parametrize("first", few([0, 8], quick=0))
 @pytest.mark.parametrize("changes", [TANKS["tank, losses"], TANKS["tank, crossed"]], ids=["losses", "crossed"])
 def test_no_invariant_breaks_with_several_sensors(first: int, changes: Mapping[str, object]) -> None:
     """Worlds of the four tanks: five processes, with acknowledgements, on the host and in C."""
-    for seed in range(first, first + 16):
+    for seed in range(first, first + 8):
         found = run_world_with_devices(taciturn.load("quadruple-tank").changed(changes), seed)
         assert found.faults
         assert found.broken is None, f"world {seed}: {found.broken}"

@@ -82,6 +82,8 @@ class Kind(Displayed):
         requires: the condition on plant and cost as a phrase, for messages.
         check: function that raises a ``ProblemError`` if the kind does not support a plant and a cost.
         several_nodes: whether the design takes networks of several sensors or actuators.
+        joint_links: whether the controller decides on sets of links to several actuators; then the design is that of
+            one actuator, and ``taciturn.model.joint`` derives the decision on sets.
         ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
         shares: the parameter that divides a threshold among several links, if there is one.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
@@ -113,6 +115,7 @@ class Kind(Displayed):
     keeps_controller: bool = False
     for_dropouts: bool = False
     several_nodes: bool = False
+    joint_links: bool = False
     ideal_links: bool = False
     shares: str | None = None
 

@@ -6,12 +6,13 @@ all their outputs, and several actuators at one place as one actuator.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from taciturn.errors import ProblemError
+from taciturn.model.joint import JointSets, expect_sets
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
 from taciturn.model.policy import Acknowledged, Apply, Assign, Condition, Decide, Draw, Policy, Received, Send, Step
@@ -19,12 +20,13 @@ from taciturn.model.roles import TRIANGLE
 from taciturn.model.steps import assigned
 
 
-def three_nodes(network: Network, kind: str) -> Network:
+def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
 
     Args:
         network: the given network.
         kind: name of the policy kind, for messages.
+        joint: whether the controller may decide on sets of links to several actuators, which must be ideal.
 
     Raises:
         ProblemError: sensors or actuators are at several places, or several of them share a place with several links.
@@ -34,7 +36,9 @@ def three_nodes(network: Network, kind: str) -> Network:
     links = dict[str, LinkLaw]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
-        if len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
+        if joint and name == "actuator" and apart(network):
+            _expect_ideal(network, kind, at)
+        elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
             raise ProblemError(
                 f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
                 "all of these, or nodes at the controller's place (site), or a kind for several nodes, such as "
@@ -45,6 +49,21 @@ def three_nodes(network: Network, kind: str) -> Network:
     return Network(delay=network.delay, nodes=TRIANGLE, links=links)
 
 
+def apart(network: Network) -> bool:
+    """Return whether the actuators have several links, or some of them have a link and others have none."""
+    linked = [node for node in network.actuators if node in network.links]
+    return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
+
+
+def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
+    for link in links:
+        if not network.links[link].ideal:
+            raise ProblemError(
+                f"{network.key(link, 'loss')} or acknowledgements are given, and {kind} decides on sets of the links "
+                f"{', '.join(links)}; expected ideal links, or distributed"
+            )
+
+
 def placed(policy: Policy, network: Network) -> Policy:
     """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
 
@@ -53,8 +72,14 @@ def placed(policy: Policy, network: Network) -> Policy:
     """
     if network.nodes == policy.network.nodes or not policy.network.triangle:
         return policy
-    three_nodes(network, policy.kind)
+    joint = apart(network)
+    three_nodes(network, policy.kind, joint)
+    sets = JointSets(policy, network) if joint else None
+    if sets is not None:
+        expect_sets(policy, network)
     names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
+    if joint:
+        names["actuator"] = next(node for node in network.actuators if node in network.links)
     for role in ("sensor", "actuator"):
         check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
     links = {names[link]: law for link, law in policy.network.links.items() if names[link] in network.links}
@@ -74,8 +99,8 @@ def placed(policy: Policy, network: Network) -> Policy:
     )
     return replace(
         policy,
-        steps=_steps(policy, network, names),
-        theory=renamed,
+        steps=_steps(policy, network, names, sets),
+        theory=renamed if sets is None else sets.theory(renamed),
         sites=network.sites,
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
@@ -109,7 +134,7 @@ def check_place(kind: str, network: Network, role: str, node: str, together: boo
         )
 
 
-def _steps(policy: Policy, network: Network, names: Mapping[str, str]) -> tuple[Step, ...]:
+def _steps(policy: Policy, network: Network, names: Mapping[str, str], sets: JointSets | None) -> tuple[Step, ...]:
     """Return the policy steps with other names of nodes and links, between the signals that the nodes share."""
     plant, found = policy.model, list[Step]()
     measured, applied = network.measurements(plant.outputs), network.applications(plant.inputs)
@@ -117,6 +142,9 @@ def _steps(policy: Policy, network: Network, names: Mapping[str, str]) -> tuple[
         terms = {signal: np.eye(plant.outputs)[:, [*outputs]] for signal, (_, outputs) in measured.items()}
         found.append(Assign(names["sensor"], "y", terms))
     for step in policy.steps:
+        if sets is not None:
+            found += sets.of(_renamed(step, names))
+            continue
         found.append(_renamed(step, names))
         if "input" in assigned(step) and "input" not in applied:
             unit = np.eye(plant.inputs)

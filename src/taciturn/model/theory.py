@@ -30,6 +30,7 @@ class Guarantee(Displayed):
         per_silence: coefficient of (1 − rate) in the bound that depends on the rate.
         deciders: the largest cost δ of silence by group of links that are decided together, in a bound
             base + (Σ√(δ(1 − r)))² with the rate r at which all links of a group send.
+        weights: share of each link in the rate of a bound that depends on one rate; default: one link has it all.
     """
 
     cost: float
@@ -38,6 +39,7 @@ class Guarantee(Displayed):
     base: float | None = None
     per_silence: float = 0.0
     deciders: Mapping[tuple[str, ...], float] = field(default_factory=lambda: {})
+    weights: Mapping[str, float] = field(default_factory=lambda: {})
 
     def at_rates(self, rates: Mapping[str, Estimate], link: str) -> Estimate | None:
         """Return the bound that depends on the rates, with the error that the errors of the rates cause.
@@ -50,9 +52,12 @@ class Guarantee(Displayed):
             return None
         values = {name: rate.value for name, rate in rates.items()}
         if not self.deciders:
-            rate = rates[link]
-            value, error = self.base + self.per_silence * (1 - rate.value), abs(self.per_silence) * rate.standard_error
-            return Estimate(value, error, rate.method)
+            shares = self.weights or {link: 1.0}
+            rate = sum(share * rates[name].value for name, share in shares.items())
+            error = sum(share * rates[name].standard_error for name, share in shares.items())
+            return Estimate(
+                self.base + self.per_silence * (1 - rate), abs(self.per_silence) * error, rates[link].method
+            )
         bound = self._of(values)
         moved = [self._of({**values, name: rate.value - rate.standard_error}) - bound for name, rate in rates.items()]
         return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)

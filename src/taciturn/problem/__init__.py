@@ -184,7 +184,7 @@ class Problem(Displayed):
         SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
-        network = self.network if kind.several_nodes else three_nodes(self.network, kind.name)
+        network = self.network if kind.several_nodes else three_nodes(self.network, kind.name, kind.joint_links)
         for key in self.network.unusual[:1]:
             expect_network(kind, key)
         used = _used(kind, network, {"reference": self.reference, "controller": self.controller})

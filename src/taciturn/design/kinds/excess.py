@@ -156,5 +156,6 @@ KIND = Kind(
     asked=("theta",),
     offered=1,
     keeps_controller=True,
+    joint_links=True,
     costs=("average", "horizon", "discount"),
 )

@@ -138,6 +138,7 @@ KIND = Kind(
     relative_to="LQG with every sample",
     data="trigger over [x̂; candidate; e]",
     order="filter, command, candidate, error, decide, send, hold or model, predict",
+    joint_links=True,
     usual={"theta": 0.1},
     offered=4,
 )
