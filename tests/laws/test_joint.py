@@ -158,3 +158,14 @@ def test_too_many_links_are_refused() -> None:
     problem = Problem(plant, cost, network_of(MOST_LINKS + 1, np.ones(MOST_LINKS + 1)), "excess", {"theta": 0.1})
     with pytest.raises(ProblemError, match="decides on the 32 sets of 5 actuator links; expected at most 4 links"):
         problem.design()
+
+
+def test_designs_take_the_network_directly() -> None:
+    """As a problem does: with one actuator of another name, and with several links."""
+    plant, cost = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2)), Cost(np.eye(2), np.eye(2))
+    network = network_of(2, np.ones(2))
+    policy = taciturn.design.excess(plant, cost, theta=0.1, network=network)
+    assert policy.scheduled == ("v0", "v1")
+    nodes = {"s": NodeRole(measures=True), "c": NodeRole(controls=True), "a": NodeRole(applies=True)}
+    lossy = Network(nodes=nodes, links={"a": LinkLaw(loss=0.1)})
+    assert taciturn.design.lossy_lqg(plant, cost, price=0.1, network=lossy).network.loss("a") == 0.1

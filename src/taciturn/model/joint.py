@@ -143,8 +143,9 @@ class JointSets(Displayed):
         return " and ".join(sent) or "silent"
 
     def named(self, signal: str, sent: Sequence[str]) -> str:
-        """Return the name of a signal if a set sends; the value without packets keeps its name."""
-        return f"{signal} with {self.label(sent)}" if sent and signal in self.partial else signal
+        """Return the name of a signal if a set sends; the value without any packet keeps its name."""
+        differs = signal in self.partial and (sent or len(self.links) < len(self.actuators))
+        return f"{signal} if {self.label(sent)}" if differs else signal
 
     def form(self, form: Form, sent: Sequence[str]) -> Form:
         """Return the form of the error that remains if a set sends."""
@@ -213,7 +214,7 @@ class JointSets(Displayed):
         """Return the error and the input of the plant for each set that leaves some links silent."""
         found = list[Step]()
         unit = np.eye(step.size)
-        for sent in self.all[1:-1]:
+        for sent in (one for one in self.all[:-1] if self.named(ERROR, one) != ERROR):
             silent = self.silent(sent)
             found.append(Assign(step.at, self.named(ERROR, sent), {ERROR: silent}))
             if any(CANDIDATE in read(other) for other in self.policy.steps if isinstance(other, Decide)):

@@ -26,6 +26,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.kept import controller_from
 from taciturn.model.network import Network
+from taciturn.model.placement import placed, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Trigger
@@ -70,7 +71,10 @@ def excess(
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
             measurement (``"hold"``) or the prediction of a model from the last sent estimate (``"model"``).
-        network: the network; default ideal links. If the link drops packets and acknowledges those that arrive
+        network: the network; default ideal links. With several actuator links, all ideal, the controller decides on the
+            set of links that send: that with the least sum of the cost of silence on the others and δ times the share
+            of its packets in the price of packets on all links; the rate of the bound is then the mean of the rates,
+            weighted by the prices. If the link drops packets and acknowledges those that arrive
             (``"tcp"``), J_all is the cost of an attempt to send every sample, and the rate is that of attempts. Losses
             without acknowledgement are not taken into account.
         every: q, steps between packets of the base that δ refers to; J + δ·rate ≤ J_q + δ/q with the cost J_q of
@@ -101,6 +105,12 @@ def excess(
     SIMULATED.check(network)
     if network.delay:
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
+    if not network.triangle:
+        alone = excess(
+            plant, cost, delta=delta, theta=theta, period=period, actuation=actuation, controller=controller, link=link,
+            network=three_nodes(network, "excess", joint=True), every=every, gains=gains, retry=retry,
+        )  # fmt: skip
+        return placed(alone, network)
     every = count("every", every)
 
     def price_at(cost_all_time: float) -> float:
