@@ -105,7 +105,7 @@ def designed(system: System, network: Network, threshold: float) -> Policy:
     return policy
 
 
-@law(8, 300, drawn=designs())
+@law(8, 100, drawn=designs())
 def test_schedule_and_cost_are_those_of_the_information_filter(drawn: tuple[System, Network, float]) -> None:
     """Written anew: the rows of C and the block of V of the outputs that are read, and the loop's covariances."""
     system, network, threshold = drawn
