@@ -2,6 +2,7 @@
 
 | group | name | value |
 |---|---|---|
+| `taciturn.bursts` | name of the law | class derived from `taciturn.model.losses.LossLaw` |
 | `taciturn.commands` | any | module that adds commands to `taciturn.cli.frame.app` when it is imported |
 | `taciturn.functions` | name `f` | function that users call as `taciturn.f` |
 | `taciturn.kinds` | name of the policy kind | its record, a `taciturn.design.kind.Kind` |

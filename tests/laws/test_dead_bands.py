@@ -18,6 +18,7 @@ from taciturn.design.dead_bands import Filtered
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.gain import largest_gain
+from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.policy import Policy
 
@@ -218,3 +219,25 @@ def test_policies_of_several_nodes_are_studied_without_a_problem() -> None:
     plant = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2), np.eye(2), np.eye(2))
     policy = design.distributed(plant, Cost(np.eye(2), np.eye(2)), theta=0.1, network=Network(nodes=NODES))
     assert taciturn.evaluate(policy, standard_error=0.1).rates.keys() == {"s1", "s2", "v1", "v2"}
+
+
+@pytest.mark.parametrize("kind", ["send-on-delta", "excess"])
+def test_a_step_of_the_disturbance_is_simulated_with_nodes_of_ones_own(kind: str) -> None:
+    """An integrating controller has a slow disturbance; with every sample, the loop does not depend on the nodes."""
+    local = {"site": "c"} if kind == "excess" else {}
+    nodes = {"s": NodeRole(measures=True, **local), "c": NodeRole(controls=True), "a": NodeRole(applies=True)}
+    own = taciturn.PID(kp=1.2, ki=0.15, kd=1.0, filter=0.5)
+    parameters = {"delta": 0.04} if kind == "send-on-delta" else {"theta": 0.1}
+    problem = taciturn.Problem(PID_PLANT, PID_COST, Network(nodes=nodes), kind, parameters, controller=own)
+    found = taciturn.evaluate(problem, steps=40_000)
+    assert found.after_step is not None
+    assert found.after_step.cost_all_time.value < found.after_step.cost.value
+
+
+def test_a_policy_keeps_the_encoding_of_its_links() -> None:
+    """Rounded numbers are no errors within the dead bands, so no guarantee holds."""
+    network = Network(nodes=NODES, links={"s1": LinkLaw(payload="int16", range=5.0)})
+    plant = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2))
+    policy = design.send_on_delta(plant, Cost(np.eye(2), np.eye(2)), delta=0.5, network=network)
+    assert policy.network.links["s1"].payload == "int16"
+    assert taciturn.evaluate(policy, steps=10_000).cost_bound is None

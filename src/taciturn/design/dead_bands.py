@@ -63,8 +63,7 @@ def keep_at_nodes(
     errors, guarantee = bands.certificate(problem, loop.controller)
     initial = bands.begun(plant.C @ plant.mean)
     base = actuator_base(problem, loop.controller)
-    own = Network(nodes=network.nodes)
-    policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, own)
+    policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, network)
     theory = replace(policy.theory, guarantee=guarantee, errors=errors, covers=THEORY, periodic=None)
     return replace(policy, theory=theory)
 

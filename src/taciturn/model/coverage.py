@@ -27,6 +27,7 @@ _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
 _OWN = ("Cost", "Network", "Jumps", "Reference", "Tracking", "Controller", "Disturbance")
 _PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "LinkLaw": "links"}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
+_ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
 _OPAQUE = ("plant.function", "Apply.function")  # callables
 _PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of losses has the same two properties
 
@@ -162,4 +163,6 @@ def _is_neutral(name: str, field: Field[Any], value: object) -> bool:
     if isinstance(value, np.ndarray):
         array = cast("npt.NDArray[Any]", value)
         return not array.any() if neutral is None else np.array_equal(array, cast("Any", neutral))
+    if name in _ABSENT:
+        return value is None
     return bool(value == neutral or (neutral is None and not value))

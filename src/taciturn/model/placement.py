@@ -82,7 +82,11 @@ def placed(policy: Policy, network: Network) -> Policy:
         names["actuator"] = next(node for node in network.actuators if node in network.links)
     for role in ("sensor", "actuator"):
         check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
-    links = {names[link]: law for link, law in policy.network.links.items() if names[link] in network.links}
+    links = {
+        names[link]: replace(network.links[names[link]], loss=law.loss, burst=law.burst, acknowledged=law.acknowledged)
+        for link, law in policy.network.links.items()
+        if names[link] in network.links
+    }
     theory, closed, schedule = policy.theory, policy.theory.closed_form, policy.schedule
     renamed = replace(
         theory,

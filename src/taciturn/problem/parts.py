@@ -260,8 +260,9 @@ def _graph_of(file: File) -> Network:
                 f"links.{name}.{key} is given, but links model no delay yet; expected no {key}: remove it"
             )
         law = {key: value for key, value in vars(table).items() if key not in ("delay", "buffer", "burst")}
+        burst = _burst(f"links.{name}.burst", table.burst)
         try:
-            links[name] = LinkLaw(burst=_burst("burst", table.burst), **law)
+            links[name] = LinkLaw(burst=burst, **law)
         except ProblemError as error:
             raise ProblemError(f"links.{name}.{error}") from None
     delay = 0 if file.network is None else file.network.delay

@@ -129,7 +129,7 @@ class Description(Displayed):
             lines.append(("actuator", "integrates dx̂/dt = (A + BL) x̂ between steps and applies L x̂; it receives x̂"))
         lines += self._guarantee_lines()
         for name, trigger in self._decisions.items():
-            lines += _decision_lines(name, trigger.options)
+            lines += _decision_lines(name, trigger)
             lines += [line for name, form in self._computed(trigger).items() for line in _form_lines(name, form)]
         lines.append(("network", problem.network.short()))
         if self.nodes is not None and not problem.network.triangle:
@@ -293,9 +293,12 @@ def _cost_lines(problem: Problem) -> Lines:
     return lines
 
 
-def _decision_lines(name: str, options: Mapping[str, Form]) -> Lines:
-    """Return the printed lines of a decision, which chooses the option with the least value."""
-    lines: Lines = [(f"decision {name}", "the option with the least value; in a tie, the first")]
+def _decision_lines(name: str, trigger: Trigger) -> Lines:
+    """Return the printed lines of a decision."""
+    options, rule = trigger.options, "the option with the least value; in a tie, the first"
+    if trigger.limit is not None:
+        rule = f"the first option whose value is at most {trigger.limit:.6g}; the last if there is none"
+    lines: Lines = [(f"decision {name}", rule)]
     for label, form in list(options.items())[:SHOWN_OPTIONS]:
         lines += _form_lines(f"  {label}", form)
     left = len(options) - SHOWN_OPTIONS

@@ -14,6 +14,7 @@ from taciturn.design.certainty import SEND
 from taciturn.design.kinds.excess import excess
 from taciturn.loop import close
 from taciturn.model.estimate import Estimate
+from taciturn.model.placement import placed
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Decide, Policy
 from taciturn.model.trigger import Form, Trigger
@@ -81,7 +82,8 @@ def averages_after_step(
 
     def averaged(policy: Policy, progress: Progress) -> Averages:
         policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
-        loop, error = close(plant, policy, problem.network, cost), None if request.steps else target
+        network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
+        loop, error = close(plant, policy, network, cost), None if request.steps else target
         return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
 
     found = averaged(policy, told.stage(0.0, 0.5))
@@ -94,10 +96,14 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     """Return the same control with a packet at every sample; some rules, such as levels of the output, have none."""
     if problem.controller is None:
         return sends_every_sample(policy)
-    period, link = policy.tick if isinstance(problem.plant, ContinuousPlant) else None, policy.scheduled[0]
-    return sends_every_sample(
-        excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller, link=link)
-    )
+    period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
+    network, links = problem.network, policy.scheduled
+    # over several links, which are ideal, the loop with every sample is that of one link
+    sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
+    link = "sensor" if sensed else "actuator"
+    alone = excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller, link=link)
+    always = sends_every_sample(alone)
+    return placed(always, network) if len(links) == 1 else always
 
 
 def sends_every_sample(policy: Policy) -> Policy:

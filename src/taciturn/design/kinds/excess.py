@@ -103,6 +103,7 @@ def excess(
     network = Network() if network is None else network
     instance("network", network, Network)
     SIMULATED.check(network)
+    choice("link", link, ("actuator", "sensor"))
     if network.delay:
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
     if not network.triangle:

@@ -139,7 +139,7 @@ def _filter(
         sites=bands.sites,
         initial={"prior": plant.mean},
         tick=problem.tick,
-        network=Network(nodes=network.nodes),
+        network=network,
     )
 
 

@@ -109,7 +109,7 @@ def variance(
         locations=(count_ticks(len(schedule.queries), 0),),
         initial=estimation.initial,
         tick=problem.tick,
-        network=Network(nodes=network.nodes),
+        network=network,
         schedule=schedule,
     )
 

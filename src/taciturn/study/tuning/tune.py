@@ -142,7 +142,10 @@ def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
     if isinstance(goal, RatesGoal):
         if stated:
             why = f"{problem.kind} has one parameter for all links" if name is None else f"{name} is given too"
-            raise ProblemError(f"rates of several links are given, but {why}; expected the rate of one link")
+            raise ProblemError(
+                f"the rates of links ({', '.join(goal.limits)}) are given, but {why}; expected the rate of one link, "
+                "with link (--rate X --link NAME)"
+            )
         return True
     return not stated and link is None and not isinstance(goal, RateGoal) and len(problem.network.links) > 1
 
