@@ -152,6 +152,16 @@ def test_what_cannot_decide_on_sets_is_refused(
     assert "expected" in str(found.value)
 
 
+def test_certificates_of_sets_by_price_and_not_by_a_limit() -> None:
+    """`excess` compares forms; `lqg` takes the first set within a limit, and the message says so."""
+    plant, cost = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2)), Cost(np.eye(2), np.eye(2))
+    network = network_of(2, np.ones(2))
+    found = taciturn.certify(Problem(plant, cost, network, "excess", {"theta": 0.1}))
+    assert found.cost_bound is not None
+    with pytest.raises(ProblemError, match="lqg decides on sets of links by a limit, which certificates do not"):
+        taciturn.certify(Problem(plant, cost, network, "lqg", {"theta": 0.1}))
+
+
 def test_too_many_links_are_refused() -> None:
     """Sixteen sets are compared at most."""
     plant, cost, _ = system(1, MOST_LINKS + 1)
