@@ -229,9 +229,20 @@ def test_a_step_of_the_disturbance_is_simulated_with_nodes_of_ones_own(kind: str
     own = taciturn.PID(kp=1.2, ki=0.15, kd=1.0, filter=0.5)
     parameters = {"delta": 0.04} if kind == "send-on-delta" else {"theta": 0.1}
     problem = taciturn.Problem(PID_PLANT, PID_COST, Network(nodes=nodes), kind, parameters, controller=own)
+    if kind == "send-on-delta":
+        policy = problem.design()
+        assert policy.theory.errors.keys() == {"s", "a"}
     found = taciturn.evaluate(problem, steps=40_000)
     assert found.after_step is not None
     assert found.after_step.cost_all_time.value < found.after_step.cost.value
+
+
+def test_one_link_of_ones_own_has_the_certificate_by_its_name() -> None:
+    """The gains of a policy that is moved to other nodes have the names of their links."""
+    arm = NodeRole(applies=True, site="box")
+    nodes = {"probe": NodeRole(measures=True), "box": NodeRole(controls=True), "arm": arm}
+    policy = design.send_on_delta(PID_PLANT, PID_COST, delta=0.04, controller=PID, network=Network(nodes=nodes))
+    assert policy.theory.errors.keys() == {"probe"} == set(policy.scheduled)
 
 
 def test_a_policy_keeps_the_encoding_of_its_links() -> None:

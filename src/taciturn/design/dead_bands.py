@@ -11,16 +11,14 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
-from taciturn.design.base import Base, advantage
-from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
+from taciturn.design.base import Base
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND
 from taciturn.design.contributions import decision
 from taciturn.design.estimation import ESTIMATE, HELD
-from taciturn.design.kept import REMEDY
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import actuator_base, nonempty
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.gain import largest_gain
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
@@ -29,7 +27,7 @@ from taciturn.model.kept import Kept
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
-from taciturn.model.theory import ErrorGain, Guarantee
+from taciturn.model.theory import ErrorGain
 from taciturn.model.trigger import Form, Trigger
 
 LAST, HEARD, REGISTER = "last", "heard", "register"
@@ -60,12 +58,9 @@ def keep_at_nodes(
             "controller without set-point and start, or one link"
         )
     bands, control = DeadBands(network, plant, delta, shares), Given(loop.controller)
-    errors, guarantee = bands.certificate(problem, loop.controller)
-    initial = bands.begun(plant.C @ plant.mean)
-    base = actuator_base(problem, loop.controller)
-    policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, network)
-    theory = replace(policy.theory, guarantee=guarantee, errors=errors, covers=THEORY, periodic=None)
-    return replace(policy, theory=theory)
+    initial, base = bands.begun(plant.C @ plant.mean), actuator_base(problem, loop.controller)
+    policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, network, bands.errors(base))
+    return replace(policy, theory=replace(policy.theory, covers=THEORY, periodic=None))
 
 
 class Control(Protocol):
@@ -240,22 +235,22 @@ class DeadBands:
             for name in (self._named(LAST, node), self._used(signal, node))
         }
 
-    def certificate(self, problem: Discrete, controller: Controller) -> tuple[dict[str, ErrorGain], Guarantee]:
-        """Return the gain and the largest error of each link, and the bound on the cost that follows from them.
+    def errors(self, base: Base) -> dict[str, ErrorGain]:
+        """Return the gain and the largest error of each link, for the loop that sends every sample.
 
         In silence, a receiver uses the sum of the value that a packet would carry and an error. The loop is linear, so
         its cost output is that of sending every sample plus the effects of all errors, and the norms add up at most.
         """
-        base, plant = actuator_base(problem, controller), self._plant
-        gains = ErrorGains(base)
-        found = dict[str, ErrorGain]()
+        gains, found = ErrorGains(base), dict[str, ErrorGain]()
         for _, (node, outputs) in self._measured:
             if node in self._bands:
-                found[node] = ErrorGain(gains.of_measurement(len(plant.C), [*outputs]), self._longest(node, outputs))
+                found[node] = ErrorGain(
+                    gains.of_measurement(self._plant.outputs, outputs), self._longest(node, outputs)
+                )
         for _, (node, inputs) in self._applied:
             if node in self._bands:
-                found[node] = ErrorGain(gains.of_choice([*inputs]), self._longest(node, inputs))
-        return found, bound_by_errors(problem, advantage(base, REMEDY).cost, found)
+                found[node] = ErrorGain(gains.of_choice(inputs), self._longest(node, inputs))
+        return found
 
     def _longest(self, link: str, entries: Sequence[int]) -> float:
         """Return the largest length of an error whose entries are at most Δ."""

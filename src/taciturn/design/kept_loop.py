@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Base, advantage
+from taciturn.design.bounds import bound_by_errors
 from taciturn.design.kept import REMEDY, disturbed, note_disturbance, recovery
 from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.same_control import SameControl
@@ -18,7 +20,7 @@ from taciturn.model.kept import Kept
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy, Step
-from taciturn.model.theory import Theory
+from taciturn.model.theory import ErrorGain, Theory
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,8 +61,9 @@ class KeptLoop(Displayed):
         sites: tuple[frozenset[str], ...],
         initial: dict[str, Array],
         network: Network | None = None,
+        errors: Mapping[str, ErrorGain] | None = None,
     ) -> Policy:
-        """Return a policy without a proven bound.
+        """Return a policy without a proven bound, or with the certificate that follows from the errors of its links.
 
         Args:
             kind: name of the policy kind.
@@ -69,6 +72,7 @@ class KeptLoop(Displayed):
             sites: groups of nodes at the same site.
             initial: initial values of the memories.
             network: the network of the policy; default: ideal links of a sensor, a controller and an actuator.
+            errors: gain and largest error of each link, in a loop without limits of the inputs; default: unknown.
 
         Raises:
             UnstableError: the loop that sends every sample is unstable.
@@ -79,6 +83,8 @@ class KeptLoop(Displayed):
             cost_all_time=problem.per_unit(found.cost),
             noise_cost=problem.noise_cost,
             settling=found.settling,
+            guarantee=bound_by_errors(problem, found.cost, errors) if errors else None,
+            errors=errors or {},
             recovery=recovery(base, problem.plant, self.disturbance),
             periodic=SameControl(problem, self.kept, base),
         )

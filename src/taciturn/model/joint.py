@@ -31,38 +31,6 @@ MOST_LINKS = 4  # whose sets are compared
 ERROR, CANDIDATE, COMMAND, INPUT = "error", "candidate", "command", "input"
 
 
-def expect_sets(policy: Policy, network: Network) -> None:
-    """Raise an error if the controller cannot decide on sets of actuator links.
-
-    Raises:
-        ProblemError: a packet carries more than the input, the identity refers to periodic packets, or there are too
-            many links.
-    """
-    links = JointSets(policy, network).links
-    listed = ", ".join(links)
-    if len(links) > MOST_LINKS:
-        raise ProblemError(
-            f"{policy.kind} decides on the {2 ** len(links)} sets of {len(links)} actuator links; expected at most "
-            f"{MOST_LINKS} links, or distributed"
-        )
-    if any(isinstance(step, Send) and step.payload != (COMMAND,) for step in policy.steps):
-        raise ProblemError(
-            f"the packets of {policy.kind} carry more than the input, and several links ({listed}) decide; expected "
-            "actuators that hold their input (actuation = 'hold'), or distributed"
-        )
-    if sum(isinstance(step, Send) for step in policy.steps) != 1 or not JointSets(policy, network).decision:
-        raise ProblemError(
-            f"{policy.kind} has no single decision on its actuator link, and several links ({listed}) decide; expected "
-            "a kind that decides on the error of the input, such as excess, or distributed"
-        )
-    identity = policy.theory.identity
-    if identity is not None and len(identity.forms) > 1 and _weighs(identity.forms[1]):
-        raise ProblemError(
-            f"the base of {policy.kind} sends at some steps only, and several links ({listed}) decide; expected "
-            "every = 1, or one actuator link"
-        )
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class JointSets(Displayed):
     """The sets of links of a network, and the steps of a policy for each set.
@@ -133,6 +101,37 @@ class JointSets(Displayed):
         constant = form.constant.values if isinstance(form.constant, Scheduled) else form.constant
         weighed = values is not None and values[..., rest, :][..., rest].any()
         return not weighed and not np.any(constant) and form.bell is None and self.partial.issuperset(form.plus)
+
+    def check(self) -> None:
+        """Raise an error if the controller cannot decide on sets of actuator links.
+
+        Raises:
+            ProblemError: a packet carries more than the input, the identity refers to periodic packets, or there are
+                too many links.
+        """
+        kind, listed = self.policy.kind, ", ".join(self.links)
+        sends = [step for step in self.policy.steps if isinstance(step, Send)]
+        if len(self.links) > MOST_LINKS:
+            raise ProblemError(
+                f"{kind} decides on the {2 ** len(self.links)} sets of {len(self.links)} actuator links; expected at "
+                f"most {MOST_LINKS} links, or distributed"
+            )
+        if any(step.payload != (COMMAND,) for step in sends):
+            raise ProblemError(
+                f"the packets of {kind} carry more than the input, and several links ({listed}) decide; expected "
+                "actuators that hold their input (actuation = 'hold'), or distributed"
+            )
+        if len(sends) != 1 or not self.decision:
+            raise ProblemError(
+                f"{kind} has no single decision on its actuator link, and several links ({listed}) decide; expected a "
+                "kind that decides on the error of the input, such as excess, or distributed"
+            )
+        identity = self.policy.theory.identity
+        if identity is not None and len(identity.forms) > 1 and _weighs(identity.forms[1]):
+            raise ProblemError(
+                f"the base of {kind} sends at some steps only, and several links ({listed}) decide; expected "
+                "every = 1, or one actuator link"
+            )
 
     def whole(self, sent: Sequence[str]) -> bool:
         """Return whether a set contains all links."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +14,7 @@ from taciturn.errors import ProblemError
 SUMS = 1e-9  # largest deviation of a sum of probabilities from 1
 
 
-class LossLaw(Displayed):
+class LossLaw(Displayed, ABC):
     """Base class of the bursty losses of a link.
 
     The link has states, and it moves from one to the next once per step, whatever is sent. Its first state has the
@@ -24,14 +25,14 @@ class LossLaw(Displayed):
     """
 
     @property
+    @abstractmethod
     def turns(self) -> Array:
         """Transition probabilities from each state (row) to each state (column), (s, s)."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def losses(self) -> Array:
         """Loss probability in each state, (s,)."""
-        raise NotImplementedError
 
     @cached_property
     def start(self) -> Array:

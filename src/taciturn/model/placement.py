@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.model.joint import JointSets, expect_sets
+from taciturn.model.joint import JointSets
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
 from taciturn.model.policy import Acknowledged, Apply, Assign, Condition, Decide, Draw, Policy, Received, Send, Step
 from taciturn.model.roles import TRIANGLE
 from taciturn.model.steps import assigned
+
+Value = TypeVar("Value")
 
 
 def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
@@ -36,7 +39,7 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     links = dict[str, LinkLaw]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
-        if joint and name == "actuator" and apart(network):
+        if joint and name == "actuator" and _apart(network):
             _expect_ideal(network, kind, at)
         elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
             raise ProblemError(
@@ -49,7 +52,7 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     return Network(delay=network.delay, nodes=TRIANGLE, links=links)
 
 
-def apart(network: Network) -> bool:
+def _apart(network: Network) -> bool:
     """Return whether the actuators have several links, or some of them have a link and others have none."""
     linked = [node for node in network.actuators if node in network.links]
     return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
@@ -72,11 +75,11 @@ def placed(policy: Policy, network: Network) -> Policy:
     """
     if network.nodes == policy.network.nodes or not policy.network.triangle:
         return policy
-    joint = apart(network)
+    joint = _apart(network)
     three_nodes(network, policy.kind, joint)
     sets = JointSets(policy, network) if joint else None
     if sets is not None:
-        expect_sets(policy, network)
+        sets.check()
     names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
     if joint:
         names["actuator"] = next(node for node in network.actuators if node in network.links)
@@ -91,6 +94,7 @@ def placed(policy: Policy, network: Network) -> Policy:
     renamed = replace(
         theory,
         fixed_rates=_keys(theory.fixed_rates, names),
+        errors=_keys(theory.errors, names),
         closed_form=None if closed is None else replace(closed, rates=_keys(closed.rates, names)),
         guarantee=None if theory.guarantee is None else replace(
             theory.guarantee,
@@ -172,5 +176,5 @@ def _condition(on: Condition | None, names: Mapping[str, str]) -> Condition | No
     return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged) else on
 
 
-def _keys(found: Mapping[str, float], names: Mapping[str, str]) -> dict[str, float]:
+def _keys(found: Mapping[str, Value], names: Mapping[str, str]) -> dict[str, Value]:
     return {names.get(link, link): value for link, value in found.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from math import sqrt
 
 import numpy as np
@@ -122,7 +121,8 @@ def _filter(
     bands = DeadBands(network, plant, delta, shares)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V + np.diag(bands.of_outputs**2 / 3))
     filtered = Filtered(plant, steady.gain, certainty.regulator.L)
-    errors, guarantee = bands.certificate(problem, filtered.controller)
+    base = actuator_base(problem, filtered.controller)
+    errors = bands.errors(base)
     return Policy(
         kind="send-on-delta",
         steps=bands.steps(filtered),
@@ -132,7 +132,7 @@ def _filter(
             cost_all_time=problem.per_unit(certainty.cost_all_time),
             noise_cost=problem.noise_cost,
             settling=1 / (1 - max(certainty.regulator.slowest, steady.slowest)),
-            guarantee=guarantee,
+            guarantee=bound_by_errors(problem, advantage(base, REMEDY).cost, errors),
             errors=errors,
             covers=THEORY,
         ),
@@ -165,14 +165,12 @@ def _keep(
         Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
     steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
-    policy = loop.policy(kind, route.base, steps, route.sites, route.initial)
-    if loop.problem.plant.input_limit is not None:  # the loop is not linear
-        return policy
-    gains, entries = ErrorGains(actuator_base(loop.problem, loop.controller)), range(size)
-    gain = gains.of_measurement(size, entries) if link == "sensor" else gains.of_choice(entries)
-    errors = {link: ErrorGain(gain, delta * sqrt(size))}
-    guarantee = bound_by_errors(loop.problem, advantage(route.base, REMEDY).cost, errors)
-    return replace(policy, theory=replace(policy.theory, guarantee=guarantee, errors=errors))
+    errors = dict[str, ErrorGain]()
+    if loop.problem.plant.input_limit is None:  # the loop is linear
+        gains, entries = ErrorGains(actuator_base(loop.problem, loop.controller)), range(size)
+        gain = gains.of_measurement(size, entries) if link == "sensor" else gains.of_choice(entries)
+        errors = {link: ErrorGain(gain, delta * sqrt(size))}
+    return loop.policy(kind, route.base, steps, route.sites, route.initial, errors=errors)
 
 
 KIND = Kind(

@@ -130,7 +130,7 @@ def _wired(network: Network) -> tuple[frozenset[str], ...]:
         check_place("variance", network, "actuator", node, True)
     if not any(node in network.links for node in network.sensors):
         check_place("variance", network, "sensor", network.sensors[0], False)
-    return tuple(place for place in network.sites if network.controller in place)
+    return network.sites_of_controller
 
 
 def _measured(

@@ -21,7 +21,7 @@ class Chain(LossLaw):
         moves: probabilities per step of a transition from each state (row) to each state (column).
 
     Raises:
-        ProblemError: if a number is no probability, a row has another sum than 1, or the stationary distribution is
+        ProblemError: if a number is not a probability, the sum of a row is not 1, or the stationary distribution is
             not unique.
 
     Example:
