@@ -69,12 +69,13 @@ def test_common_draws_make_the_difference_of_neighbours_small() -> None:
 
 @pytest.mark.evidence
 def test_bounds_are_those_at_the_rate() -> None:
-    """Sharper where the guarantee depends on the rate; of a shared time shared; none where none is proved."""
+    """Sharper where the guarantee depends on the rate; of a shared time shared; a certificate; none if none holds."""
     found = {one.name: one for one in compare(
         {
             "absolute": with_policy("absolute", threshold=1.0),
             "rollout": with_policy("rollout", horizon=1, every=3),
             "delta": with_policy("send-on-delta", delta=0.4),
+            "relative": with_policy("relative", sigma=0.5),
         },
         0.3,
         standard_error=1e-2,
@@ -86,7 +87,11 @@ def test_bounds_are_those_at_the_rate() -> None:
     assert None not in bounds
     assert min(bounds) < found["rollout"].cost_bound < max(bounds)
     assert found["rollout"].cost.value < found["rollout"].cost_bound
-    assert found["delta"].cost_bound is None
+    delta = found["delta"]
+    assert delta.cost_bound == delta.tuned.evaluation.cost_bound
+    assert delta.cost_bound is not None
+    assert delta.cost.value < delta.cost_bound
+    assert found["relative"].cost_bound is None
 
 
 @pytest.mark.parametrize(
