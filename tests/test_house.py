@@ -24,8 +24,8 @@ FLOORS = {
     "lqg": 2, "problems": 2,
     "program": 3, "renewal": 3, "_assumptions": 3,
     "loop": 4,
-    "design": 5,
-    "simulation": 6, "analyse": 6, "export": 6, "runtime": 6,
+    "analyse": 5, "design": 5,
+    "simulation": 6, "export": 6, "runtime": 6,
     "problem": 7, "study": 7,
     "cli": 8, "extend": 8,
     "": 9,  # the package itself: its names are imported when they are asked for
@@ -39,7 +39,7 @@ MEETINGS = {
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_matlab", "_text"), ("_progress", "_arrays"),
     ("_progress", "_text"),
-    ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("_plugins", "errors"),
+    ("study", "problem"), ("design", "analyse"), ("cli", ""), ("_plugins", "errors"),
     ("renewal", "program"),
 }  # fmt: skip
 

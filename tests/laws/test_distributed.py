@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counts import few
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from systems import System, make_system, well_posed
 
-from taciturn import Cost, Loop, Network, Plant, Policy, close, design
+from taciturn import Burst, Cost, Loop, Network, Plant, Policy, UnstableError, close, design
+from taciturn.analyse.outcomes import outcomes
 from taciturn.errors import ProblemError
 from taciturn.loop import EXCESS
 from taciturn.model.network import LinkLaw, NodeRole
@@ -180,6 +182,99 @@ def test_losses_that_are_acknowledged_keep_the_identity_and_no_bound() -> None:
     deaf = replace(network, links=dict.fromkeys(network.links, LinkLaw(loss=0.3)))
     policy = design.distributed(plant, cost, delta=0.0, network=deaf)
     assert (policy.guarantee, policy.theory.identity) == (None, None)
+
+
+@st.composite
+def lossy_designs(draw: st.DrawFn) -> tuple[System, Network, dict[str, str]]:
+    """Draw a system, a network of which some links drop packets, and how silence is predicted."""
+    seed = draw(st.integers(0, 2**32 - 1))
+    rng = np.random.default_rng(seed)
+    system = make_system(seed, int(rng.integers(1, 4)), 2, 2, False)
+    assume(well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T))
+    network = network_for(system.plant, rng)
+    assume(network.links)
+    laws = {link: random_law(rng) for link in network.links}
+    modes = {name: str(rng.choice(["hold", "model"])) for name in ("prediction", "actuation")}
+    return system, replace(network, links=laws), modes
+
+
+def random_law(rng: np.random.Generator) -> LinkLaw:
+    """Return a link that drops single packets, bursts, or nothing."""
+    told = bool(rng.integers(2))
+    if rng.integers(3) == 0:
+        return LinkLaw(
+            acknowledged=told,
+            burst=Burst(to_bad=0.1, to_good=0.6, loss_good=0.0, loss_bad=float(rng.uniform(0.2, 0.9))),
+        )
+    return LinkLaw(loss=float(rng.choice([0.0, 0.05, 0.25])), acknowledged=told)
+
+
+def j_all_is_that_of_an_attempt_on_every_link(system: System, network: Network, modes: dict[str, str]) -> None:
+    """The exact J_all is the mean of the simulated stage cost if every link attempts in every step."""
+    try:
+        policy = design.distributed(system.plant, system.cost, delta=0.0, network=network, **modes)
+    except UnstableError:
+        assume(False)
+    found = outcomes(close(system.plant, policy))
+    assume(found is None or (found.growth(2) < 0.8 and found.growth(4) < 1))
+    loop = close(system.plant, policy)
+    simulated = average(loop, plain_average(loop), seed=system.seed, steps=200_000).cost
+    assert abs(simulated.value - policy.cost_all_time) <= 5 * simulated.standard_error
+
+
+@given(lossy_designs())
+@LEAST
+def test_j_all_is_that_of_an_attempt_on_every_link(drawn: tuple[System, Network, dict[str, str]]) -> None:
+    """A few systems."""
+    j_all_is_that_of_an_attempt_on_every_link(*drawn)
+
+
+@pytest.mark.evidence
+@given(lossy_designs())
+@settings(MANY, max_examples=100)
+def test_j_all_of_100_systems_is_that_of_an_attempt(drawn: tuple[System, Network, dict[str, str]]) -> None:
+    """Single losses and bursts, with and without acknowledgement, on any of the links."""
+    j_all_is_that_of_an_attempt_on_every_link(*drawn)
+
+
+@pytest.mark.parametrize("seed", few(range(20), 1))
+@pytest.mark.parametrize("burst", [None, Burst(to_bad=0.2, to_good=0.5, loss_good=0.0, loss_bad=0.8)])
+@pytest.mark.parametrize("actuation", ["hold", "model"])
+def test_the_costs_of_attempts_by_moments_and_by_values_agree(actuation: str, burst: Burst | None, seed: int) -> None:
+    """Over one actuator link, the second moments of this kind give what the value of the base of excess gives."""
+    system = make_system(seed, 3, 2, 2, False)
+    law = LinkLaw(burst=burst, loss=0.0 if burst else 0.2, acknowledged=True)
+    plc = NodeRole(measures=(0, 1), controls=True)
+    network = Network(nodes={"plc": plc, "valves": NodeRole(applies=(0, 1))}, links={"valves": law})
+    made = (design.distributed, design.excess)
+    try:
+        moments, values = (
+            kind(system.plant, system.cost, theta=0.3, actuation=actuation, network=network) for kind in made
+        )
+    except UnstableError:  # in both ways
+        for kind in made:
+            with pytest.raises(UnstableError):
+                kind(system.plant, system.cost, theta=0.3, actuation=actuation, network=network)
+        return
+    assert moments.cost_all_time == pytest.approx(values.cost_all_time, rel=1e-8)
+    lossless = replace(network, links={"valves": LinkLaw()})
+    least = design.distributed(system.plant, system.cost, theta=0.3, actuation=actuation, network=lossless)
+    assert moments.cost_all_time > least.cost_all_time
+
+
+def test_many_links_that_drop_packets_have_too_many_outcomes() -> None:
+    """With seven such links, J_all is the cost without losses, and a note says so."""
+    plant = Plant(0.5 * np.eye(7), np.eye(7), np.eye(7))
+    nodes = {"plc": NodeRole(measures=tuple(range(7)), controls=True)}
+    nodes |= {f"valve-{i}": NodeRole(applies=(i,)) for i in range(7)}
+    found = {
+        loss: design.distributed(
+            plant, Cost(np.eye(7), np.eye(7)), theta=0.1, network=Network(nodes=nodes).with_laws({"loss": loss})
+        )
+        for loss in (0.0, 0.1)
+    }
+    assert found[0.1].cost_all_time == found[0.0].cost_all_time
+    assert "J_all is the cost without losses" in found[0.1].notes[0]
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,10 @@
 The probability of an outcome depends only on the state of the links. Therefore the second and the fourth moments of z
 satisfy linear recursions. The moments exist in the long run only if these recursions are stable:
 
-    X_s⁺ = Σ_r T_rs Σ_o p(o | s) F_o X_r F_o',
+    X_s⁺ = Σ_r T_rs Σ_o p(o | r) (F_o X_r F_o' + π_r G G'),
 
-where X_s is the second moment while the links are in state s, and T contains the transition probabilities of the links.
-For the fourth moment F_o acts on all four indices.
+where X_s is the second moment while the links are in state s, T contains the transition probabilities of the links, and
+π_r is the share of the steps in state r. For the fourth moment F_o acts on all four indices.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from taciturn._arrays import Array, pushed
 from taciturn._display import Displayed
 from taciturn._modes import radius
 from taciturn.analyse.reduction import relevant
-from taciturn.analyse.switched import decisions_of, read_steps, refuse_loops
-from taciturn.errors import ProblemError
+from taciturn.analyse.switched import attempt_of, read_steps, refuse_loops
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
-from taciturn.model.coverage import BURSTS, LOSSES, ROUNDING
+from taciturn.model.coverage import BURSTS, FIRST, LOSSES, ROUNDING
+from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.policy import Send
 
 MOST = 6  # largest number of states for which fourth moments are computed
+MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
 WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
 
 
@@ -40,13 +42,21 @@ class Outcomes(Displayed):
 
     Args:
         F: dynamics matrix of each outcome, (outcomes, r, r).
+        G: input matrix of the noise, (r, q).
+        M: matrix of the stage cost z'M_o z of each outcome, (outcomes, r, r).
+        constant: cost of every step in addition.
         turns: transition probabilities T between the states of the links, (states, states).
+        shares: share of the steps in each state of the links, (states,).
         odds: probability of each outcome in each state of the links, (states, outcomes).
         decides: whether the policy of the loop may skip a send.
     """
 
     F: Array
+    G: Array
+    M: Array
+    constant: float
     turns: Array
+    shares: Array
     odds: Array
     decides: bool
 
@@ -63,14 +73,33 @@ class Outcomes(Displayed):
             each = [sum(p * F for p, F in zip(row, powers, strict=True)) for row in self.odds]
             blocks = [[self.turns[s, after] * each[s] for s in range(states)] for after in range(states)]
             return radius(np.block(blocks))
-        shape = (states, *[r] * power)
+        return _scipy.spectral_radius(lambda entries: self._moved(entries, power), states * r**power)
 
-        def moved(entries: Array) -> Array:
-            each = [pushed(F, entries.reshape(shape), power) for F in self.F]
-            before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
-            return np.tensordot(self.turns.T, np.stack(before), 1).ravel()
+    def cost(self) -> float:
+        """Return the cost per step of the loop that sends every packet, by its second moments in the long run.
 
-        return _scipy.spectral_radius(moved, states * r**power)
+        Raises:
+            UnstableError: the second moments diverge.
+        """
+        r, states = self.F.shape[1], len(self.turns)
+        if r == 0:
+            return self.constant
+        if (growth := self.growth(2)) >= 1:
+            raise UnstableError(
+                f"with these losses, the mean square of the loop that sends every packet grows by a factor of "
+                f"{growth:.6g} per step; expected fewer losses"
+            )
+        added = np.tensordot(self.turns.T @ self.shares, self.G @ self.G.T, 0)
+        moments = _scipy.fixed_point(lambda entries: self._moved(entries, 2), added.ravel())
+        stage = np.tensordot(self.odds, self.M, 1)
+        return self.constant + float(np.sum(stage * moments.reshape(states, r, r)))
+
+    def _moved(self, entries: Array, power: int) -> Array:
+        """Return the moments after a step without noise, from those before it."""
+        shape = (len(self.turns), *[self.F.shape[1]] * power)
+        each = [pushed(F, entries.reshape(shape), power) for F in self.F]
+        before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
+        return np.tensordot(self.turns.T, np.stack(before), 1).ravel()
 
 
 def outcomes(loop: Loop) -> Outcomes | None:
@@ -83,7 +112,7 @@ def outcomes(loop: Loop) -> Outcomes | None:
     if not links:
         return None
     try:
-        refuse_loops(loop, LOSSES | BURSTS | ROUNDING)
+        refuse_loops(loop, LOSSES | BURSTS | ROUNDING | FIRST)
         return _read(loop, links)
     except ProblemError:
         return None
@@ -91,29 +120,42 @@ def outcomes(loop: Loop) -> Outcomes | None:
 
 def _read(loop: Loop, links: Sequence[str]) -> Outcomes | None:
     exact = replace(loop, network=loop.network.delivery)  # rounding does not change the growth
-    decisions = decisions_of(loop)
-    always = read_steps(exact, decisions)[0].sends
-    if always is None:
+    always = attempt_of(loop.policy)
+    if always is None or len(links) > MOST_LINKS:
         return None
     cases = list(product((False, True), repeat=len(links)))
     lost = [[link for link, gone in zip(links, dropped, strict=True) if gone] for dropped in cases]
-    raw, starts = read_steps(exact, [decisions[always]._replace(lost=links) for links in lost])
+    raw, starts = read_steps(exact, [always._replace(lost=links) for links in lost])
+    seen = _affecting(raw.M, raw.F)
+    T = np.eye(raw.states)[:, seen]
     nothing = tuple(np.zeros_like(F) for F in raw.F)
-    found = relevant(replace(raw, Psi=nothing, X=raw.X[:0]), starts[:, :0])
-    turns, odds = _chance(loop.network, links, cases)
-    return Outcomes(np.stack(found.F), turns, odds, len(decisions) > 1)
+    found = relevant(replace(raw, Psi=nothing, X=raw.X[:0]).changed(T.T, T), starts[seen, :0])
+    turns, shares, odds = _chance(loop.network, links, cases)
+    decides = any(len(trigger.labels) > 1 for trigger in loop.policy.decisions.values())
+    return Outcomes(np.stack(found.F), found.G, np.stack(found.M), found.constant, turns, shares, odds, decides)
 
 
-def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]]) -> tuple[Array, Array]:
-    """Return the joint transition matrix of the links, and the probability of each case of drops in each state."""
+def _affecting(costs: Sequence[Array], maps: Sequence[Array]) -> list[int]:
+    """Return the states that affect the cost, now or later, by the zeros of the matrices alone."""
+    pattern, seen = sum(map(np.abs, maps), np.zeros_like(maps[0])), sum(map(np.abs, costs), np.zeros_like(costs[0]))
+    found = set(np.flatnonzero(seen.any(axis=0)).tolist())
+    while more := set(np.flatnonzero(pattern[sorted(found)].any(axis=0)).tolist()) - found:
+        found |= more
+    return sorted(found)
+
+
+def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]]) -> tuple[Array, Array, Array]:
+    """Return the joint transition matrix of the links, their shares, and the probability of each case in each state."""
     turns: Array = np.ones((1, 1))
+    shares: Array = np.ones(1)
     losses: list[tuple[float, ...]] = [()]
     for link in links:
         own, drops = network.chain(link)
         turns = np.asarray(np.kron(turns, own), dtype=np.float64)
+        shares = np.asarray(np.kron(shares, stationary(own)), dtype=np.float64)
         losses = [(*before, drop) for before in losses for drop in drops.tolist()]
     odds = [
         [float(np.prod([p if gone else 1 - p for p, gone in zip(state, case, strict=True)])) for case in cases]
         for state in losses
     ]
-    return turns, np.array(odds)
+    return turns, shares, np.array(odds)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, NoReturn
 
@@ -31,7 +31,7 @@ from taciturn.model.coverage import (
     uncovered,
 )
 from taciturn.model.network import Network
-from taciturn.model.policy import ONE, Apply, Condition, Draw, Evaluate, Policy, Step
+from taciturn.model.policy import ONE, Apply, Condition, Decide, Draw, Evaluate, Policy, Send, Step
 from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import NORMAL
@@ -47,10 +47,10 @@ CERTIFIED = LINEAR_LOOP | JUMPS | MEMORIES | BELLS | DRAWS
 
 
 class Case(NamedTuple):
-    """A decision and losses: the label and the number of the action, and the links that drop their packets."""
+    """Decisions and losses: a label, the option that each decision takes, and the links that drop their packets."""
 
     label: str
-    action: int
+    taken: Mapping[str, int]
     lost: Collection[str] = ()
 
 
@@ -118,8 +118,23 @@ def decisions_of(loop: Loop) -> list[Case]:
     decisions = list(loop.policy.decisions.values())
     if len(decisions) > 1:
         raise ProblemError(f"{loop.policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
-    labels = decisions[0].labels if decisions else ("always",)
-    return [Case(label, action) for action, label in enumerate(labels)]
+    if not decisions:
+        return [Case("always", {})]
+    ((name, trigger),) = loop.policy.decisions.items()
+    return [Case(label, {name: option}) for option, label in enumerate(trigger.labels)]
+
+
+def attempt_of(policy: Policy) -> Case | None:
+    """Return the decisions under which a packet is sent on every link, or None if no option sends all of its links."""
+    taken = dict[str, int]()
+    for name, trigger in policy.decisions.items():
+        sends = [step for step in policy.steps if isinstance(step, Send) and step.on == name]
+        sending = [step.labels or trigger.labels[1:] for step in sends]
+        options = [i for i, label in enumerate(trigger.labels) if all(label in labels for labels in sending)]
+        if not options:
+            return None
+        taken[name] = options[0]
+    return Case("every packet", taken)
 
 
 def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[Switched, Array]:
@@ -195,7 +210,7 @@ class _FixedStep(TimeStep):
 
     def __init__(self, kind: str, case: Case, builder: Builder, *rest: Any) -> None:
         super().__init__(_Collected(builder.precision), *rest)
-        self._kind, self._case = kind, case
+        self._kind, self._case, self._option = kind, case, 0
 
     def draw_losses(self, policy: Policy, network: Network) -> None:
         pass
@@ -203,10 +218,15 @@ class _FixedStep(TimeStep):
     def take(self, step: Step) -> None:
         if isinstance(step, Evaluate | Apply | Draw):
             self._refuse(_beyond(step))
+        if isinstance(step, Decide):
+            self._option = self._case.taken[step.decision]
         super().take(step)
 
     def least(self, values: Sequence[int]) -> list[Truth]:
-        return [i == self._case.action for i in range(len(values) - 1)]
+        return [i == self._option for i in range(len(values) - 1)]
+
+    def first_within(self, values: Sequence[int], limit: float) -> list[Truth]:
+        return self.least(values)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
         return sent and link not in self._case.lost

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from math import sqrt
 
 from taciturn._arrays import choice, instance, number
+from taciturn.analyse.outcomes import MOST_LINKS, outcomes
 from taciturn.design.bounds import LARGEST_PARAMETER, threshold_of
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps
@@ -13,6 +15,7 @@ from taciturn.design.estimation import ESTIMATE
 from taciturn.design.inputs import InputSteps
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
+from taciturn.loop import close
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
@@ -24,11 +27,14 @@ from taciturn.model.trigger import Form
 
 MOST_SETS = 4  # actuator links of which the controller compares all sets
 EXCESS = "input error"
-ACKNOWLEDGED = "links drop packets: the cost identity holds, but no bound; J_all is the cost without losses"
+MODES: tuple[Actuation, ...] = ("hold", "model")
+ACKNOWLEDGED = "links drop packets: the cost identity holds, but no bound"
 UNHEARD = (
     "links drop packets without acknowledgement, and senders assume that packets arrive: neither the identity nor a "
-    "bound holds; J_all is the cost without losses"
+    "bound holds"
 )
+ATTEMPTS = "J_all is the cost of an attempt on every link in every step"
+TOO_MANY = f"J_all is the cost without losses, because more than {MOST_LINKS} links drop packets"
 
 
 def distributed(
@@ -90,17 +96,49 @@ def distributed(
     SIMULATED.check(network)
     if network.delay:
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with distributed")
-    choice("prediction", prediction, ("hold", "model"))
-    choice("actuation", actuation, ("hold", "model"))
-    problem = discretise(plant, cost, period)
-    certainty = design_certainty("distributed", problem)
-    thresholds = _thresholds(network, threshold_of(certainty.cost_all_time, delta, theta), shares, joint)
+    given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
+    certainty = design_certainty("distributed", discretise(plant, cost, period))
+    all_time = certainty.cost_all_time
+    if 0 < len(_lossy(network)) <= MOST_LINKS:
+        all_time = _with_every_attempt(plant, cost, period, *given)
+    return _policy(
+        certainty, *given, _thresholds(network, threshold_of(all_time, delta, theta), shares, joint), all_time
+    )
+
+
+@lru_cache(maxsize=8)  # every trial of a search for a threshold needs it
+def _with_every_attempt(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    network: Network,
+    prediction: Actuation,
+    actuation: Actuation,
+) -> float:
+    """Return the cost per step of an attempt on every link in every step."""
+    certainty = design_certainty("distributed", discretise(plant, cost, period))
+    thresholds = _thresholds(network, 0.0, None, False)
+    policy = _policy(certainty, network, prediction, actuation, thresholds, certainty.cost_all_time)
+    found = outcomes(close(plant, policy))
+    assert found is not None  # the policy is linear
+    return found.cost()
+
+
+def _policy(
+    certainty: CertaintyEquivalentDesign,
+    network: Network,
+    prediction: Actuation,
+    actuation: Actuation,
+    thresholds: Mapping[tuple[str, ...], float],
+    all_time: float,
+) -> Policy:
+    """Return the policy, given the threshold of each group of links and the cost per step of sending every sample."""
+    problem, lossless = certainty.problem, certainty.problem.per_unit(certainty.cost_all_time)
     sensors = ContributionSteps(certainty, network, prediction, thresholds)
     inputs = InputSteps(certainty, network, actuation, thresholds)
-    lossy = [link for link in network.links if network.loss(link) > 0]
+    lossy = _lossy(network)
     told = all(network.acknowledges(link) for link in lossy)
     covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
-    all_time = problem.per_unit(certainty.cost_all_time)
     sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
     return Policy(
         kind="distributed",
@@ -108,11 +146,11 @@ def distributed(
         model=problem.plant,
         theory=Theory(
             cost=problem.cost,
-            cost_all_time=all_time,
+            cost_all_time=problem.per_unit(all_time),
             noise_cost=problem.noise_cost,
             settling=certainty.settling,
             guarantee=None if lossy else _guarantee(certainty, thresholds),
-            identity=Identity(all_time, (Form((EXCESS,), certainty.regulator.H / problem.tick),)) if told else None,
+            identity=Identity(lossless, (Form((EXCESS,), certainty.regulator.H / problem.tick),)) if told else None,
             innovations=sensors.innovations() if told else None,
             sums=sums if told else {},
             covers=covers | BURSTS if lossy and told else covers,
@@ -122,8 +160,14 @@ def distributed(
         initial={"prior": problem.plant.mean},
         tick=problem.tick,
         network=network,
-        notes=(ACKNOWLEDGED if told else UNHEARD,) if lossy else (),
+        notes=(f"{ACKNOWLEDGED if told else UNHEARD}; {ATTEMPTS if len(lossy) <= MOST_LINKS else TOO_MANY}",)
+        if lossy
+        else (),
     )
+
+
+def _lossy(network: Network) -> list[str]:
+    return [link for link in network.links if network.loss(link) > 0]
 
 
 def _thresholds(
