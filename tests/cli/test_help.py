@@ -101,6 +101,8 @@ def test_commands_kinds_and_words_are_completed(complete: Callable[[str], list[s
     assert complete("taciturn sh") == ["show"]
     assert complete("taciturn new --kind re") == ["relative", "remote-lqg"]
     assert complete("taciturn tune two-mass --link ") == ["sensor", "actuator"]
+    assert complete("taciturn tune quadruple-tank --rate 0.3 --link le") == ["level-1", "level-2"]
+    assert complete("taciturn compare missing.toml --link ") == []
     assert complete("taciturn new --kind ") == list(CATALOGUE)
 
 

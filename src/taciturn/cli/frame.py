@@ -20,7 +20,7 @@ from taciturn._ending import Interrupted, ends_on_signals, has_ended
 from taciturn._text import wrapped_text
 from taciturn.cli.usage import EXAMPLE as EXAMPLE
 from taciturn.cli.usage import name_options, usage_text
-from taciturn.cli.words import complete_file, complete_from, complete_kind
+from taciturn.cli.words import complete_file, complete_kind, complete_link
 
 if TYPE_CHECKING:
     from taciturn._progress import Progress
@@ -114,7 +114,7 @@ Link = Annotated[
     str | None,
     typer.Option(
         help="Link to which the rate refers if the policy decides on several links.",
-        autocompletion=complete_from("sensor", "actuator"),
+        autocompletion=complete_link,
     ),
 ]
 Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Save a figure as .svg, .png or .pdf.")]

@@ -1,9 +1,13 @@
-"""Shell completion of files, built-in problems and policy kinds, without heavy imports."""
+"""Shell completion of files, built-in problems, policy kinds and links, without heavy imports."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
+
+import typer
 
 from taciturn._plugins import problem_folders
 
@@ -33,3 +37,21 @@ def complete_kind(incomplete: str) -> list[str]:
     from taciturn.design.catalogue import CATALOGUE
 
     return complete_from(*CATALOGUE)(incomplete)
+
+
+def complete_link(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the links with this prefix of the problem files among the words typed before."""
+    links = [link for word in context.args for link in _links(word)]
+    return complete_from(*dict.fromkeys(links))(incomplete)
+
+
+def _links(name: str) -> Iterable[str]:
+    """Return the links of a problem file: one of each node that is not at the controller's place."""
+    paths = (Path(name), *(folder / f"{name}.toml" for folder in problem_folders()))
+    try:
+        tables: dict[str, Any] = tomllib.loads(next(path.read_text() for path in paths if path.is_file()))
+        nodes = tables.get("nodes", {"sensor": {}, "actuator": {}})
+        (controller,) = (node for node, role in nodes.items() if role.get("controls")) if "nodes" in tables else ("",)
+        return [node for node, role in nodes.items() if controller not in (node, role.get("site"))]
+    except (StopIteration, OSError, ValueError, AttributeError):  # a file that is not a problem has no links
+        return ()
