@@ -127,14 +127,14 @@ def test_gains_for_dropouts(seed: int) -> None:
     measured, weights = Plant(plant.A, plant.B, plant.W), Cost(cost.Q, cost.R)
     network = Network("tcp", actuator_loss=0.15)
     own = design.lossy_lqg(measured, weights, price=0.5, network=network)
-    zero = {"actuation": "zero", "gains": "losses", "network": network}
+    zero = {"actuation": "zero", "gains": "loss-optimal", "network": network}
     kept = design.excess(measured, weights, delta=0.5, **zero)
     assert kept.cost_all_time == pytest.approx(own.cost_all_time, rel=1e-9)
     sent = [outputs(policy, seed)[Sent("actuator")] for policy in (own, kept)]
     assert np.array_equal(*sent)
     for actuation in ("hold", "zero"):
         options = {"theta": 0.1, "actuation": actuation, "network": network}
-        best = design.excess(plant, cost, gains="losses", **options).cost_all_time
+        best = design.excess(plant, cost, gains="loss-optimal", **options).cost_all_time
         try:
             usual = design.excess(plant, cost, **options).cost_all_time
         except UnstableError:
@@ -146,11 +146,11 @@ def test_gains_for_dropouts(seed: int) -> None:
 def test_no_gain_is_stable_above_the_critical_loss() -> None:
     """Of a scalar plant with zero input: 1/a²; the message states the limit, and with an ideal link there is none."""
     plant, cost = Plant([[1.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
-    zero = {"theta": 0.1, "actuation": "zero", "gains": "losses"}
+    zero = {"theta": 0.1, "actuation": "zero", "gains": "loss-optimal"}
     with pytest.raises(UnstableError, match=r"grows for every gain; expected a loss below 0\.44"):
         design.excess(plant, cost, network=Network("tcp", actuator_loss=0.46), **zero)
     assert design.excess(plant, cost, network=Network("tcp", actuator_loss=0.43), **zero).cost_all_time > 0
-    with pytest.raises(ProblemError, match="gains is 'losses'; expected an actuator link that drops packets"):
+    with pytest.raises(ProblemError, match="gains is 'loss-optimal'; expected an actuator link that drops packets"):
         design.excess(plant, cost, **zero)
 
 

@@ -258,7 +258,11 @@ def test_the_energy_of_packets_gives_power_and_battery_life(tmp_path: Path) -> N
     rate = found.rates["actuator"].value / STEP
     assert found.power["actuator"].value == pytest.approx(0.002 * rate)
     assert found.life["actuator"].value == pytest.approx(9000.0 / (0.002 * rate))
-    assert found.document()["power_watts"]["actuator"]["standard_error"] > 0
+    told = found.document()
+    assert told["power"]["actuator"]["standard_error"] > 0
+    assert told["battery_days"]["actuator"]["value"] == pytest.approx(found.life["actuator"].value / 86400)
+    lqg = problem.changed({"controller": None, "policy.kind": "excess"})
+    assert told["cost_lqg"] == pytest.approx(lqg.design().cost_all_time)
     assert "mW for packets; the battery lasts" in str(found)
     assert problem.changed({"theta": 0.3}).network == problem.network
     for change, words in (

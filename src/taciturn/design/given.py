@@ -15,7 +15,7 @@ from taciturn._arrays import Array, choice
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.certainty import SEND, design_certainty
+from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
 from taciturn.design.kept import REMEDY, recovery
 from taciturn.design.kept_loop import KeptLoop
@@ -23,7 +23,7 @@ from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempt
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import filter_checked
 from taciturn.model.controller import Controller
@@ -127,6 +127,7 @@ def keep_controller(
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
+        cost_lqg=loop.cost_lqg,
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
         recovery=recovery(route.base, plant, loop.disturbance, steady.slowest) if alike else None,
@@ -148,7 +149,7 @@ def keep_controller(
         initial={**estimation.initial, **route.initial, **silence.initial},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*(() if lossy else _beside(kind, problem, all_time)), *loop.notes),
+        notes=(*([] if lossy else loop.beside_lqg(all_time)), *loop.notes),
         disturbance=loop.disturbance,
     )
     return loop.point.applied_to(policy)
@@ -221,14 +222,3 @@ def _retried(link: str, at: str) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         Assign(at, MISSING, ({"tried": one}, {ONE: none}), Acknowledged(link)),
     )
     return (Decide(at, "retry", missing),), after
-
-
-def _beside(kind: str, problem: Discrete, cost: float) -> tuple[str, ...]:
-    """Return a note with the cost of LQG for the same weights."""
-    try:
-        best = design_certainty(kind, problem).cost_all_time
-    except TaciturnError:  # LQG needs more of the weights than a given controller
-        return ()
-    if abs(best - cost) <= 1e-9 * cost:
-        return ()
-    return (f"LQG with these weights and every sample costs {best / cost:.3f} times as much as this controller",)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Base, advantage
 from taciturn.design.bounds import bound_by_errors
+from taciturn.design.certainty import design_certainty
 from taciturn.design.kept import REMEDY, disturbed, note_disturbance, recovery
 from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.same_control import SameControl
+from taciturn.errors import TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
@@ -53,6 +56,24 @@ class KeptLoop(Displayed):
         """Remarks on the slow disturbance."""
         return note_disturbance(self.controller, self.disturbance)
 
+    @cached_property
+    def cost_lqg(self) -> float | None:
+        """The cost of LQG with the same weights and every sample, or None if LQG does not exist for these weights."""
+        try:
+            return self.problem.per_unit(design_certainty("LQG", self.problem).cost_all_time)
+        except TaciturnError:  # LQG needs more of the weights than a given controller
+            return None
+
+    def beside_lqg(self, all_time: float) -> list[str]:
+        """Return a remark on the cost of LQG, given that of the controller per step, both with every sample."""
+        if self.cost_lqg is None:
+            return []
+        cost, noise = self.problem.per_unit(all_time), self.problem.per_unit(0.0)
+        if abs(self.cost_lqg - cost) <= 1e-9 * cost:
+            return []
+        share = (self.cost_lqg - noise) / (cost - noise)
+        return [f"LQG with these weights and every sample costs {share:.3f} times as much as this controller"]
+
     def policy(
         self,
         kind: str,
@@ -81,6 +102,7 @@ class KeptLoop(Displayed):
         theory = Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(found.cost),
+            cost_lqg=self.cost_lqg,
             noise_cost=problem.noise_cost,
             settling=found.settling,
             guarantee=bound_by_errors(problem, found.cost, errors) if errors else None,
@@ -97,7 +119,7 @@ class KeptLoop(Displayed):
                 sites=sites,
                 initial=initial,
                 tick=problem.tick,
-                notes=self.notes,
+                notes=(*self.beside_lqg(found.cost), *self.notes),
                 disturbance=self.disturbance,
                 network=Network() if network is None else network,
             )

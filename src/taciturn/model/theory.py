@@ -185,6 +185,7 @@ class Theory(Displayed):
     Args:
         cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
         cost_all_time: cost of sending at every step, in the units of the cost, or None if it is unknown.
+        cost_lqg: cost of LQG with the same weights, sending at every step, for a policy that keeps a given controller.
         noise_cost: inter-sample noise cost per step of a continuous plant, which no policy can change.
         settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
         recovery: the same without the slow disturbances of the plant, which a fault of a node does not change; default:
@@ -224,6 +225,7 @@ class Theory(Displayed):
     fourth: float | None = None
     sums: Mapping[str, Terms] = field(default_factory=lambda: {})
     recovery: float | None = None
+    cost_lqg: float | None = None
 
     @property
     def recovers(self) -> float:

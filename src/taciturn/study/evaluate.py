@@ -199,6 +199,7 @@ def _evaluated(
         method=measured.method,
         reason=measured.reason,
         after_step=stepped,
+        cost_lqg=policy.theory.cost_lqg if loop.nominal else None,
     )
 
 

@@ -37,6 +37,7 @@ class Evaluation(Tabular):
         base_rate: rate of sending at every step, or None if sends may occur at any time.
         cost: cost per step or per second, or the total of a finite-horizon run.
         cost_all_time: exact cost of sending at every step, or None if the simulated plant is not the one of the design.
+        cost_lqg: cost of LQG with the same weights and every sample, for a policy that keeps a given controller.
         statement: the theorem that proves the bounds, or None.
         cost_bound: proven upper bound on the cost, or None.
         cost_bound_at_rate: the sharper upper bound at the measured rate, or None.
@@ -107,6 +108,7 @@ class Evaluation(Tabular):
     power: Mapping[str, Estimate] = field(default_factory=lambda: {})
     life: Mapping[str, Estimate] = field(default_factory=lambda: {})
     prices: Mapping[str, float] = field(default_factory=lambda: {})
+    cost_lqg: float | None = None
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -188,9 +190,12 @@ class Evaluation(Tabular):
             result["linearisation"] = asdict(self.linearisation)
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
-        for name, found in (("power_watts", self.power), ("battery_seconds", self.life)):
+        if self.cost_lqg is not None:
+            result["cost_lqg"] = self.cost_lqg
+        for name, found, unit in (("power", self.power, 1.0), ("battery_days", self.life, DAY)):
             if found:
-                result[name] = {link: one.document("value", "standard_error") for link, one in found.items()}
+                scaled = {link: one.scaled(1 / unit) for link, one in found.items()}
+                result[name] = {link: one.document("value", "standard_error") for link, one in scaled.items()}
         if self.after_step is not None:
             result["after_step"] = self.after_step.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})

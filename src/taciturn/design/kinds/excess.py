@@ -44,7 +44,7 @@ def excess(
     link: str = "actuator",
     network: Network | None = None,
     every: int = 1,
-    gains: Literal["lossless", "losses"] = "lossless",
+    gains: Literal["lqg", "loss-optimal"] = "lqg",
     retry: bool = False,
 ) -> Policy:
     """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
@@ -79,8 +79,8 @@ def excess(
             without acknowledgement are not taken into account.
         every: q, steps between packets of the base that δ refers to; J + δ·rate ≤ J_q + δ/q with the cost J_q of
             packets at every q-th step, so at the rate 1/q the policy costs no more than J_q. Default: every sample.
-        gains: without a controller, ``"lossless"``: the gains of LQG, as if no packet were dropped; ``"losses"``: those
-            that cost least with the network's mean loss.
+        gains: without a controller, ``"lqg"``: the gains of LQG, as if no packet were dropped; ``"loss-optimal"``:
+            those that cost least with the network's mean loss.
         retry: attempt again in the step after a missing acknowledgement. The bound holds, as it does for every policy
             that attempts more often.
 
@@ -117,15 +117,15 @@ def excess(
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
 
-    ideal = link == "actuator" and every == 1 and gains == "lossless" and not (retry or drops(network, link))
+    ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(network, link))
     if controller is None and ideal and actuation != "zero":
         return _lqg(discretise(plant, cost, period), actuation, price_at)
     L = None
-    if choice("gains", gains, ("lossless", "losses")) == "losses":
+    if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
         if controller is not None or not drops(network, link) or actuation == "model" or link == "sensor" or every > 1:
             raise ProblemError(
-                "gains is 'losses'; expected an actuator link that drops packets and acknowledges those that arrive, "
-                "no controller, actuation 'hold' or 'zero', and every = 1; or gains = 'lossless'"
+                "gains is 'loss-optimal'; expected an actuator link that drops packets and acknowledges those that "
+                "arrive, no controller, actuation 'hold' or 'zero', and every = 1; or gains = 'lqg'"
             )
         L = gains_for_losses(discretise(plant, cost, period), network.loss(link), actuation == "zero")
     if controller is None:
