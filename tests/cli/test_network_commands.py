@@ -14,6 +14,7 @@ from counts import few
 
 from taciturn.runtime.processes import Process
 from taciturn.runtime.udp import Endpoint, free_addresses
+from taciturn.study.testbed.invariants import RECOVERY, BrokenError
 
 if TYPE_CHECKING:
     from conftest import Run, Write
@@ -147,16 +148,19 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
 
 @pytest.mark.evidence
 def test_a_world_is_replayed_from_its_seed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Faults, counters and recovery, for people and as JSON; with a broken invariant also one sentence and code 2."""
+    """Faults, counters and recovery, for people and as JSON; with a broken invariant also one sentence and code 1."""
     text = run("network", "remote-scalar", "--world", "2").out
     document = json.loads(run("network", "remote-scalar", "--world", "2", "--json").out)
     assert len(re.findall("^fault ", text, re.MULTILINE)) == len(document["faults"]) >= 1
     assert document["broken"] is None
     assert 0 <= document["recovery"] <= document["promised"]
     assert f"{document['recovery']} steps after the last fault" in re.sub(r"\s+", " ", text)
-    monkeypatch.setattr("taciturn.study.testbed.world.World.run", lambda world, copies: "step 7: a packet is missing")
+    assert all(document["invariants"].values())
+    assert document["node_ticks"] == document["ticks"]
+    broken = BrokenError(RECOVERY, 7, "a packet is missing")
+    monkeypatch.setattr("taciturn.study.testbed.world.World.run", lambda world, copies: broken)
     answer = run("network", "remote-scalar", "--world", "2")
-    assert answer.code == 2
+    assert answer.code == 1
     assert "world 2 breaks an invariant at step 7: a packet is missing" in answer.err
     assert re.search("^broken +step 7", answer.out, re.MULTILINE)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def run_world(problem: Problem, seed: int, others: Sequence[str], as_json: bool) -> None:
-    """Run a world of faults and print it; with a broken invariant, raise an error after that."""
+    """Run a world of faults and print it; if an invariant is broken, say so and end with exit code 1."""
     from taciturn.errors import ProblemError
     from taciturn.study.record import origin
     from taciturn.study.testbed.worlds import run_world_with_devices
@@ -27,4 +27,5 @@ def run_world(problem: Problem, seed: int, others: Sequence[str], as_json: bool)
     else:
         typer.echo(found)
     if found.broken is not None:
-        raise ProblemError(f"world {seed} breaks an invariant at {found.broken}; expected none: please report it")
+        typer.echo(f"world {seed} breaks an invariant at {found.broken}; expected none: please report it", err=True)
+        raise typer.Exit(1)

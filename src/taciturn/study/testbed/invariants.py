@@ -31,17 +31,32 @@ DATAGRAMS = ("received", *REFUSALS, "unproven", "proofs")  # counters of a node,
 UNCOUNTED = ("sent ", "missed", "repeated", "unsent", *DATAGRAMS)  # counters that do not count handled packets
 
 
+ORDER, COUNTS, NUMBERS, MARKS, FORGERY, DEVICES, SILENCE, PACE, RECOVERY = INVARIANTS = (
+    "order of commands",
+    "counts of datagrams",
+    "numbers and nonces",
+    "marks",
+    "forgery",
+    "nodes in C and Python",
+    "silence",
+    "pace",
+    "recovery",
+)
+
+
 class BrokenError(Exception):
     """An invariant does not hold.
 
     Args:
+        invariant: one of ``INVARIANTS``.
         step: step of the plant.
         sentence: what was found.
     """
 
-    def __init__(self, step: int, sentence: str) -> None:
-        """Keep step and sentence."""
+    def __init__(self, invariant: str, step: int, sentence: str) -> None:
+        """Keep invariant, step and sentence."""
         super().__init__(f"step {step}: {sentence}")
+        self.invariant = invariant
 
 
 def count_proofs(reception: Reception) -> int:
@@ -124,9 +139,9 @@ class Monitor:
         self.snapshots: dict[int, dict[Entry, float]] = defaultdict(dict)
         self.ticks = 0  # steps of nodes
 
-    def fail(self, sentence: str) -> None:
+    def fail(self, invariant: str, sentence: str) -> None:
         """Report that an invariant does not hold."""
-        raise BrokenError(int(self._step()), sentence)
+        raise BrokenError(invariant, int(self._step()), sentence)
 
     def born(self, role: str, life: Life, fresh: bool) -> None:
         """Record the start of a process; with its state, it remembers what it has read.
@@ -143,7 +158,7 @@ class Monitor:
     def sent(self, packet: Packet | str, role: str) -> None:
         """Record a packet that a process sends."""
         if isinstance(packet, str):
-            self.fail(f"the {role} has sent a datagram that is {packet}")
+            self.fail(NUMBERS, f"the {role} has sent a datagram that is {packet}")
             return
         if packet.kind in PROOFS:
             self._check_nonce(packet, role)
@@ -158,12 +173,17 @@ class Monitor:
         if packet.link in self._plant:
             life = self.lives.get(role)
             if packet.kind == "input" and self._zero and life is not None and life.node.silent and any(packet.values):
-                self.fail(f"the {role} is silent, but sends the input {list(packet.values)}; expected the safe input 0")
+                self.fail(
+                    SILENCE,
+                    f"the {role} is silent, but sends the input {list(packet.values)}; expected the safe input 0",
+                )
         else:
             number = role, packet.kind, packet.link, packet.epoch, packet.sequence
             if number in self._numbered:
                 if self._numbered[number] != packet:
-                    self.fail(f"the {role} sends {packet}, but has sent {self._numbered[number]} with this number")
+                    self.fail(
+                        NUMBERS, f"the {role} sends {packet}, but has sent {self._numbered[number]} with this number"
+                    )
                 return  # again, after a challenge
             self._numbered[number] = packet
             if packet.kind == "data":
@@ -171,8 +191,9 @@ class Monitor:
             last = self._last.get((role, packet.link, packet.epoch))
             if packet.kind == "mark" and last is not None and packet.tick - last < self._heartbeat:
                 self.fail(
+                    MARKS,
                     f"the {role} sends a mark in step {packet.tick}, but a packet in step {last}; expected a mark "
-                    f"after {self._heartbeat} steps without a packet"
+                    f"after {self._heartbeat} steps without a packet",
                 )
             self._last[role, packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
 
@@ -188,7 +209,7 @@ class Monitor:
         known = self._nonces[role, packet.link]
         if packet.kind == "challenge" and packet.nonce not in known[-1:]:
             if packet.nonce in known:
-                self.fail(f"the {role} challenges with an old nonce on the {packet.link} link")
+                self.fail(NUMBERS, f"the {role} challenges with an old nonce on the {packet.link} link")
             known.append(packet.nonce)
 
     def stepped(self, role: str, line: Mapping[str, Any]) -> None:
@@ -198,19 +219,22 @@ class Monitor:
         self.ticks += 1
         life.turn += 1
         if life.turn > LEFT_BEHIND + 2 and not node.measures:
-            self.fail(f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
+            self.fail(PACE, f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
         if node.tick > now + EARLY:
-            self.fail(f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
+            self.fail(PACE, f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
         given = life.plant
         if "y" in line and given and (0, node.tick) not in self._sent["measurement", given, tuple(line["y"])]:
-            self.fail(f"the {role} uses the measurement {line['y']} in step {node.tick}, which the plant has not sent")
+            self.fail(
+                ORDER, f"the {role} uses the measurement {line['y']} in step {node.tick}, which the plant has not sent"
+            )
         for (kind, link), values in node.readings.items():
             if kind == "data" and values is not None:
                 order = self._next("data", link, values, life.read[kind, link])
                 if order is None:
                     self.fail(
+                        ORDER,
                         f"the {role} reads {list(values)} from the {link} link in step {node.tick}, which is older "
-                        f"than the packet of step {life.read[kind, link][1]} that it has read"
+                        f"than the packet of step {life.read[kind, link][1]} that it has read",
                     )
                     return
                 life.read[kind, link] = order
@@ -228,7 +252,7 @@ class Monitor:
                 continue
             order = self._next("input", link, values, last)
             if order is None:
-                self.fail(f"the plant applies {list(values)}, which is older than the input of step {last[1]}")
+                self.fail(ORDER, f"the plant applies {list(values)}, which is older than the input of step {last[1]}")
                 return
             self._applied[link] = order
 
@@ -237,7 +261,7 @@ class Monitor:
         life = self.lives[role]
         life.turn, life.wakes = 0, life.wakes + 1
         if life.wakes > AWAKE:
-            self.fail(f"the {role} wakes more than {AWAKE} times in a step; expected a process that waits")
+            self.fail(PACE, f"the {role} wakes more than {AWAKE} times in a step; expected a process that waits")
 
     def check(self, network: VirtualNetwork, plant: PlantServer, plant_port: VirtualPort, alive: Sequence[str]) -> None:
         """Check what must hold at each step: every datagram is accounted for, and a node that is cut says so."""
@@ -245,11 +269,14 @@ class Monitor:
         added = counted["sent"] + counted["copied"] + counted["replayed"]
         ended = sum(counted[name] for name in ("lost", "unreachable", "discarded", "delivered"))
         if added != ended + network.flying:
-            self.fail(f"{added} datagrams were sent, but {ended} ended and {network.flying} are on their way")
+            self.fail(COUNTS, f"{added} datagrams were sent, but {ended} ended and {network.flying} are on their way")
         if plant_port.received != plant.taken + sum(plant.refused.values()) + count_proofs(plant.reception):
-            self.fail(f"the plant has received {plant_port.received} datagrams, but counted {plant.report()}")
+            self.fail(COUNTS, f"the plant has received {plant_port.received} datagrams, but counted {plant.report()}")
         if plant.refused["forged"] < self._forged:
-            self.fail(f"the plant has received {self._forged} forged datagrams, but refuses {plant.refused['forged']}")
+            self.fail(
+                FORGERY,
+                f"the plant has received {self._forged} forged datagrams, but refuses {plant.refused['forged']}",
+            )
         for life in self.lives.values():
             life.wakes = 0
         for role in alive:
@@ -258,19 +285,25 @@ class Monitor:
     def _check_life(self, role: str, life: Life) -> None:
         node, received = life.node, life.node.counters["received"]
         if life.port.received != life.count():
-            self.fail(f"the {role} has received {life.port.received} datagrams, but counts {dict(life.counters())}")
+            self.fail(
+                COUNTS, f"the {role} has received {life.port.received} datagrams, but counts {dict(life.counters())}"
+            )
         if life.count("forged") < life.forged:
-            self.fail(f"the {role} has received {life.forged} forged datagrams, but refuses {life.count('forged')}")
+            self.fail(
+                FORGERY, f"the {role} has received {life.forged} forged datagrams, but refuses {life.count('forged')}"
+            )
         handled = sum(number for name, number in node.counters.items() if not name.startswith(UNCOUNTED))
         if received != handled + node.waiting:
-            self.fail(f"the {role} counts {received} packets, but {dict(node.counters)} and {node.waiting} waiting")
+            self.fail(
+                COUNTS, f"the {role} counts {received} packets, but {dict(node.counters)} and {node.waiting} waiting"
+            )
         silence = self._step() - life.heard
         if (
             node.watchdog is not None
             and silence > self._watchdog + self._patience
             and not (node.silent and node.degraded)
         ):
-            self.fail(f"the {role} is cut for {silence:.0f} steps, but does not report it")
+            self.fail(SILENCE, f"the {role} is cut for {silence:.0f} steps, but does not report it")
 
     def heard(self, role: str) -> None:
         """Record that a datagram of a peer has arrived, or an event that excuses silence."""

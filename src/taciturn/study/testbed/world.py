@@ -24,7 +24,7 @@ from taciturn.runtime.udp import Address
 from taciturn.runtime.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
 from taciturn.runtime.world import PlantServer
 from taciturn.study.testbed.devices import DeviceNode, DeviceServer
-from taciturn.study.testbed.invariants import BrokenError, Copy, Life, Monitor, differing
+from taciturn.study.testbed.invariants import DEVICES, RECOVERY, BrokenError, Copy, Life, Monitor, differing
 from taciturn.study.testbed.keyring import KeyRing
 
 WORLDS = Coverage(LOOPS, "worlds of faults do not carry out")
@@ -162,8 +162,8 @@ class World:
         plant = {"inputs": self.plant.taken, **self.plant.refused, **self.plant.reception.counters}
         return {**found, PLANT: plant, "network": self._counted()}
 
-    def run(self, copies: Sequence[Copy]) -> str | None:
-        """Run until the nodes have recovered, and return the invariant that does not hold, or None."""
+    def run(self, copies: Sequence[Copy]) -> BrokenError | None:
+        """Run until the nodes have recovered, and return what does not hold, or None."""
         ready = int(self.end) + 1 + promised_steps(HEARTBEAT, self.keyed)
         remembers = max(life.node.remembers for life in self.monitor.lives.values())
         settled: int | None = None
@@ -177,28 +177,28 @@ class World:
                     settled = step
                     self.promised = settled + remembers + 2 - int(self.end)
                 if settled is None and step > ready + SILENT:
-                    self.monitor.fail(f"no data packet was used for {SILENT} steps after the faults")
+                    self.monitor.fail(RECOVERY, f"no data packet was used for {SILENT} steps after the faults")
                 if settled is not None and self.plant.held > held:
-                    self.monitor.fail("the plant has received no input for its step, after all faults")
+                    self.monitor.fail(RECOVERY, "the plant has received no input for its step, after all faults")
                 held = self.plant.held
                 if trouble and settled is not None and step > settled + remembers + 2:
-                    self.monitor.fail(f"{trouble}, {step - int(self.end)} steps after the last fault")
+                    self.monitor.fail(RECOVERY, f"{trouble}, {step - int(self.end)} steps after the last fault")
                 step += 1
             self._check_used(ready, step - 3)
         except BrokenError as error:
-            return str(error)
-        except ProblemError as error:
-            return f"step {step}: {error}"
+            return error
+        except ProblemError as error:  # a node in C refuses what its twin in Python accepts, or the reverse
+            return BrokenError(DEVICES, step, str(error))
         self.recovery = last - int(self.end)
         return None
 
-    def run_for(self, steps: int) -> str | None:
-        """Run for some steps, and return the invariant that does not hold, or None."""
+    def run_for(self, steps: int) -> BrokenError | None:
+        """Run for some steps, and return what does not hold, or None."""
         try:
             for step in range(steps):
                 self._go_to(step)
         except BrokenError as error:
-            return str(error)
+            return error
         return None
 
     def _go_to(self, step: int) -> None:
@@ -223,7 +223,9 @@ class World:
         for link in self.links:
             for tick, values in self.monitor.data[link]:
                 if first <= tick < end - self.lag[link] and values not in self.monitor.used[link]:
-                    self.monitor.fail(f"the packet of step {tick} on the {link} link was not used, after all faults")
+                    self.monitor.fail(
+                        RECOVERY, f"the packet of step {tick} on the {link} link was not used, after all faults"
+                    )
 
     def _paths(self) -> list[tuple[str, Path]]:
         ends = self.wire.plant.items()

@@ -22,7 +22,7 @@ from taciturn.problem import Problem
 from taciturn.runtime.faults import Fault
 from taciturn.study.printed import world_text
 from taciturn.study.testbed.devices import NoCompilerError, compile_devices
-from taciturn.study.testbed.invariants import Copy, find_copies
+from taciturn.study.testbed.invariants import INVARIANTS, Copy, find_copies
 from taciturn.study.testbed.world import MakeNode, World
 
 
@@ -35,7 +35,8 @@ class WorldRun(Displayed):
         faults: its faults.
         devices: roles of the nodes that ran as C code.
         keyed: whether the processes had keys.
-        broken: the invariant that does not hold; None if all of them hold.
+        broken: what does not hold, in a sentence; None if all invariants hold.
+        invariant: name of the invariant that does not hold, at which the world ends, or None.
         recovery: steps after the last fault until no node was degraded and all copies agreed.
         promised: steps within which they must.
         steps: steps of the plant.
@@ -57,6 +58,7 @@ class WorldRun(Displayed):
     counters: Mapping[str, Mapping[str, int]]
     seconds: float
     notes: tuple[str, ...] = ()
+    invariant: str | None = None
 
     def __str__(self) -> str:
         """Return the text that ``taciturn network --world SEED`` prints."""
@@ -71,6 +73,8 @@ class WorldRun(Displayed):
             "faults": [{"kind": type(fault).__name__, **asdict(fault)} for fault in self.faults],
             "devices": list(self.devices),
             "counters": {name: dict(counted) for name, counted in self.counters.items()},
+            "invariants": {name: name != self.invariant for name in INVARIANTS},
+            "node_ticks": self.ticks,
             "seconds": round(self.seconds, 4),
             "notes": list(self.notes),
         }
@@ -106,8 +110,9 @@ def run_world(
     began = time.process_time()
     broken = world.run(copies)
     return WorldRun(
-        seed, world.faults, tuple(world.made), keyed, broken, world.recovery, world.promised, int(world.step()),
-        world.monitor.ticks, world.counters(), time.process_time() - began,
+        seed, world.faults, tuple(world.made), keyed, broken and str(broken), world.recovery, world.promised,
+        int(world.step()), world.monitor.ticks, world.counters(), time.process_time() - began,
+        invariant=broken and broken.invariant,
     )  # fmt: skip
 
 
