@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import taciturn
+from taciturn import PID, Cost, Plant, design
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
+from taciturn.model.network import LinkLaw, Network, NodeRole
 from taciturn.model.packets import fingerprint
+from taciturn.model.pid import PIDLoops
+from taciturn.model.placement import placed
 from taciturn.model.places import roles
 from taciturn.problem import Problem, parse
 
@@ -108,3 +114,40 @@ def test_a_kind_without_losses_names_the_key_of_the_link() -> None:
     problem = named(taciturn.load("two-mass-lqg"), {**WIRED, **APPLIED}, {"valve": {"loss": 0.1}})
     with pytest.raises(ProblemError, match=r"links\.valve\.loss is given, which lqg does not use"):
         problem.design()
+
+
+def test_design_functions_take_the_network_as_problems_do() -> None:
+    """The kind lqg by its argument, also for sets of links; other kinds by the function ``placed``."""
+    unit, linked = np.eye(2), NodeRole(applies=(0,))
+    nodes = {"gauge": NodeRole(measures=True, site="plc"), "plc": NodeRole(controls=True), "a": linked}
+    network = Network(nodes={**nodes, "b": NodeRole(applies=(1,))}, links={"a": LinkLaw(price=3.0, payload="float32")})
+    plant, cost = Plant(0.9 * unit, unit, unit), Cost(unit, unit)
+    for name, parameters in (("lqg", {"theta": 0.1}), ("all-time", {})):
+        one = Network(nodes={**nodes, "a": NodeRole(applies=True)}) if name == "all-time" else network
+        expected = Problem(plant, cost, one, name, parameters).design()
+        found = design.lqg(plant, cost, theta=0.1, network=one) if name == "lqg" else design.all_time(plant, cost)
+        found = placed(found, one)
+        assert fingerprint(found, one) == fingerprint(expected, one)
+        assert (found.network, found.scheduled) == (one, expected.scheduled)
+    with pytest.raises(ProblemError, match=r"^links\.b\.loss is given, which lqg does not use; expected ideal links"):
+        design.lqg(plant, cost, theta=0.1, network=replace(network, links={"b": LinkLaw(loss=0.1)}))
+    with pytest.raises(ProblemError, match="network is 3; expected a Network"):
+        design.lqg(plant, cost, theta=0.1, network=3)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("kind", ["send-on-delta", "excess", "lossy-lqg", "distributed"])
+@pytest.mark.parametrize("controller", [None, PID(0.3)])
+def test_a_refusal_names_only_kinds_that_accept_the_problem(kind: str, controller: PID | None) -> None:
+    """For losses on one of two sensors."""
+    nodes = {"a": NodeRole(measures=(0,)), "b": NodeRole(measures=(1,)), "plc": NodeRole(controls=True)}
+    network = Network(nodes={**nodes, "valve": NodeRole(applies=True, site="plc")}, links={"a": LinkLaw(loss=0.1)})
+    kept = None if controller is None else PIDLoops((controller, PID(0.2, input=2, output=2)))
+    plant = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2))
+    problem = Problem(plant, Cost(np.eye(2), np.eye(2)), network, kind, CATALOGUE[kind].example, controller=kept)
+    try:
+        problem.design()
+    except ProblemError as error:
+        named = [name for name in CATALOGUE if name in str(error).partition(", or the kind ")[2].split(" or ")]
+        assert named == ([] if controller else ["distributed"])
+    else:
+        assert (kind, controller) == ("distributed", None)
