@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 import taciturn
 from taciturn import PID, Cost, Plant, design
 from taciturn.design.catalogue import CATALOGUE
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.network import LinkLaw, Network, NodeRole
 from taciturn.model.packets import fingerprint
 from taciturn.model.pid import PIDLoops
@@ -151,3 +153,26 @@ def test_a_refusal_names_only_kinds_that_accept_the_problem(kind: str, controlle
         assert named == ([] if controller else ["distributed"])
     else:
         assert (kind, controller) == ("distributed", None)
+
+
+@pytest.mark.parametrize("horizon", [None, 10])
+def test_messages_about_losses_name_the_keys_of_the_links(horizon: int | None) -> None:
+    """Errors and notes of designs for three nodes, from a problem and from the design function."""
+    nodes = {"gauge": NodeRole(measures=True), "plc": NodeRole(controls=True), "valve": NodeRole(applies=True)}
+    network = Network(nodes=nodes, links={"gauge": LinkLaw(loss=0.1), "valve": LinkLaw(loss=0.9)})
+    plant, cost = Plant([[2.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]], horizon=horizon)
+    sentence = r"^links\.valve\.loss is 0\.9 and links\.gauge\.loss is 0\.1, and for this plant"
+    problem = Problem(plant, cost, network, "lossy-lqg", {"price": 0.1})
+    for one in (problem.design, partial(design.lossy_lqg, plant, cost, price=0.1, network=network)):
+        if horizon is None:
+            with pytest.raises(UnstableError, match=sentence):
+                one()
+        else:
+            assert re.match(sentence, one().notes[0])
+    wired = Network(
+        nodes={**nodes, "gauge": NodeRole(measures=True, site="plc")},
+        links={"valve": LinkLaw(burst=taciturn.Burst(0.5, 0.5, 0.8, 0.9), acknowledged=True)},
+    )
+    if horizon is None:
+        with pytest.raises(UnstableError, match=r"^links\.valve\.burst is 0\.8 and 0\.9 in its states, and the mean"):
+            design.excess(plant, cost, theta=0.1, network=wired)

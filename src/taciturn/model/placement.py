@@ -6,13 +6,14 @@ all their outputs, and several actuators at one place as one actuator.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from taciturn.errors import PlacementError
+from taciturn.errors import PlacementError, TaciturnError
 from taciturn.model.joint import JointSets
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
@@ -51,6 +52,22 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     return Network(delay=network.delay, nodes=TRIANGLE, links=links)
 
 
+@contextmanager
+def renamed_keys(network: Network) -> Generator[None]:
+    """Name the keys of a given network in the errors of a design for three nodes."""
+    try:
+        yield
+    except TaciturnError as error:
+        raise type(error)(_with_keys(str(error), network)) from None
+
+
+def _with_keys(text: str, network: Network) -> str:
+    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        for node in [node for node in nodes if node in network.links and not network.triangle][:1]:
+            text = text.replace(f"network.{name}_", f"links.{node}.")
+    return text
+
+
 def _apart(network: Network) -> bool:
     """Return whether the actuators have several links, or some of them have a link and others have none."""
     linked = [node for node in network.actuators if node in network.links]
@@ -60,8 +77,8 @@ def _apart(network: Network) -> bool:
 def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
     for link in links:
         if not network.links[link].ideal:
-            law = network.links[link]
-            name = "acknowledged" if law.loss == 0 and law.burst is None else "loss" if law.burst is None else "burst"
+            law, name = network.links[link], "acknowledged"
+            name = "burst" if law.burst is not None else "loss" if law.loss else name
             raise PlacementError(
                 f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
                 f"{', '.join(links)}; expected ideal links"
@@ -114,6 +131,7 @@ def placed(policy: Policy, network: Network) -> Policy:
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
+        notes=tuple(_with_keys(note, network) for note in policy.notes),
     )
 
 

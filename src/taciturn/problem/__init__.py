@@ -39,7 +39,7 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.kept import Kept
 from taciturn.model.network import Network
-from taciturn.model.placement import expect_ideal_links, placed, three_nodes
+from taciturn.model.placement import expect_ideal_links, placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
@@ -203,7 +203,8 @@ class Problem(Displayed):
         if not takes_losses(kind):
             expect_ideal_links(kind.name, self.network)
         used = _used(kind, network, {"reference": self.reference, "controller": self.controller})
-        policy = kind.make(self.plant, self.cost, {**used, **parameters})
+        with renamed_keys(self.network):
+            policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
             policy = placed(policy, self.network)
         elif not self.network.triangle:

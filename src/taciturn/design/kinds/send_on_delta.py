@@ -164,7 +164,7 @@ def _keep(
     steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
     errors = dict[str, ErrorGain]()
     if loop.problem.plant.input_limit is None:  # the loop is linear
-        gains, entries = ErrorGains(actuator_base(loop.problem, loop.controller)), range(size)
+        gains, entries = ErrorGains(loop.every_sample()), range(size)
         gain = gains.of_measurement(size, entries) if link == "sensor" else gains.of_choice(entries)
         errors = {link: ErrorGain(gain, delta * sqrt(size))}
     return loop.policy(kind, route.base, steps, route.sites, route.initial, errors=errors)
