@@ -9,10 +9,10 @@ from typing import Protocol
 
 import numpy as np
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Base
-from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.bounds import shares_of
 from taciturn.design.certainty import SEND
 from taciturn.design.contributions import decision
 from taciturn.design.estimation import ESTIMATE, HELD
@@ -191,12 +191,7 @@ class DeadBands:
         self._network, self._plant = network, plant
         wired = set(network.actuators) if network.triangle else set[str]()
         self._links = [link for link in network.links if link not in wired]
-        for link in shares.keys() - {*self._links}:
-            raise ProblemError(f"shares has the link {link!r}; expected links that send: {', '.join(self._links)}")
-        self._bands = {
-            link: delta * number(f"shares.{link}", shares.get(link, 1.0), 0.0, LARGEST_PARAMETER, closed=True)
-            for link in self._links
-        }
+        self._bands = {link: delta * share for link, share in shares_of(shares, self._links).items()}
         self._measured = network.measurements(plant.outputs).items()
         self._applied = network.applications(plant.inputs).items()
         self.sites = (frozenset({network.controller, *wired}),) if network.triangle else network.sites_of_controller

@@ -17,6 +17,7 @@ For the opposite direction, ``draft`` builds a problem part by part from text (`
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -178,7 +179,7 @@ class Problem(Displayed):
         try:
             return self._designed()
         except TaciturnError as error:
-            key = "policy." if str(error).partition(" ")[0] in self.record.arguments else ""
+            key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
             text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
 
