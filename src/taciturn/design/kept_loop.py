@@ -51,7 +51,7 @@ class KeptLoop(Displayed):
 
     @property
     def remedy(self) -> str:
-        """What to change if the loop is unstable."""
+        """The remedy if the loop is unstable."""
         return remedy_of(self.problem, self.controller)
 
     def every_sample(self) -> Base:
