@@ -11,6 +11,10 @@ class ProblemError(TaciturnError):
     """Raised for data that are malformed, inconsistent, or outside the range that the theory requires."""
 
 
+class PlacementError(ProblemError):
+    """Raised for nodes or links that a policy kind does not support, but another kind may."""
+
+
 class InformationError(TaciturnError):
     """Raised for a policy in which a node uses a signal that is not available to it."""
 

@@ -30,19 +30,19 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
             "the node is 'pilot', which is not a role; expected one of controller, actuator",
         ),
         (["node", "sensor", "two-mass-lqg"], "at the site of the controller in lqg"),
-        (["node", "controller", "two-mass"], "--plant is missing"),
+        (["node", "controller", "two-mass"], "--plant is missing, but node controller exchanges packets"),
         (["node", "controller", "two-mass", "--plant", ":9000"], "--peer is missing"),
         (
             ["node", "actuator", "two-mass", "--plant", ":9", "--peer", ":9"],
-            "--peer is given, but the actuator sends packets on no link; expected no --peer",
+            "--peer is given, but node actuator sends packets on no link; expected no --peer",
         ),
         (
             ["node", "actuator", "two-mass", "--plant", ":9", "--peer", "actuator=:9"],
-            "--peer is given, but the actuator sends packets on no link",
+            "--peer is given, but node actuator sends packets on no link",
         ),
         (
             ["node", "controller", "lossy-double-integrator", "--peer", ":9", "--plant", ":9"],
-            "--plant is given, but the controller neither measures nor applies inputs; expected no --plant",
+            "--plant is given, but node controller neither measures nor applies inputs; expected no --plant",
         ),
         (["node", "actuator", "two-mass", "--plant", "9000"], "--plant is '9000'; expected HOST:PORT"),
         (["node", "actuator", "two-mass", "--plant", ":99999"], "a port from 0 to 65535"),
@@ -88,7 +88,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["network", "lossy-double-integrator", "--world", "1"], "is for a horizon of 100 steps"),
         (
             ["relay", "--peer", ":9", "--burst", "0.1"],
-            "--burst is '0.1'; expected to_bad, to_good, loss_good, loss_bad",
+            "--burst is '0.1'; expected chain:drops,moves or gilbert-elliott:to_bad,to_good,loss_good,loss_bad, with a",
         ),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "--loss and --burst are both given"),
     ],

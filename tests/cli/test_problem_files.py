@@ -299,9 +299,8 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         ),
         (
             {"more": UDP},
-            "network.protocol is given, which lqg does not use; expected ideal links: remove it, or use "
-            "distributed or excess or lossy-lqg, which use the network; `taciturn network FILE --loss P` drops packets "
-            "of policies of any kind",
+            "network.protocol is given, which lqg does not use; expected ideal links: remove it (`taciturn "
+            "network FILE --loss P` drops packets of policies of any kind), or the kind distributed or excess",
         ),
         (
             {"more": UDP + "actuator_loss = 0.1"},

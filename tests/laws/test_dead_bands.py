@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -252,3 +253,18 @@ def test_a_policy_keeps_the_encoding_of_its_links() -> None:
     policy = design.send_on_delta(plant, Cost(np.eye(2), np.eye(2)), delta=0.5, network=network)
     assert policy.network.links["s1"].payload == "int16"
     assert taciturn.evaluate(policy, steps=10_000).cost_bound is None
+
+
+def test_mistakes_in_python_are_sentences() -> None:
+    """Shares that are no mapping, a cost that is none, and no rates by link."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[1.0]], dt=0.1), Cost([[1.0]], [[1.0]])
+    wrong: Any = [1, 2]
+    with pytest.raises(ProblemError, match=r"^shares is \[1, 2\]; expected a number for each link, such as {'sensor'"):
+        design.send_on_delta(plant, cost, delta=0.1, shares=wrong)
+    with pytest.raises(ProblemError, match="cost is None; expected a Cost"):
+        design.send_on_delta(plant, cast("Any", None), delta=0.1, controller=taciturn.PID(0.3))
+    guarantee = design.distributed(plant, cost, theta=0.1).guarantee
+    assert guarantee is not None
+    for rates in (0.3, {"sensor": 0.3, "actuator": 0.2}, {}):
+        with pytest.raises(ProblemError, match="; expected an Estimate for each of the links actuator, sensor, as in"):
+            guarantee.at_rates(cast("Any", rates), "sensor")

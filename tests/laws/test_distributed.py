@@ -285,8 +285,9 @@ def test_many_links_that_drop_packets_have_too_many_outcomes() -> None:
         ({"theta": -1.0}, "theta is -1; expected 0 ≤ theta"),
         (
             {"theta": 0.1, "shares": {"motor": 1.0}},
-            "shares has the link 'motor'; expected links of the network: sensor-1",
+            "shares.motor is 1.0, but no packets are decided on this link; expected shares of sensor-1",
         ),
+        ({"theta": 0.1, "shares": [1, 2]}, r"^shares is \[1, 2\]; expected a number for each link, such as"),
         ({"theta": 0.1, "shares": dict.fromkeys(two_masses()[2].links, 0.0)}, "shares is 0 for all links"),
         ({"theta": 0.1, "prediction": "zero"}, "prediction is 'zero'; expected one of 'hold', 'model'"),
         ({"theta": 0.1, "network": Network(delay=1)}, "network.delay is 1; expected 0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import control
@@ -304,3 +305,15 @@ def test_nodes_apart_carry_the_bits_of_the_loop() -> None:
         wrong, packets = differing_ticks(loop, records, draws)
         assert wrong == []
         assert 20 < packets < 180
+
+
+@pytest.mark.parametrize("link", ["sensor", "actuator"])
+@pytest.mark.parametrize("kind", [design.excess, design.send_on_delta])
+def test_an_unstable_loop_with_the_wrong_sign_is_told_so(kind: Callable[..., Policy], link: str) -> None:
+    """Only if the loop is stable with the other sign."""
+    plant, cost = Plant([[1.1]], [[1.0]], [[0.1]], dt=0.1), Cost([[1.0]], [[1.0]])
+    kind(plant, cost, delta=0.1, controller=PID(0.5), link=link)
+    with pytest.raises(UnstableError, match=r"is not stable: .*with the other sign .* the loop is stable, so change"):
+        kind(plant, cost, delta=0.1, controller=PID(-0.5), link=link)
+    with pytest.raises(UnstableError, match=r"is not stable: .*inside the unit circle: check the sign of the contr"):
+        kind(plant, cost, delta=0.1, controller=PID(5.0), link=link)

@@ -136,7 +136,7 @@ def test_the_dearer_packet_is_sent_less() -> None:
             "excess",
             {"theta": 0.1},
             {"v0": LinkLaw(loss=0.1, acknowledged=True)},
-            "links.v0.loss or acknowledgements are given, and excess decides on sets of the links v0, v1",
+            "links.v0.loss is 0.1, and excess decides on sets of the links v0, v1",
         ),
         ("absolute", {"threshold": 0.1}, {}, "absolute has one actuator node, but the network has v0 and v1"),
     ],

@@ -242,7 +242,7 @@ def test_a_budget_on_the_traffic_or_on_one_link_is_met() -> None:
         (
             {"nodes.pump-2.site": None},
             "the actuator of variance is at the controller's place, but pump-2 has a link; expected "
-            'nodes.pump-2.site = "plc", or a kind that uses this link, such as distributed',
+            'nodes.pump-2.site = "plc", or the kind distributed',
         ),
         (
             {"nodes.level-1.site": "plc", "nodes.level-2.site": "plc", "links": None},

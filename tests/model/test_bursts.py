@@ -168,3 +168,21 @@ def test_a_law_without_a_name_stays_in_this_process() -> None:
     for text in ("chain:0.5", "0.5,0.5", "chain:[0.5],[[1.0]", "x:1"):
         with pytest.raises(ProblemError, match="expected"):
             read_law("burst", text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("rayleigh", "chain:drops,moves or gilbert-elliott:to_bad,to_good,loss_good,loss_bad, with a number or a list"),
+        ("valve=chain", "chain:drops,moves or gilbert-elliott:"),
+        ("foo:1,2", "chain:drops,moves or gilbert-elliott:"),
+        ("chain:1", "chain:drops,moves, with a number"),
+        ("chain:[0.5,2],[[0,1],[1,0]]", "0 ≤ drops ≤ 1"),
+    ],
+)
+def test_a_mistake_in_a_law_names_the_laws_or_the_form_of_the_stated_law(text: str, expected: str) -> None:
+    """And no example of another law."""
+    with pytest.raises(ProblemError) as found:
+        read_law("--burst", text)
+    assert str(found.value).startswith(f"--burst is {text!r}; ")
+    assert f"; expected {expected}" in str(found.value)

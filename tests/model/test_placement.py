@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
 import taciturn
-from taciturn.errors import ProblemError
+from taciturn import PID, Cost, Plant, design
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.model.network import LinkLaw, Network, NodeRole
 from taciturn.model.packets import fingerprint
+from taciturn.model.pid import PIDLoops
+from taciturn.model.placement import placed
 from taciturn.model.places import roles
 from taciturn.problem import Problem, parse
 
@@ -94,7 +102,7 @@ def test_a_place_away_from_the_controller_merges_nodes_only_in_kinds_of_three_no
         ({"a": {"measures": True, "controls": True}, **APPLIED}, {}, "2 nodes control"),
         ({**WIRED, **APPLIED}, {"valve": {"delay": 2}}, "links.valve.delay is given, but links model no delay yet"),
         ({**WIRED, **APPLIED}, {"valve": {"price": 0.0}}, "links.valve.price is 0; expected 0 < price"),
-        ({**WIRED, **APPLIED}, {"valve": {"los": 0.1}}, "links.valve.los is not a known key"),
+        ({**WIRED, **APPLIED}, {"valve": {"los": 0.1}}, r"links\.valve\.los is not a known key; .*, battery\. Did"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused(nodes: Mapping[str, Any], links: Mapping[str, Any], expected: str) -> None:
@@ -108,3 +116,63 @@ def test_a_kind_without_losses_names_the_key_of_the_link() -> None:
     problem = named(taciturn.load("two-mass-lqg"), {**WIRED, **APPLIED}, {"valve": {"loss": 0.1}})
     with pytest.raises(ProblemError, match=r"links\.valve\.loss is given, which lqg does not use"):
         problem.design()
+
+
+def test_design_functions_take_the_network_as_problems_do() -> None:
+    """The kind lqg by its argument, also for sets of links; other kinds by the function ``placed``."""
+    unit, linked = np.eye(2), NodeRole(applies=(0,))
+    nodes = {"gauge": NodeRole(measures=True, site="plc"), "plc": NodeRole(controls=True), "a": linked}
+    network = Network(nodes={**nodes, "b": NodeRole(applies=(1,))}, links={"a": LinkLaw(price=3.0, payload="float32")})
+    plant, cost = Plant(0.9 * unit, unit, unit), Cost(unit, unit)
+    for name, parameters in (("lqg", {"theta": 0.1}), ("all-time", {})):
+        one = Network(nodes={**nodes, "a": NodeRole(applies=True)}) if name == "all-time" else network
+        expected = Problem(plant, cost, one, name, parameters).design()
+        found = design.lqg(plant, cost, theta=0.1, network=one) if name == "lqg" else design.all_time(plant, cost)
+        found = placed(found, one)
+        assert fingerprint(found, one) == fingerprint(expected, one)
+        assert (found.network, found.scheduled) == (one, expected.scheduled)
+    with pytest.raises(ProblemError, match=r"^links\.b\.loss is given, which lqg does not use; expected ideal links"):
+        design.lqg(plant, cost, theta=0.1, network=replace(network, links={"b": LinkLaw(loss=0.1)}))
+    with pytest.raises(ProblemError, match="network is 3; expected a Network"):
+        design.lqg(plant, cost, theta=0.1, network=3)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("kind", ["send-on-delta", "excess", "lossy-lqg", "distributed"])
+@pytest.mark.parametrize("controller", [None, PID(0.3)])
+def test_a_refusal_names_only_kinds_that_accept_the_problem(kind: str, controller: PID | None) -> None:
+    """For losses on one of two sensors."""
+    nodes = {"a": NodeRole(measures=(0,)), "b": NodeRole(measures=(1,)), "plc": NodeRole(controls=True)}
+    network = Network(nodes={**nodes, "valve": NodeRole(applies=True, site="plc")}, links={"a": LinkLaw(loss=0.1)})
+    kept = None if controller is None else PIDLoops((controller, PID(0.2, input=2, output=2)))
+    plant = Plant(0.9 * np.eye(2), np.eye(2), np.eye(2))
+    problem = Problem(plant, Cost(np.eye(2), np.eye(2)), network, kind, CATALOGUE[kind].example, controller=kept)
+    try:
+        problem.design()
+    except ProblemError as error:
+        named = [name for name in CATALOGUE if name in str(error).partition(", or the kind ")[2].split(" or ")]
+        assert named == ([] if controller else ["distributed"])
+    else:
+        assert (kind, controller) == ("distributed", None)
+
+
+@pytest.mark.parametrize("horizon", [None, 10])
+def test_messages_about_losses_name_the_keys_of_the_links(horizon: int | None) -> None:
+    """Errors and notes of designs for three nodes, from a problem and from the design function."""
+    nodes = {"gauge": NodeRole(measures=True), "plc": NodeRole(controls=True), "valve": NodeRole(applies=True)}
+    network = Network(nodes=nodes, links={"gauge": LinkLaw(loss=0.1), "valve": LinkLaw(loss=0.9)})
+    plant, cost = Plant([[2.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]], horizon=horizon)
+    sentence = r"^links\.valve\.loss is 0\.9 and links\.gauge\.loss is 0\.1, and for this plant"
+    problem = Problem(plant, cost, network, "lossy-lqg", {"price": 0.1})
+    for one in (problem.design, partial(design.lossy_lqg, plant, cost, price=0.1, network=network)):
+        if horizon is None:
+            with pytest.raises(UnstableError, match=sentence):
+                one()
+        else:
+            assert re.match(sentence, one().notes[0])
+    wired = Network(
+        nodes={**nodes, "gauge": NodeRole(measures=True, site="plc")},
+        links={"valve": LinkLaw(burst=taciturn.Burst(0.5, 0.5, 0.8, 0.9), acknowledged=True)},
+    )
+    if horizon is None:
+        with pytest.raises(UnstableError, match=r"^links\.valve\.burst is 0\.8 and 0\.9 in its states, and the mean"):
+            design.excess(plant, cost, theta=0.1, network=wired)

@@ -136,6 +136,7 @@ def test_percent_of_what_is_not_known_are_refused(problem: Problem, budget: dict
     with pytest.raises(ProblemError) as caught:
         tune(problem, **budget)
     assert words in str(caught.value)
+    assert "e-2" not in str(caught.value)  # the ends are values from which on the rate hardly changes
 
 
 EXACT: dict[str, dict[str, Any]] = {"consistent": {}, "stochastic": {"actuation": "model"}, "periodic": {}}
@@ -230,6 +231,11 @@ def test_links_have_knobs_of_their_own() -> None:
         (MASSES, {"rate": -0.3}, "rate is -0.3"),
         (MASSES, {"rate": 0.3, "link": "sensor"}, "link is 'sensor', on which lqg does not decide"),
         (with_policy("all-time"), {"rate": 0.3}, "all-time has no parameter"),
+        (
+            taciturn.load("remote-scalar"),
+            {"rate": {"zz": 0.3}},
+            "for which remote-lqg has no parameter",
+        ),
     ],
 )
 def test_what_cannot_be_met_is_one_sentence(problem: Problem, budget: dict[str, Any], words: str) -> None:

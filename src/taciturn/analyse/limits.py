@@ -155,10 +155,12 @@ def resets(loop: Loop) -> Reset:
             "requires"
         )
     if loop.policy.theory.reset is None or loop.horizon is not None:
+        kind, links = loop.policy.kind, loop.policy.scheduled
+        several = f"{kind} decides on several links ({', '.join(links)})"
         raise ProblemError(
-            "a lower bound requires that a send resets the error that determines the cost, but a send of "
-            f"{loop.policy.kind} does not reset it; expected a policy with actuation = 'model', or the policy "
-            "consistent or near-optimal"
+            "a lower bound requires that a send resets the error that determines the cost, but "
+            f"{several if len(links) > 1 else f'a send of {kind} does not reset it'}; expected LQG control of the kind "
+            "excess with one link and actuation = 'model', or the kind consistent or near-optimal"
         )
     if loop.problem.jumps is not None:
         raise ProblemError(

@@ -18,7 +18,7 @@ base by the mean of this over its silent steps, where the base attempts. LQG min
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -79,6 +79,7 @@ class Attempts(Displayed):
         losses: probability of a dropout in each channel state, (s,).
         discount: factor α of the cost per step.
         terminal: weight of z after a finite horizon, (n, n); None if the pattern repeats for ever.
+        key: the key that states the losses, for messages.
     """
 
     pattern: tuple[bool, ...] = (True,)
@@ -86,6 +87,7 @@ class Attempts(Displayed):
     losses: Array = field(default_factory=lambda: np.zeros(1))
     discount: float = 1.0
     terminal: Array | None = None
+    key: str = "loss"
 
     @property
     def start(self) -> Array:
@@ -94,7 +96,7 @@ class Attempts(Displayed):
 
     def scaled(self, factor: float) -> Attempts:
         """Return the same attempts over a link with ``factor`` times the losses."""
-        return Attempts(self.pattern, self.turns, factor * self.losses, self.discount, self.terminal)
+        return replace(self, losses=factor * self.losses)
 
 
 EVERY_SAMPLE = Attempts()
@@ -184,11 +186,11 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
         return found
     if attempts.losses.any():
         scale = critical_scale(base, attempts)
-        stated = " and ".join(f"{p:.4g}" for p in attempts.losses)
+        stated = " and ".join(f"{p:.4g}" for p in attempts.losses) + " in its states" * (states > 1)
         limit = f"below {scale * attempts.losses[0]:.4g}" if states == 1 else f"below {scale:.4g} times as much"
         reason = f"a loss {limit}" if scale else f"a stable loop: {remedy}"
         raise UnstableError(
-            f"with loss probability {stated}, the mean square of the loop that attempts to send every sample grows; "
+            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send every sample grows; "
             f"expected {reason}"
         )
     if len(attempts.pattern) > 1:

@@ -5,12 +5,13 @@ Completion of squares gives J = J_all + E[(1−σ)e'L'HLe].
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import sqrt
+from typing import cast
 
 import numpy as np
 
-from taciturn._arrays import Array, number, symmetrised
+from taciturn._arrays import Array, number, quoted, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.errors import ProblemError
@@ -33,6 +34,26 @@ def threshold_of(cost: float, delta: float | None, theta: float | None) -> float
     if delta is not None:
         return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * cost
+
+
+def shares_of(shares: Mapping[str, float] | None, links: Sequence[str]) -> dict[str, float]:
+    """Return the share of each link in a threshold; 1 for a link that is not listed.
+
+    Raises:
+        ProblemError: these are no shares by link, a share is not a number from 0 on, or belongs to another link.
+    """
+    given = cast("object", {} if shares is None else shares)
+    if not isinstance(given, Mapping):
+        raise ProblemError(f"shares is {quoted(given)}; expected a number for each link, such as {{{links[0]!r}: 2.0}}")
+    found = dict.fromkeys(links, 1.0)
+    for link, share in cast("Mapping[str, object]", given).items():
+        if link not in found:
+            raise ProblemError(
+                f"shares.{link} is {quoted(share)}, but no packets are decided on this link; expected shares of "
+                f"{', '.join(links)}"
+            )
+        found[link] = number(f"shares.{link}", share, 0.0, LARGEST_PARAMETER, closed=True)
+    return found
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, block_diagonal, choice
+from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
@@ -122,8 +122,9 @@ def expect_average(kind: str, cost: Cost) -> None:
     """Raise an error if the cost has a horizon or a discount, and so is not an average.
 
     Raises:
-        ProblemError: if the cost has a horizon or a discount.
+        ProblemError: if the cost has a horizon or a discount, or is no cost.
     """
+    instance("cost", cost, Cost)
     for name, absent in (("horizon", None), ("discount", 1.0)):
         got = getattr(cost, name)
         if got != absent:

@@ -9,15 +9,15 @@ from typing import Protocol
 
 import numpy as np
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Base
-from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.bounds import shares_of
 from taciturn.design.certainty import SEND
 from taciturn.design.contributions import decision
 from taciturn.design.estimation import ESTIMATE, HELD
 from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.routes import actuator_base, nonempty
+from taciturn.design.routes import nonempty
 from taciturn.errors import ProblemError
 from taciturn.lqg.gain import largest_gain
 from taciturn.model.controller import Controller
@@ -50,7 +50,7 @@ def keep_at_nodes(
         UnstableError: the loop that sends every sample is unstable.
     """
     loop = KeptLoop.of(plant, cost, period, kept)
-    problem, plant = loop.problem, loop.problem.plant
+    plant = loop.problem.plant
     if plant.input_limit is not None or loop.point.moved or loop.point.before.any() or loop.point.start.any():
         got = "plant.input_limit is given" if plant.input_limit is not None else "the controller has a set-point"
         raise ProblemError(
@@ -58,7 +58,7 @@ def keep_at_nodes(
             "controller without set-point and start, or one link"
         )
     bands, control = DeadBands(network, plant, delta, shares), Given(loop.controller)
-    initial, base = bands.begun(plant.C @ plant.mean), actuator_base(problem, loop.controller)
+    initial, base = bands.begun(plant.C @ plant.mean), loop.every_sample()
     policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, network, bands.errors(base))
     return replace(policy, theory=replace(policy.theory, covers=THEORY, periodic=None))
 
@@ -191,12 +191,7 @@ class DeadBands:
         self._network, self._plant = network, plant
         wired = set(network.actuators) if network.triangle else set[str]()
         self._links = [link for link in network.links if link not in wired]
-        for link in shares.keys() - {*self._links}:
-            raise ProblemError(f"shares has the link {link!r}; expected links that send: {', '.join(self._links)}")
-        self._bands = {
-            link: delta * number(f"shares.{link}", shares.get(link, 1.0), 0.0, LARGEST_PARAMETER, closed=True)
-            for link in self._links
-        }
+        self._bands = {link: delta * share for link, share in shares_of(shares, self._links).items()}
         self._measured = network.measurements(plant.outputs).items()
         self._applied = network.applications(plant.inputs).items()
         self.sites = (frozenset({network.controller, *wired}),) if network.triangle else network.sites_of_controller

@@ -25,13 +25,14 @@ IMPROVEMENTS = 50
 SETTLED = 1e-12  # change of a gain relative to the gain
 
 
-def gains_for_losses(problem: Discrete, loss: float, zero: bool) -> Array:
+def gains_for_losses(problem: Discrete, loss: float, zero: bool, key: str = "loss") -> Array:
     """Return the gain L that minimises the cost of an attempt in every step, (m, n).
 
     Args:
         problem: the discrete-time problem.
         loss: mean loss probability.
         zero: whether the actuator applies 0 in silence; otherwise it keeps the last input.
+        key: the key that states the losses, for messages.
 
     Raises:
         UnstableError: the mean square grows for every gain; the message states up to which loss it does not.
@@ -50,7 +51,7 @@ def gains_for_losses(problem: Discrete, loss: float, zero: bool) -> Array:
             middle = (low + high) / 2
             low, high = (middle, high) if _iterated(base, middle, problem.cost.discount) is not None else (low, middle)
         raise UnstableError(
-            f"with loss probability {loss:.4g}, the mean square of the loop grows for every gain; expected a loss "
+            f"{key} is {loss:.4g} on average, and the mean square of the loop grows for every gain; expected a loss "
             f"below {low:.3g}"
         )
     attempts = Attempts(losses=np.full(1, loss), discount=problem.cost.discount)

@@ -17,7 +17,7 @@ from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
-from taciturn.design.kept import REMEDY, recovery
+from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
 from taciturn.design.same_control import SameControl
@@ -92,7 +92,7 @@ def keep_controller(
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time = StepCounter.of(problem, every)
     attempts = _attempts(problem, route, network, link, time, lossy)
-    found = advantage(route.base, REMEDY, attempts)
+    found = advantage(route.base, loop.remedy, attempts)
     base = _cost(problem, found)
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
@@ -123,7 +123,7 @@ def keep_controller(
     )
     alike = average and every == 1 and not lossy  # the base is the linear loop with every sample
     finite = found.fourth is None or found.fourth < 1
-    all_time = base if lossy or every == 1 else _with_every_sample(problem, route)
+    all_time = base if lossy or every == 1 else _with_every_sample(problem, route, loop.remedy)
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
@@ -163,10 +163,11 @@ def drops(network: Network, link: str) -> bool:
 def _attempts(problem: Discrete, route: Route, network: Network, link: str, time: StepCounter, lossy: bool) -> Attempts:
     """Return the attempts of the base, with the weight of the final state over a horizon."""
     turns, losses = network.chain(link) if lossy else (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses)
+    key = network.lost(link)
     cost, terminal = problem.cost, None
     if cost.terminal is not None:
         terminal = np.pad(cost.terminal, (0, len(route.base.Phi) - len(cost.terminal)))
-    return Attempts(time.pattern, turns, losses, cost.discount, terminal)
+    return Attempts(time.pattern, turns, losses, cost.discount, terminal, key)
 
 
 def _cost(problem: Discrete, found: Advantage) -> float:
@@ -185,11 +186,11 @@ def _cost(problem: Discrete, found: Advantage) -> float:
     return found.cost + float(np.sum(P * moment))
 
 
-def _with_every_sample(problem: Discrete, route: Route) -> float:
+def _with_every_sample(problem: Discrete, route: Route, remedy: str) -> float:
     """Return the cost of the same control with every sample."""
     always = StepCounter((True,) * (problem.cost.horizon or 1), (0,))
     attempts = _attempts(problem, route, Network(), "actuator", always, False)
-    return _cost(problem, advantage(route.base, REMEDY, attempts))
+    return _cost(problem, advantage(route.base, remedy, attempts))
 
 
 def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: float) -> tuple[tuple[Step, ...], Form]:

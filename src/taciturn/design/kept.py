@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._modes import radius
 from taciturn.design._fixed_point import least_value
 from taciturn.design.base import Base
 from taciturn.design.certainty import design_certainty
@@ -55,7 +56,10 @@ def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | Non
             P, slowest = least_value(F, row[:, None] * row)
             variance = float(np.sum(P * base.noise))
             if slowest >= 1:
-                raise UnstableError(f"the loop that sends every sample is not stable; expected a stable loop: {REMEDY}")
+                raise UnstableError(
+                    f"the loop that sends every sample is not stable; expected a stable loop: "
+                    f"{remedy_of(problem, controller)}"
+                )
             if variance <= 0:
                 raise ProblemError(
                     f"{name.partition('_')[0]} {number} has no variance in the loop with every sample; expected noise "
@@ -114,6 +118,18 @@ def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
         return Controller(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), L, None, plant.dt, none)
     left = np.eye(n) - steady.gain @ plant.C
     return Controller(plant.A @ left, plant.A @ steady.gain, L @ left, L @ steady.gain, plant.B, plant.dt, none)
+
+
+def remedy_of(problem: Discrete, controller: Controller) -> str:
+    """Return the remedy if a loop of a given controller is unstable: the other sign, if this loop is stable."""
+    c = controller
+    base = actuator_base(problem, Controller(c.A, c.B, -c.C, -c.D, c.E, c.dt))
+    if radius(base.Phi + base.Gamma @ base.K) >= 1:
+        return REMEDY
+    return (
+        "with the other sign of the controller the loop is stable, so change the key controller.sign, the sign of each "
+        "gain, or those of C and D (negative feedback is u = −K y)"
+    )
 
 
 def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest: float = 0.0) -> float | None:

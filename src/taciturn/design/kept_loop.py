@@ -11,8 +11,9 @@ from taciturn._display import Displayed
 from taciturn.design.base import Base, advantage
 from taciturn.design.bounds import bound_by_errors
 from taciturn.design.certainty import design_certainty
-from taciturn.design.kept import REMEDY, disturbed, note_disturbance, recovery
+from taciturn.design.kept import disturbed, note_disturbance, recovery, remedy_of
 from taciturn.design.operating_point import OperatingPoint, operating_point
+from taciturn.design.routes import actuator_base
 from taciturn.design.same_control import SameControl
 from taciturn.errors import TaciturnError
 from taciturn.lqg.discrete import Discrete
@@ -50,6 +51,21 @@ class KeptLoop(Displayed):
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
         point = operating_point(problem, controller)
         return KeptLoop(kept, controller, point.deviations(problem), point, disturbance)
+
+    @property
+    def remedy(self) -> str:
+        """The remedy if the loop is unstable."""
+        return remedy_of(self.problem, self.controller)
+
+    def every_sample(self) -> Base:
+        """Return the loop that sends every sample.
+
+        Raises:
+            UnstableError: it is unstable.
+        """
+        base = actuator_base(self.problem, self.controller)
+        advantage(base, self.remedy)
+        return base
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -98,7 +114,7 @@ class KeptLoop(Displayed):
         Raises:
             UnstableError: the loop that sends every sample is unstable.
         """
-        found, problem = advantage(base, REMEDY), self.problem
+        found, problem = advantage(base, self.remedy), self.problem
         theory = Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(found.cost),

@@ -273,8 +273,8 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
         limits.append(f"sensor losses below {sensor:.6g} at this actuator loss")
     allowed = " or ".join(limits) or "smaller losses on both links"
     return (
-        f"actuator_loss is {channel.actuator_loss:g} and sensor_loss is {channel.sensor_loss:g}, and for this plant "
-        f"(largest eigenvalue {mode_text(complex(radius(A)))}) mean-square stability allows {allowed}"
+        f"network.actuator_loss is {channel.actuator_loss:g} and network.sensor_loss is {channel.sensor_loss:g}, and "
+        f"for this plant (largest eigenvalue {mode_text(complex(radius(A)))}) mean-square stability allows {allowed}"
     )
 
 

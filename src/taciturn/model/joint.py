@@ -20,7 +20,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.errors import ProblemError
+from taciturn.errors import PlacementError, ProblemError
 from taciturn.model.network import Network
 from taciturn.model.policy import Assign, Decide, Evaluate, Policy, Received, Send, Step
 from taciturn.model.steps import read
@@ -106,29 +106,29 @@ class JointSets(Displayed):
         """Raise an error if the controller cannot decide on sets of actuator links.
 
         Raises:
-            ProblemError: a packet carries more than the input, the identity refers to periodic packets, or there are
+            PlacementError: a packet carries more than the input, the identity refers to periodic packets, or there are
                 too many links.
         """
         kind, listed = self.policy.kind, ", ".join(self.links)
         sends = [step for step in self.policy.steps if isinstance(step, Send)]
         if len(self.links) > MOST_LINKS:
-            raise ProblemError(
+            raise PlacementError(
                 f"{kind} decides on the {2 ** len(self.links)} sets of {len(self.links)} actuator links; expected at "
-                f"most {MOST_LINKS} links, or distributed"
+                f"most {MOST_LINKS} links"
             )
         if any(step.payload != (COMMAND,) for step in sends):
-            raise ProblemError(
+            raise PlacementError(
                 f"the packets of {kind} carry more than the input, and several links ({listed}) decide; expected "
-                "actuators that hold their input (actuation = 'hold'), or distributed"
+                "actuators that hold their input (actuation = 'hold')"
             )
         if len(sends) != 1 or not self.decision:
-            raise ProblemError(
-                f"{kind} has no single decision on its actuator link, and several links ({listed}) decide; expected a "
-                "kind that decides on the error of the input, such as excess, or distributed"
+            raise PlacementError(
+                f"{kind} has no single decision on its actuator link, and several links ({listed}) decide; expected "
+                "one actuator link"
             )
         identity = self.policy.theory.identity
         if identity is not None and len(identity.forms) > 1 and _weighs(identity.forms[1]):
-            raise ProblemError(
+            raise PlacementError(
                 f"the base of {kind} sends at some steps only, and several links ({listed}) decide; expected "
                 "every = 1, or one actuator link"
             )

@@ -283,6 +283,10 @@ class Network(Displayed):
             return "network.payload" if name == "payload" else f"network.{link}_{name}"
         return f"links.{link}.{name}"
 
+    def lost(self, link: str) -> str:
+        """Return the key of a problem file that states the losses of a link."""
+        return self.key(link, "loss" if self.burst(link) is None else "burst")
+
     def stated(self, link: str) -> list[str]:
         """Return the keys of the properties of a link that differ from those of an ideal link."""
         law = self.links[link]

@@ -6,13 +6,14 @@ all their outputs, and several actuators at one place as one actuator.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from taciturn.errors import ProblemError
+from taciturn.errors import PlacementError, TaciturnError
 from taciturn.model.joint import JointSets
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
@@ -32,7 +33,7 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         joint: whether the controller may decide on sets of links to several actuators, which must be ideal.
 
     Raises:
-        ProblemError: sensors or actuators are at several places, or several of them share a place with several links.
+        PlacementError: sensors or actuators are at several places, or several of them share a place with several links.
     """
     if network.triangle:
         return network
@@ -42,14 +43,29 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         if joint and name == "actuator" and _apart(network):
             _expect_ideal(network, kind, at)
         elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
-            raise ProblemError(
+            raise PlacementError(
                 f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
-                "all of these, or nodes at the controller's place (site), or a kind for several nodes, such as "
-                "distributed"
+                "all of these, or nodes at the controller's place (site)"
             )
         if at:
             links[name] = network.links[at[0]]
     return Network(delay=network.delay, nodes=TRIANGLE, links=links)
+
+
+@contextmanager
+def renamed_keys(network: Network) -> Generator[None]:
+    """Name the keys of a given network in the errors of a design for three nodes."""
+    try:
+        yield
+    except TaciturnError as error:
+        raise type(error)(_with_keys(str(error), network)) from None
+
+
+def _with_keys(text: str, network: Network) -> str:
+    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        for node in [node for node in nodes if node in network.links and not network.triangle][:1]:
+            text = text.replace(f"network.{name}_", f"links.{node}.")
+    return text
 
 
 def _apart(network: Network) -> bool:
@@ -61,9 +77,11 @@ def _apart(network: Network) -> bool:
 def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
     for link in links:
         if not network.links[link].ideal:
-            raise ProblemError(
-                f"{network.key(link, 'loss')} or acknowledgements are given, and {kind} decides on sets of the links "
-                f"{', '.join(links)}; expected ideal links, or distributed"
+            law, name = network.links[link], "acknowledged"
+            name = "burst" if law.burst is not None else "loss" if law.loss else name
+            raise PlacementError(
+                f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
+                f"{', '.join(links)}; expected ideal links"
             )
 
 
@@ -71,7 +89,7 @@ def placed(policy: Policy, network: Network) -> Policy:
     """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
 
     Raises:
-        ProblemError: the network does not correspond to three nodes, or places them elsewhere than the policy.
+        PlacementError: the network does not correspond to three nodes, or places them elsewhere than the policy.
     """
     if network.nodes == policy.network.nodes or not policy.network.triangle:
         return policy
@@ -113,7 +131,17 @@ def placed(policy: Policy, network: Network) -> Policy:
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
+        notes=tuple(_with_keys(note, network) for note in policy.notes),
     )
+
+
+def expect_ideal_links(kind: str, network: Network) -> None:
+    """Raise a ``PlacementError`` if links drop, acknowledge or delay packets, which a kind does not use."""
+    if network.unusual:
+        raise PlacementError(
+            f"{network.unusual[0]} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
+            "network FILE --loss P` drops packets of policies of any kind)"
+        )
 
 
 def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:
@@ -127,18 +155,18 @@ def check_place(kind: str, network: Network, role: str, node: str, together: boo
         together: whether the node is at the controller's place in the policy.
 
     Raises:
-        ProblemError: the places differ.
+        PlacementError: the places differ.
     """
     wired = node not in network.links
     if together and not wired:
-        raise ProblemError(
+        raise PlacementError(
             f"the {role} of {kind} is at the controller's place, but {node} has a link; expected "
-            f'nodes.{node}.site = "{network.controller}", or a kind that uses this link, such as distributed'
+            f'nodes.{node}.site = "{network.controller}"'
         )
     if wired and not together:
-        raise ProblemError(
+        raise PlacementError(
             f"{kind} uses a link between {role} and controller, but {node} is at the controller's place; "
-            f"expected {node} at another place, or another policy"
+            f"expected {node} at another place"
         )
 
 

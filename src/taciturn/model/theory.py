@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from math import sqrt
+from typing import cast
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
@@ -46,10 +48,21 @@ class Guarantee(Displayed):
 
         Args:
             rates: sends per step, by link.
-            link: the link of a bound that depends on one rate.
+            link: the link whose rate the bound depends on if it depends on one rate, such as ``policy.scheduled[0]``;
+                for bounds that depend on the rates of several links, any of these links.
+
+        Raises:
+            ProblemError: the rate of a link is missing or is no ``Estimate``.
         """
         if self.base is None:
             return None
+        needed = {link, *self.weights, *chain.from_iterable(self.deciders)}
+        given = cast("Mapping[str, object]", rates if isinstance(cast("object", rates), Mapping) else {})
+        if any(not isinstance(given.get(name), Estimate) for name in needed):
+            raise ProblemError(
+                f"rates is {quoted(rates)}; expected an Estimate for each of the links {', '.join(sorted(needed))}, as "
+                "in the rates of an evaluation"
+            )
         values = {name: rate.value for name, rate in rates.items()}
         if not self.deciders:
             shares = self.weights or {link: 1.0}

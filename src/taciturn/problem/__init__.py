@@ -17,6 +17,7 @@ For the opposite direction, ``draft`` builds a problem part by part from text (`
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -29,8 +30,9 @@ from taciturn._display import Displayed
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
 from taciturn._pydantic import ValidationError, validate
+from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import AnyPolicy, Kind
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -38,7 +40,7 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.kept import Kept
 from taciturn.model.network import Network
-from taciturn.model.placement import placed, three_nodes
+from taciturn.model.placement import expect_ideal_links, placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
@@ -51,9 +53,9 @@ from taciturn.problem.parts import (
     controller_of,
     cost_of,
     expect_argument,
-    expect_network,
     network_of,
     plant_of,
+    takes_losses,
 )
 from taciturn.problem.tables import (
     ControllerTable as ControllerTable,
@@ -177,18 +179,33 @@ class Problem(Displayed):
         try:
             return self._designed()
         except TaciturnError as error:
-            key = "policy." if str(error).partition(" ")[0] in self.record.arguments else ""
-            raise type(error)(f"{self.name}: {key}{error}" if self.name else str(error)) from None
+            key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
+            text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
+            raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
+
+    def _others(self) -> str:
+        """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""
+        found = list[str]()
+        for name in (name for name in own_kinds() if name != self.kind and "network" in CATALOGUE[name].tables):
+            example = {key: value for key, value in CATALOGUE[name].example.items() if key != "period"}
+            period = {key: value for key, value in self.parameters.items() if key == "period"}
+            try:
+                replace(self, kind=name, parameters={**example, **period}, own=None)._designed()
+            except TaciturnError:
+                continue
+            found.append(name)
+        return f", or the kind {' or '.join(found)}" if found else ""
 
     def _designed(self) -> AnyPolicy:
         SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
         network = self.network if kind.several_nodes else three_nodes(self.network, kind.name, kind.joint_links)
-        for key in self.network.unusual[:1]:
-            expect_network(kind, key)
+        if not takes_losses(kind):
+            expect_ideal_links(kind.name, self.network)
         used = _used(kind, network, {"reference": self.reference, "controller": self.controller})
-        policy = kind.make(self.plant, self.cost, {**used, **parameters})
+        with renamed_keys(self.network):
+            policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
             policy = placed(policy, self.network)
         elif not self.network.triangle:

@@ -47,25 +47,7 @@ def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
         raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
 
 
-def expect_network(kind: Kind, key: str) -> None:
-    """Raise a ``ProblemError`` if the policy kind is not designed for networks, such as those with losses.
-
-    Args:
-        kind: the policy kind.
-        key: the key that is given, such as ``network.delay``.
-    """
-    if _takes(kind):
-        return
-    kept, kinds = kind.keeps_controller, [CATALOGUE[name] for name in own_kinds()]
-    able = [one.name for one in kinds if _takes(one) and (one.keeps_controller or not kept)]
-    raise ProblemError(
-        f"{key} is given, which {kind.name} does not use; expected ideal links: remove it, or use "
-        f"{' or '.join(able)}, which {'keep the controller and ' * kept}use the network; `taciturn network FILE --loss "
-        "P` drops packets of policies of any kind"
-    )
-
-
-def _takes(kind: Kind) -> bool:
+def takes_losses(kind: Kind) -> bool:
     """Return whether a policy kind is designed for links that drop or delay packets."""
     return "network" in kind.tables and not kind.ideal_links
 
@@ -212,8 +194,12 @@ def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
     actuator_burst = _burst("network.actuator_burst", table.actuator_burst)
     sensor_burst = _burst("network.sensor_burst", table.sensor_burst)
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
-    if lost and table.protocol == "ideal":
-        expect_network(kind, f"network.{lost[0]}")
+    if lost and table.protocol == "ideal" and not takes_losses(kind):
+        able = [one.name for name in own_kinds() if takes_losses(one := CATALOGUE[name])]
+        raise ProblemError(
+            f"network.{lost[0]} is given, which {kind.name} does not use; expected ideal links: remove it, or "
+            f"network.protocol and a kind such as {' or '.join(able)}"
+        )
     network = Network(
         cast("Any", table.protocol),
         table.actuator_loss,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from taciturn._arrays import quoted
@@ -12,6 +12,7 @@ from taciturn._display import Displayed
 from taciturn._pydantic import ValidationError
 
 Rows = list[list[float]]
+REFUSED = {"refused": True}  # a key that only has a message of its own
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -110,8 +111,8 @@ class LinkTable(Displayed):
     price: float = 1.0
     energy: float | None = None
     battery: float | None = None
-    delay: float | list[float] | None = None
-    buffer: int | None = None
+    delay: float | list[float] | None = field(default=None, metadata=REFUSED)
+    buffer: int | None = field(default=None, metadata=REFUSED)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -229,7 +230,7 @@ def _keys_at(root: type, path: Sequence[str]) -> list[str]:
     table: Any = root
     for part in path:
         table = get_args(table)[1] if get_origin(table) is dict else _table_of(get_type_hints(table)[part])
-    return [field.name for field in fields(table)]
+    return [one.name for one in fields(table) if "refused" not in one.metadata]
 
 
 def _required(path: Sequence[str]) -> str:

@@ -80,8 +80,8 @@ class NodeServer:
         """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
-        check_plant(f"the {first.role}", plant, first.measures or first.actuates)
-        peers = peers_by_link(f"the {first.role}", peer, [*first.program.sends, *first.acknowledges])
+        check_plant(f"node {first.role}", plant, first.measures or first.actuates)
+        peers = peers_by_link(f"node {first.role}", peer, [*first.program.sends, *first.acknowledges])
         self._plant = plant_link(first.policy, first.role)
         if self._plant is not None and plant is not None:
             peers[self._plant] = plant

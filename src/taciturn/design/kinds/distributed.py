@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from functools import lru_cache
 from math import sqrt
 
-from taciturn._arrays import choice, instance, number
+from taciturn._arrays import choice, instance
 from taciturn.analyse.outcomes import MOST_LINKS, outcomes
-from taciturn.design.bounds import LARGEST_PARAMETER, threshold_of
+from taciturn.design.bounds import shares_of, threshold_of
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps
 from taciturn.design.estimation import ESTIMATE
@@ -177,11 +177,7 @@ def _thresholds(
     links = list(network.links)
     if not links:
         raise ProblemError("all nodes are at the controller's place, so no link decides; expected a node with a link")
-    given = dict.fromkeys(links, 1.0)
-    for link, share in (shares or {}).items():
-        if link not in given:
-            raise ProblemError(f"shares has the link {link!r}; expected links of the network: {', '.join(links)}")
-        given[link] = number(f"shares.{link}", share, 0.0, LARGEST_PARAMETER, closed=True)
+    given = shares_of(shares, links)
     total = sum(given.values())
     if total == 0:
         raise ProblemError("shares is 0 for all links; expected a positive share of at least one link")

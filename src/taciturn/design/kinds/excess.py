@@ -26,7 +26,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.kept import controller_from
 from taciturn.model.network import Network
-from taciturn.model.placement import placed, three_nodes
+from taciturn.model.placement import placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Trigger
@@ -107,10 +107,11 @@ def excess(
     if network.delay:
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
     if not network.triangle:
-        alone = excess(
-            plant, cost, delta=delta, theta=theta, period=period, actuation=actuation, controller=controller, link=link,
-            network=three_nodes(network, "excess", joint=True), every=every, gains=gains, retry=retry,
-        )  # fmt: skip
+        with renamed_keys(network):
+            alone = excess(
+                plant, cost, delta=delta, theta=theta, period=period, actuation=actuation, controller=controller,
+                link=link, network=three_nodes(network, "excess", joint=True), every=every, gains=gains, retry=retry,
+            )  # fmt: skip
         return placed(alone, network)
     every = count("every", every)
 
@@ -127,7 +128,9 @@ def excess(
                 "gains is 'loss-optimal'; expected an actuator link that drops packets and acknowledges those that "
                 "arrive, no controller, actuation 'hold' or 'zero', and every = 1; or gains = 'lqg'"
             )
-        L = gains_for_losses(discretise(plant, cost, period), network.loss(link), actuation == "zero")
+        L = gains_for_losses(
+            discretise(plant, cost, period), network.loss(link), actuation == "zero", network.lost(link)
+        )
     if controller is None:
         controller = lqg_observer("excess", discretise(plant, cost, period), every, L)
     kept = controller_from(controller)

@@ -25,7 +25,7 @@ from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.network import Network
-from taciturn.model.placement import placed, three_nodes
+from taciturn.model.placement import placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.reference import Reference, Tracking
@@ -90,7 +90,8 @@ def lossy_lqg(
     SIMULATED.check(given)
     if not given.triangle:
         alone = three_nodes(given, "lossy-lqg")
-        return placed(lossy_lqg(plant, cost, price=price, network=alone, reference=reference), given)
+        with renamed_keys(given):
+            return placed(lossy_lqg(plant, cost, price=price, network=alone, reference=reference), given)
     if reference is not None:
         instance("reference", reference, Reference)
     plant = refuse_what_is_not_covered(plant, cost)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from taciturn._arrays import block_diagonal, choice, number, symmetrised
+from taciturn._arrays import block_diagonal, choice, instance, number, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
@@ -21,6 +22,8 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
+from taciturn.model.network import Network
+from taciturn.model.placement import expect_ideal_links, placed
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee
@@ -36,6 +39,7 @@ def lqg(
     trigger: Literal["joint", "separate"] = "joint",
     epsilon: float | None = None,
     actuation: Actuation = "hold",
+    network: Network | None = None,
 ) -> Policy:
     """Design event-triggered LQG control whose cost is at most 1 + θ times the cost of sending at every step.
 
@@ -55,14 +59,16 @@ def lqg(
         trigger: ``"joint"`` or ``"separate"``.
         epsilon: ε of the separate trigger, 0 < ε < λ_min(Q + L'RL + U); default half this limit.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+        network: the nodes, all sensors at the controller's place; with several actuator links, the controller decides
+            on the set of links that send. Default: a sensor, a controller and an actuator. Links must be ideal.
 
     Returns:
         The policy, with J ≤ (1+θ) J_all − θc and mean-square stability; c is the inter-sample noise cost, which no
         control changes and which is 0 for a discrete plant.
 
     Raises:
-        ProblemError: if θ < 0, ε is outside its interval or given with the joint trigger, or period is missing or not
-            applicable.
+        ProblemError: if θ < 0, ε is outside its interval or given with the joint trigger, period is missing or not
+            applicable, or links drop or delay packets.
         UnstableError: if no stabilising gain or filter exists.
 
     Source: khashooei2017
@@ -79,6 +85,9 @@ def lqg(
             "epsilon is given with the joint trigger, which does not use it; expected trigger = 'separate', or no "
             "epsilon: use separate runs to compare both triggers"
         )
+    network = Network() if network is None else network
+    instance("network", network, Network)
+    expect_ideal_links("lqg", network)
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
     threshold = theta * certainty.estimation_cost
@@ -89,7 +98,7 @@ def lqg(
     )
     rule = Trigger({"silent": silent, "send": Form(constant=threshold)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
-    return certainty_policy(
+    policy = certainty_policy(
         "lqg",
         certainty,
         steps,
@@ -102,6 +111,7 @@ def lqg(
         ),
         reset=certainty.reset(actuation),
     )
+    return replace(placed(policy, network), network=network)
 
 
 def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float | None) -> Form:
@@ -139,6 +149,7 @@ KIND = Kind(
     data="trigger over [x̂; candidate; e]",
     order="filter, command, candidate, error, decide, send, hold or model, predict",
     joint_links=True,
+    ideal_links=True,
     usual={"theta": 0.1},
     offered=4,
 )

@@ -23,7 +23,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.kept import controller_from
 from taciturn.model.network import Network
-from taciturn.model.placement import placed, three_nodes
+from taciturn.model.placement import expect_ideal_links, placed, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Decide, Evaluate, Policy
 from taciturn.model.theory import ErrorGain, Theory
@@ -83,10 +83,7 @@ def send_on_delta(
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     network = Network() if network is None else network
     instance("network", network, Network)
-    if network.unusual:
-        raise ProblemError(
-            f"{network.unusual[0]} is given, which send-on-delta does not use; expected ideal links: remove it"
-        )
+    expect_ideal_links("send-on-delta", network)
     shares, links = shares or {}, list(network.links)
     if network.triangle and (controller is not None or link != "sensor"):
         if shares:
@@ -167,7 +164,7 @@ def _keep(
     steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
     errors = dict[str, ErrorGain]()
     if loop.problem.plant.input_limit is None:  # the loop is linear
-        gains, entries = ErrorGains(actuator_base(loop.problem, loop.controller)), range(size)
+        gains, entries = ErrorGains(loop.every_sample()), range(size)
         gain = gains.of_measurement(size, entries) if link == "sensor" else gains.of_choice(entries)
         errors = {link: ErrorGain(gain, delta * sqrt(size))}
     return loop.policy(kind, route.base, steps, route.sites, route.initial, errors=errors)

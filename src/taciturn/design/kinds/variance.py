@@ -10,14 +10,13 @@ from taciturn._arrays import Array, instance, number
 from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, steps_at_the_actuator
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.variances import corrections_of, schedule_by_variance
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.network import Network
-from taciturn.model.placement import check_place
+from taciturn.model.placement import check_place, expect_ideal_links
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.schedule import Schedule
@@ -120,10 +119,7 @@ def _wired(network: Network) -> tuple[frozenset[str], ...]:
     Raises:
         ProblemError: links drop or delay packets, an actuator is not among these nodes, or all sensors are.
     """
-    if network.unusual:
-        raise ProblemError(
-            f"{network.unusual[0]} is given, which variance does not use; expected ideal links: remove it"
-        )
+    expect_ideal_links("variance", network)
     if network.triangle:
         return (frozenset({network.controller, *network.actuators}),)
     for node in network.actuators:

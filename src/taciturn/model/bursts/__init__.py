@@ -73,19 +73,22 @@ def read_law(name: str, text: str) -> LossLaw:
     Raises:
         ProblemError: there is no such law, or the values are not those of the law.
     """
-    law_name, colon, values = text.rpartition(":")
+    stated, colon, values = text.rpartition(":")
+    law_name, known = stated if colon else USUAL, law_names()
     try:
-        law = find_law(law_name if colon else USUAL)
-        given = json.loads(f"[{values}]")
-        keys = [field.name for field in fields(cast("Any", law))]
-        if len(given) == len(keys):
-            return law(*given)
-        expected = f"expected {', '.join(keys)}"
+        given = cast("list[Any]", json.loads(f"[{values}]") if law_name in known else [])
     except json.JSONDecodeError:
-        expected = "expected numbers or lists of numbers"
-    except ProblemError as error:
-        expected = str(error)
+        given = []
+    if given and len(given) == len(_keys(law_name)):
+        try:
+            return find_law(law_name)(*given)
+        except ProblemError as error:
+            raise ProblemError(f"{name} is {text!r}; {error}") from None
+    forms = [f"{one}:{','.join(_keys(one))}" for one in ([stated] if stated in known else known)]
     raise ProblemError(
-        f"{name} is {text!r}; {expected}, such as 0.05,0.3,0.01,0.7, or the name of a law ({', '.join(law_names())}), "
-        "a colon and its values"
+        f"{name} is {text!r}; expected {' or '.join(forms)}, with a number or a list of numbers in place of each name"
     )
+
+
+def _keys(law_name: str) -> list[str]:
+    return [field.name for field in fields(cast("Any", find_law(law_name)))]

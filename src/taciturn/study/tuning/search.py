@@ -33,6 +33,7 @@ SPAN, STRIDE = 0.02, 0.1  # in log(value): half-width for slopes, and longest st
 ROUNDS = 3  # corrections at full precision
 KEPT, AIMED, FAR = 2.0, 3.0, 8.0  # standard errors below the budget: least, target of a correction, and most
 PASSED = 20  # integers on either side that are skipped if no policy can be designed for them
+ALIKE = 1e-3  # share of the range of all results within which a result counts as an end of this range
 SURE = 3.0  # standard errors by which a trial at the limit of the range may miss the budget
 
 
@@ -293,9 +294,9 @@ class Search:
         start = self._looks()[0]
         for outwards in (-1.0, 1.0):
             self._walk(start, outwards)
-        looks = self._looks()
-        found = sorted(self.goal.of(look.evaluation).value for look in looks)
-        values = sorted(look.value for look in looks)
+        looks = sorted(self._looks(), key=lambda look: look.above)
+        found = [look.above + self.goal.budget for look in looks]
+        ends = [self._nearest(look, start, ALIKE * (found[-1] - found[0])).value for look in (looks[0], looks[-1])]
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         budget = self.goal.budget
         near = [value for value in found if value < budget][-1:] + [value for value in found if value > budget][:1]
@@ -303,12 +304,17 @@ class Search:
             "within this range" if len(near) < 2 else f"such as {near[0]:.5g} or {near[1]:.5g}, the nearest found"
         )
         raise ProblemError(
-            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {budget:g}: for "
-            f"values from {values[0]:.4g} to {values[-1]:.4g}, the {self.goal.name} ranges from {found[0]:.5g} to "
-            f"{found[-1]:.5g}"
-            + (f" (beyond: {failed})" if failed else "")
+            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {budget:g}: the {self.goal.name} "
+            f"ranges from {found[0]:.5g} ({self.tuning.name} = {ends[0]:.4g}) to {found[-1]:.5g} "
+            f"({self.tuning.name} = {ends[1]:.4g})"
+            + (f", and other values fail ({failed})" if failed else "")
             + f"; expected a {self.goal.name} {expected}"
         )
+
+    def _nearest(self, end: Look, start: Look, most: float) -> Look:
+        """Return the trial nearest to the first one whose result differs from that of ``end`` by its error at most."""
+        alike = [look for look in self._looks() if abs(look.above - end.above) <= max(most, look.error + end.error)]
+        return min(alike, key=lambda look: abs(self._place(look.value) - self._place(start.value)))
 
     def _looks(self) -> list[Look]:
         return [look for look in self._seen.values() if isinstance(look, Look)]

@@ -192,6 +192,10 @@ def _tuning(problem: Problem, link: str | None) -> TradeoffParameter:
         if tuning.continuous in (None, continuous)
         and (tuning.link is None or (tuning.name in given and link in (None, tuning.link)))
     ]
+    if not tunings and (links := sorted({one.link for one in problem.record.tuning if one.link is not None})):
+        raise ProblemError(
+            f"link is {link!r}, for which {problem.kind} has no parameter; expected {' or '.join(links)}"
+        )
     tunings = [tuning for tuning in tunings if tuning.name in given] or tunings[:1]
     if len(tunings) > 1 and all(tuning.link is None for tuning in tunings):
         tunings = tunings[:1]
