@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from taciturn._progress import Progress
 from taciturn.analyse.renewal import decides_alone, expect_affordable
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
@@ -13,6 +15,7 @@ from taciturn.study.evaluate import evaluate
 from taciturn.study.evaluation import Evaluation
 
 ROUGHLY = 1e-5  # relative accuracy of the cost in a trial by quadrature
+LONGER = 8  # factor on the steps of a trial if the loop has not settled
 
 
 def look_at(
@@ -41,6 +44,51 @@ def look_at(
             if found.reached or isinstance(policy, OptimalPolicy):
                 return found
     return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, after_step=False, progress=progress)
+
+
+def settled(problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None) -> Evaluation:
+    """Return the evaluation of a loop that settles, at the latest within eight times the number of steps.
+
+    Args:
+        problem: the problem to evaluate.
+        tuned: name of the parameter that is tuned.
+        seed: seed of the random draws.
+        steps: number of steps of the simulation.
+        progress: callback that receives the fraction done.
+
+    Raises:
+        UnstableError: the loop diverges or does not settle.
+    """
+    found = look_at(problem, seed, steps, None, progress)
+    if not found.reached:
+        found = look_at(problem, seed, LONGER * steps, None, progress)
+    if not found.reached:
+        given = f"{problem.kind} with {tuned} = {problem.parameters[tuned]:g}"
+        raise UnstableError(f"the mean cost of {given} does not settle within {LONGER * steps} steps")
+    return found
+
+
+def out_of_reach(
+    policy: str, tuned: str, name: str, budget: float, tried: Sequence[tuple[float, float]], failed: str = ""
+) -> ProblemError:
+    """Return an error that states the range that can be reached.
+
+    Args:
+        policy: kind of the policy.
+        tuned: name of the parameter that is tuned.
+        name: name of the quantity that has a budget.
+        budget: the budget.
+        tried: values of the parameter, each with the quantity that it gives.
+        failed: why a value beyond this range gives no policy.
+    """
+    values, found = (sorted(some) for some in zip(*tried, strict=True))
+    near = [value for value in found if value < budget][-1:] + [value for value in found if value > budget][:1]
+    expected = "within this range" if len(near) < 2 else f"such as {near[0]:.5g} or {near[1]:.5g}, the nearest found"
+    return ProblemError(
+        f"no {tuned} gives {policy} the {name} {budget:g}: for values from {values[0]:.4g} to {values[-1]:.4g}, the "
+        f"{name} ranges from {found[0]:.5g} to {found[-1]:.5g}{f' (beyond: {failed})' if failed else ''}; expected a "
+        f"{name} {expected}"
+    )
 
 
 def _serves(problem: Problem, policy: Policy) -> bool:
