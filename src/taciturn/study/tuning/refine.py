@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from taciturn.study.tuning.goal import EXACT
-from taciturn.study.tuning.search import PASSED, Look, Search
+from taciturn.study.tuning.search import EFFORT, PASSED, Look, Search
 from taciturn.study.tuning.trials import LONGER
 
 SPAN, STRIDE = 0.02, 0.1  # in log(value): half-width for slopes, and longest step of a correction
@@ -53,7 +53,7 @@ class Refinement:
             slope = (near[1].above - near[0].above) / (2 * SPAN)
             rates = [self._search.goal.use(one.evaluation).value for one in near]
             pace = (rates[1] - rates[0]) / (2 * SPAN)
-        measured = self._search.try_at(low.value, LONGER * self._search.effort) if low.error and slope else low
+        measured = self._search.try_at(low.value, LONGER * EFFORT) if low.error and slope else low
         for _ in range(0 if tried else ROUNDS):
             blur = measured.error  # error of the trial that determines the next place
             missing = measured.above + AIMED * blur

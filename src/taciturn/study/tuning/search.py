@@ -65,7 +65,6 @@ class Search:
         goal: the budget.
         seed: seed of the random draws.
         progress: callback that receives the fraction done.
-        effort: steps of a trial; default: ``EFFORT``.
     """
 
     def __init__(
@@ -75,10 +74,8 @@ class Search:
         goal: Goal,
         seed: int,
         progress: Progress | None,
-        effort: int | None = None,
     ) -> None:
         """Prepare the search; no value is tried yet."""
-        self.effort = EFFORT if effort is None else effort
         self.problem, self.tuning, self.goal, self.seed, self.progress = problem, tuning, goal, seed, progress
         self.rising = tuning.falls == goal.limits_cost  # whether the rate or cost increases with the value
         self._seen: dict[float, Look | TaciturnError] = {}
@@ -98,7 +95,7 @@ class Search:
 
     def _settled(self, value: float) -> Look:
         changed = self.problem.changed({self.tuning.name: value})
-        return self._seen_as(value, settled(changed, self.tuning.name, self.seed, self.effort, self._stage))
+        return self._seen_as(value, settled(changed, self.tuning.name, self.seed, EFFORT, self._stage))
 
     def try_at(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
         """Return a trial of a number of steps, or at full precision."""

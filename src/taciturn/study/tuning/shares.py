@@ -16,7 +16,7 @@ from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.tuning.goal import Goal, RatesGoal
 from taciturn.study.tuning.search import Search
-from taciturn.study.tuning.trials import out_of_reach, settled
+from taciturn.study.tuning.trials import LONGER, out_of_reach, settled
 
 EFFORT = 400_000  # steps of a trial; all trials use the same draws
 FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of a share
@@ -61,6 +61,7 @@ class Division:
         self._problem, self._tuning, self._goal, self._seed = problem, tuning, goal, seed
         self._name, self._links = problem.record.shares, list(problem.network.links)
         self._progress, self._done = progress, 0
+        self._longer = LONGER if isinstance(goal, RatesGoal) else 1  # other shares that do not settle are left out
         # slopes of the limited and of the minimised quantity, at the last scale
         self._slopes: tuple[float, float] | None = None
 
@@ -80,7 +81,7 @@ class Division:
         shares are first, for which the threshold is sought as for given shares.
         """
         equal = self._problem.changed({self._name: dict.fromkeys(self._links, 1.0)})
-        search = Search(equal, self._tuning, self._goal, self._seed, self._stage(), EFFORT)
+        search = Search(equal, self._tuning, self._goal, self._seed, self._stage())
         found, _ = search.close_in(*search.bracket())
         logs = np.full(len(self._links), 0.5 * np.log(found.value) - np.log(len(self._links)))
         best, worth = Trial(logs, found.evaluation), self._other(found.evaluation)
@@ -191,7 +192,7 @@ class Division:
             {self._tuning.name: self._whole(logs), self._name: self._shares(logs, digits=17)}
         )
         stage = self._stage()
-        found = settled(changed, self._tuning.name, self._seed, EFFORT, stage)
+        found = settled(changed, self._tuning.name, self._seed, EFFORT, stage, self._longer)
         stage(1.0)
         return Trial(logs, found)
 

@@ -46,8 +46,10 @@ def look_at(
     return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, after_step=False, progress=progress)
 
 
-def settled(problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None) -> Evaluation:
-    """Return the evaluation of a loop that settles, at the latest within eight times the number of steps.
+def settled(
+    problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None, longer: int = LONGER
+) -> Evaluation:
+    """Return the evaluation of a loop that settles.
 
     Args:
         problem: the problem to evaluate.
@@ -55,16 +57,17 @@ def settled(problem: Problem, tuned: str, seed: int, steps: int, progress: Progr
         seed: seed of the random draws.
         steps: number of steps of the simulation.
         progress: callback that receives the fraction done.
+        longer: factor on the steps of a second simulation, if the loop has not settled in the first.
 
     Raises:
         UnstableError: the loop diverges or does not settle.
     """
     found = look_at(problem, seed, steps, None, progress)
-    if not found.reached:
-        found = look_at(problem, seed, LONGER * steps, None, progress)
+    if not found.reached and longer > 1:
+        found = look_at(problem, seed, longer * steps, None, progress)
     if not found.reached:
         given = f"{problem.kind} with {tuned} = {problem.parameters[tuned]:g}"
-        raise UnstableError(f"the mean cost of {given} does not settle within {LONGER * steps} steps")
+        raise UnstableError(f"the mean cost of {given} does not settle within {longer * steps} steps")
     return found
 
 

@@ -47,7 +47,8 @@ def tune(
 
     If the policy divides a threshold among several links, the shares of the links are tuned too, unless the problem
     states them or a link is named: for the least traffic at a cost, or for the least cost at a traffic or at given
-    rates. Links without a given rate then send every sample, as this costs least.
+    rates. Links without a given rate then send every sample, as this costs least. For a cost or a traffic, shares with
+    which the loop does not settle in a short trial are left out.
 
     Args:
         problem: the problem whose policy is tuned; the search starts at its value of the parameter.
