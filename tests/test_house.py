@@ -197,6 +197,7 @@ def test_only_its_own_file_names_a_kind() -> None:
     about |= {("loop.py", "excess"), ("study/channel/simulated.py", "excess"), ("design/certainty.py", "excess")}
     about |= {
         ("design/kinds/optimal.py", "near-optimal"),
+        ("design/kinds/excess.py", "lqg"),  # the gains of LQG
         ("_dask.py", "distributed"),
         ("model/schedule.py", "variance"),
     }

@@ -81,6 +81,23 @@ class Simulation:
         return last.copy()
 
 
+class Levels(Simulation):
+    """The same with levels of the values, multiples of the dead band."""
+
+    @staticmethod
+    def _used(
+        value: np.ndarray, last: np.ndarray, squares: np.ndarray, sends: np.ndarray, bands: np.ndarray
+    ) -> np.ndarray:
+        moved, unit = value - last, np.where(bands > 0, bands, 1.0)
+        crossed = np.where(bands > 0, np.sign(moved) * bands * np.floor(np.abs(moved) / unit), moved)
+        sent = np.abs(moved) > bands
+        last += sent * crossed
+        assert (np.abs(last - value) <= bands * (1 + 1e-9) + 1e-12).all()
+        squares += (last - value) ** 2
+        sends += sent
+        return last.copy()
+
+
 def bound_of(base: np.ndarray, policy: Policy, squares: np.ndarray) -> np.ndarray:
     """Return the bound of each path from the root mean squares of its errors, one entry on each link."""
     gains = [one.gain for one in policy.theory.errors.values()]
@@ -122,6 +139,43 @@ def test_no_path_costs_more_than_its_certificate(seed: int, size: float, kept: b
         other = simulated.rates[link]
         error = np.hypot(rate.std(ddof=1) / sqrt(40), other.standard_error)
         assert abs(rate.mean() - other.value) <= 5 * error + 2 / 800, link
+
+
+@law(1, 60, seed=st.integers(0, 10**6), size=st.floats(0.05, 3.0))
+def test_no_path_with_levels_costs_more_than_its_certificate(seed: int, size: float) -> None:
+    """Random systems, unstable ones and cross terms included; the level is at most Δ away from the output."""
+    draws = np.random.default_rng(seed)
+    A = draws.standard_normal((2, 2))
+    A *= draws.uniform(0.5, 1.1) / np.abs(np.linalg.eigvals(A)).max()
+    L = draws.standard_normal((3, 3))
+    weights = L @ L.T + 0.1 * np.eye(3)
+    plant = Plant(A, draws.standard_normal((2, 1)), np.diag([0.1, 0.2]), draws.standard_normal((1, 2)), [[0.1]])
+    cost = Cost(weights[:2, :2], weights[2:, 2:], weights[:2, 2:])
+    certainty = lqg_of(plant, cost)
+    controller = Filtered(plant, certainty.filter.gain, certainty.regulator.L).controller
+    policy = design.symmetric_send_on_delta(plant, cost, delta=size, controller=controller)
+    found, base, squares, rates = Levels(plant, cost, controller, np.array([size, 0.0]), 1).run(40, 800, seed)
+    assert (found <= bound_of(base, policy, squares[:1]) * (1 + 1e-9)).all()
+    assert policy.guarantee is not None
+    assert policy.theory.errors["sensor"].largest == size
+    simulated = taciturn.average(close(plant, policy), steps=100_000, seed=seed)
+    assert simulated.cost.value - 4 * simulated.cost.standard_error <= policy.guarantee.cost
+    error = np.hypot(rates[0].std(ddof=1) / sqrt(40), simulated.rates["sensor"].standard_error)
+    assert abs(rates[0].mean() - simulated.rates["sensor"].value) <= 5 * error + 2 / 800
+
+
+def test_levels_have_a_certificate_of_the_linear_loop_only() -> None:
+    """The gain is that of send-on-delta; limited inputs have none, and neither have the event-based PID controllers."""
+    pid = taciturn.PID(kp=1.2, ki=0.15, kd=1.0, filter=0.5, disturbance=Disturbance(deviation=0.0))
+    levels = design.symmetric_send_on_delta(PID_PLANT, PID_COST, delta=0.04, controller=pid)
+    bands = design.send_on_delta(PID_PLANT, PID_COST, delta=0.04, controller=pid)
+    assert levels.theory.errors == bands.theory.errors
+    assert levels.guarantee == bands.guarantee
+    assert taciturn.certify(levels).errors_bound == levels.guarantee.cost  # type: ignore[union-attr]
+    limited = Plant(PID_PLANT.A, PID_PLANT.B, PID_PLANT.W, PID_PLANT.C, PID_PLANT.V, dt=0.1, input_limit=[1.0])
+    assert design.symmetric_send_on_delta(limited, PID_COST, delta=0.04, controller=pid).guarantee is None
+    assert design.event_pid(PID_PLANT, PID_COST, delta=0.04, controller=pid).guarantee is None
+    assert design.event_pid_saturated(PID_PLANT, PID_COST, delta=0.04, controller=pid).guarantee is None
 
 
 def lqg_of(plant: Plant, cost: Cost) -> CertaintyEquivalentDesign:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,13 @@ import taciturn
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.multirate import MultirateControl, Timing
+from taciturn.model.estimate import Estimate
 from taciturn.model.network import LinkLaw, Network, NodeRole
 from taciturn.problem import Problem
 from taciturn.study.clocks import LinkClocks, clocks_of_links, clocks_or_reason
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import fingerprint
-from taciturn.study.tuning import shares
+from taciturn.study.tuning import search, shares, trials
 from taciturn.study.tuning.tuned import Tuned
 
 PRICES = {"level": 4.0, "valve": 1.0}
@@ -146,6 +149,28 @@ def test_policies_are_compared_at_equal_traffic(monkeypatch: pytest.MonkeyPatch)
     assert found.document()["clocks"]["kind"] == "model"
     with pytest.raises(ProblemError, match="expected a rate, perhaps with a link, or a traffic alone"):
         taciturn.compare(rivals)
+
+
+def test_a_traffic_that_no_dead_band_reaches_is_refused_with_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also in a comparison, which has the same search as tune: here both rates fall from 0.9 to 0.2."""
+    old = dict.fromkeys(("theta", "prediction", "actuation"))
+    bands = two_links().changed({**old, "kind": "send-on-delta", "delta": 10.0})
+    found = taciturn.evaluate(bands, steps=2048)
+
+    def look_at(problem: Problem, *given: Any) -> Evaluation:
+        rate = Estimate(0.2 + 0.7 / (1 + problem.parameters["delta"]), 0.0, "simulation")  # type: ignore[operator]
+        return replace(found, rates=dict.fromkeys(PRICES, rate), reached=True)
+
+    for module in (search, trials):
+        monkeypatch.setattr(module, "look_at", look_at)
+    rivals = {"bands": bands, "given": bands.changed({"shares": {"level": 2.0}})}
+    words = r"bands: no delta gives send-on-delta the traffic 0.5: the traffic ranges from 1 \(delta = "
+    with pytest.raises(ProblemError, match=words):
+        taciturn.compare(rivals, traffic=0.5, standard_error=1e-2)
+    words = r"no delta gives send-on-delta the rate of level 0.1: .*, the rate of level ranges from 0.2"
+    with pytest.raises(ProblemError, match=words):
+        taciturn.tune(bands, rate={"level": 0.1, "valve": 0.5})
+    assert taciturn.tune(bands, traffic=2.0).evaluation.traffic.value == pytest.approx(2.0, rel=1e-8)
 
 
 @pytest.mark.parametrize("traffic", few([1.0, 0.7, 1.4], 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,11 @@ from counts import few
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
 from taciturn.design.catalogue import CATALOGUE
+from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.problem.parameters import check_parameters
-from taciturn.study.tuning import search
+from taciturn.study.evaluation import Evaluation
+from taciturn.study.tuning import search, trials
 from taciturn.study.tuning.budget import budget_of
 from taciturn.study.tuning.goal import CostGoal, RateGoal
 from taciturn.study.tuning.search import Search
@@ -326,8 +329,58 @@ def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatc
         given[-1](0.5)
         raise ProblemError("enough")
 
-    monkeypatch.setattr(search, "look_at", look_at)
+    monkeypatch.setattr(trials, "look_at", look_at)
     looking = Search(MASSES, CATALOGUE["lqg"].tuning[0], RateGoal(0.3), 0, told.append)
     assert [looking.look(value) for value in (1.0, 2.0)] == [None, None]
     first, second = 1 - search.LEFT, 1 - search.LEFT**2
     assert told == pytest.approx([first / 2, first, (first + second) / 2, second])
+
+
+def faked(monkeypatch: pytest.MonkeyPatch, rate_of: Callable[[float, bool], tuple[float, float]]) -> None:
+    """Replace the evaluations by a rate, with its standard error, that depends on θ and on the length of a trial."""
+    found = taciturn.evaluate(MASSES, steps=10_000)
+
+    def look_at(problem: Problem, seed: int, steps: int | None, *given: Any) -> Evaluation:
+        rate, error = rate_of(problem.parameters["theta"], steps is None)  # type: ignore[arg-type]
+        cost = Estimate(1 + problem.parameters["theta"], 1e-4, "simulation")  # type: ignore[operator]
+        return replace(found, cost=cost, rates={"actuator": Estimate(rate, error, "simulation")})
+
+    for module in (search, trials):
+        monkeypatch.setattr(module, "look_at", look_at)
+
+
+def test_a_jump_that_only_long_trials_show_has_two_sides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short trials have a rate of 0.3 somewhere, long ones 0.35 or 0.25: the text and the document name both."""
+    faked(monkeypatch, lambda theta, long: (0.35 - 0.1 * (theta > 1.01), 1e-4) if long else (0.3 / theta, 2e-3))
+    found = tune(MASSES, rate=0.3)
+    assert found.beyond is not None
+    sides = [one.evaluation.rates["actuator"].value for one in (found, found.beyond)]
+    assert sides == pytest.approx([0.25, 0.35])
+    assert found.beyond.parameter.value <= 1.01 < found.parameter.value < 1.0102
+    assert "on the other side: theta = 1.0" in " ".join(str(found).split())
+    assert found.document()["beyond"]["rates"] == {"actuator": 0.35}
+    assert found.document()["beyond"]["traffic"] == 0.35
+
+
+def test_a_steep_rate_is_met_within_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long trials change forty times as fast as short ones, and elsewhere: the answer is still within the budget."""
+    faked(monkeypatch, lambda theta, long: (0.3 * (theta / 1.03) ** -40, 1e-4) if long else (0.3 / theta, 2e-3))
+    found = tune(MASSES, rate=0.3)
+    assert found.beyond is None
+    assert 2e-4 <= 0.3 - found.evaluation.rates["actuator"].value <= 8e-4
+
+
+def test_values_that_fail_between_two_others_are_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop that does not settle for θ between 0.3 and 20: rates on either side of this gap are found."""
+
+    def rate_of(theta: float, long: bool) -> tuple[float, float]:
+        if 0.3 < theta < 20:
+            raise UnstableError("the loop does not settle")
+        return 1 / (1 + theta), 0.0
+
+    faked(monkeypatch, rate_of)
+    for rate in (0.9, 0.8, 0.04):
+        found = tune(MASSES, rate=rate)
+        assert found.evaluation.rates["actuator"].value == pytest.approx(rate, rel=1e-6)
+    with pytest.raises(ProblemError, match=r"such as 0\.04.* or 0\.7.*, the nearest found"):
+        tune(MASSES, rate=0.4)

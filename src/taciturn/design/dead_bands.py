@@ -173,6 +173,23 @@ class ErrorGains:
         return largest_gain(self._closed, self._base.Gamma[:, columns], self._output, self._chosen[:, columns])
 
 
+def errors_of_one(loop: KeptLoop, link: str, delta: float) -> dict[str, ErrorGain]:
+    """Return gain and largest error of the one link of a given controller; none if its inputs have limits.
+
+    Args:
+        loop: the loop of the controller.
+        link: ``"sensor"`` or ``"actuator"``: what a packet would carry and each entry of the error refer to.
+        delta: the largest error of an entry.
+    """
+    plant = loop.problem.plant
+    if plant.input_limit is not None:  # the loop is not linear
+        return {}
+    size = plant.outputs if link == "sensor" else plant.inputs
+    gains = ErrorGains(loop.every_sample())
+    gain = gains.of_measurement(size, range(size)) if link == "sensor" else gains.of_choice(range(size))
+    return {link: ErrorGain(gain, delta * sqrt(size))}
+
+
 class DeadBands:
     """The policy steps of sensors and of a controller, each of which sends a value that has changed by more than Δ.
 

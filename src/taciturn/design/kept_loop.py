@@ -99,6 +99,7 @@ class KeptLoop(Displayed):
         initial: dict[str, Array],
         network: Network | None = None,
         errors: Mapping[str, ErrorGain] | None = None,
+        functions: frozenset[str] = frozenset(),
     ) -> Policy:
         """Return a policy without a proven bound, or with the certificate that follows from the errors of its links.
 
@@ -110,6 +111,7 @@ class KeptLoop(Displayed):
             initial: initial values of the memories.
             network: the network of the policy; default: ideal links of a sensor, a controller and an actuator.
             errors: gain and largest error of each link, in a loop without limits of the inputs; default: unknown.
+            functions: signals that a function computes and that the errors take into account.
 
         Raises:
             UnstableError: the loop that sends every sample is unstable.
@@ -123,6 +125,7 @@ class KeptLoop(Displayed):
             settling=found.settling,
             guarantee=bound_by_errors(problem, found.cost, errors) if errors else None,
             errors=errors or {},
+            functions=functions,
             recovery=recovery(base, problem.plant, self.disturbance),
             periodic=SameControl(problem, self.kept, base),
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import sqrt
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from taciturn._arrays import instance, number
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.certainty import SEND, design_certainty, expect_average
-from taciturn.design.dead_bands import DeadBands, ErrorGains, Filtered, keep_at_nodes
+from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
 from taciturn.design.kept import REMEDY, lqg_observer
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -26,7 +25,7 @@ from taciturn.model.network import Network
 from taciturn.model.placement import expect_ideal_links, placed, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Decide, Evaluate, Policy
-from taciturn.model.theory import ErrorGain, Theory
+from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 WHICH = "changed"
@@ -162,12 +161,7 @@ def _keep(
         Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
     steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
-    errors = dict[str, ErrorGain]()
-    if loop.problem.plant.input_limit is None:  # the loop is linear
-        gains, entries = ErrorGains(loop.every_sample()), range(size)
-        gain = gains.of_measurement(size, entries) if link == "sensor" else gains.of_choice(entries)
-        errors = {link: ErrorGain(gain, delta * sqrt(size))}
-    return loop.policy(kind, route.base, steps, route.sites, route.initial, errors=errors)
+    return loop.policy(kind, route.base, steps, route.sites, route.initial, errors=errors_of_one(loop, link, delta))
 
 
 KIND = Kind(
@@ -176,6 +170,8 @@ KIND = Kind(
     goal="a simple sensor that sends when an output has changed by Δ",
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.2},
+    proved=r"$\sqrt J\le\sqrt{J_b}+\sum_l\gamma_l\Delta_l$, a conservative certificate",
+    relative_to="the same controller with every sample",
     nodes="S, C+A",
     data="memories `last` at S and `heard` at C; one label per output",
     order="compare y with the last sent value, decide, send y, filter, input",

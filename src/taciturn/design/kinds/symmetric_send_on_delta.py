@@ -11,6 +11,7 @@ from taciturn._arrays import number
 from taciturn._display import Displayed
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
+from taciturn.design.dead_bands import errors_of_one
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import nonempty, sensor_base
@@ -40,7 +41,7 @@ def symmetric_send_on_delta(
         period: seconds between steps; only with a continuous plant.
 
     Returns:
-        The policy; no bound on its cost is known.
+        The policy, with the certificate of ``send-on-delta``: the level differs from the output by at most Δ.
 
     Raises:
         ProblemError: the plant has several outputs, or a parameter is out of range.
@@ -76,7 +77,15 @@ def symmetric_send_on_delta(
         *((Assign("controller", STATE, {STATE: c.A, USED: c.B, "command": c.E}),) if len(c.A) else ()),
     )
     initial = {**({STATE: loop.point.start} if len(c.A) else {}), LEVEL: level, USED: level}
-    return loop.policy(kind, sensor_base(problem, c), steps, (frozenset({"controller", "actuator"}),), initial)
+    return loop.policy(
+        kind,
+        sensor_base(problem, c),
+        steps,
+        (frozenset({"controller", "actuator"}),),
+        initial,
+        errors=errors_of_one(loop, "sensor", delta),
+        functions=frozenset({"crossed"}),
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,6 +106,8 @@ KIND = Kind(
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.05},
     built_in="pid-tank",
+    proved=r"$\sqrt J\le\sqrt{J_b}+\gamma\Delta$, a conservative certificate",
+    relative_to="the same controller with every sample",
     nodes="S, C+A",
     refused="several outputs",
     data="memory `level` at S, `used` at C",

@@ -1,8 +1,8 @@
-"""Search for a parameter that meets a budget: bracketing, root finding, and a correction at full precision."""
+"""Search for a parameter that meets a budget: bracketing and root finding."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Never
 
 import numpy as np
@@ -12,15 +12,14 @@ from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import per_unit
 from taciturn.design.kind import TradeoffParameter
-from taciturn.errors import ProblemError, TaciturnError, UnstableError
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.tuning.goal import EXACT, Goal
-from taciturn.study.tuning.trials import look_at
+from taciturn.study.tuning.trials import look_at, out_of_reach, settled
 
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
-LONGER = 8  # factor on these steps if a loop has not settled, and for the last trial
 FIRST, GROWTH, FARTHEST = (
     1.4,
     1.5,
@@ -29,11 +28,8 @@ FIRST, GROWTH, FARTHEST = (
 HALVINGS = 12  # bisections towards the limit of values for which a policy can be designed
 CLOSE = 0.25  # largest error of a root, in standard errors of a trial
 JUMP = 1e-11  # width in log(value) below which a change counts as a jump
-SPAN, STRIDE = 0.02, 0.1  # in log(value): half-width for slopes, and longest step of a correction
-ROUNDS = 3  # corrections at full precision
-KEPT, AIMED, FAR = 2.0, 3.0, 8.0  # standard errors below the budget: least, target of a correction, and most
+KEPT = 2.0  # standard errors below the budget, at least
 PASSED = 20  # integers on either side that are skipped if no policy can be designed for them
-ALIKE = 1e-3  # share of the range of all results within which a result counts as an end of this range
 SURE = 3.0  # standard errors by which a trial at the limit of the range may miss the budget
 
 
@@ -45,6 +41,19 @@ class Look(Displayed):
     evaluation: Evaluation
     above: float
     error: float
+
+
+class _FailedError(Exception):
+    """A trial between two others failed.
+
+    Args:
+        place: its place on the axis of the search.
+    """
+
+    def __init__(self, place: float) -> None:
+        """Keep the place."""
+        super().__init__()
+        self.place = place
 
 
 class Search:
@@ -59,7 +68,12 @@ class Search:
     """
 
     def __init__(
-        self, problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, progress: Progress | None
+        self,
+        problem: Problem,
+        tuning: TradeoffParameter,
+        goal: Goal,
+        seed: int,
+        progress: Progress | None,
     ) -> None:
         """Prepare the search; no value is tried yet."""
         self.problem, self.tuning, self.goal, self.seed, self.progress = problem, tuning, goal, seed, progress
@@ -80,17 +94,15 @@ class Search:
         return found if isinstance(found, Look) else None
 
     def _settled(self, value: float) -> Look:
-        found = self._look(value, EFFORT)
-        if not found.evaluation.reached:
-            found = self._look(value, LONGER * EFFORT)
-        if not found.evaluation.reached:
-            given = f"{self.problem.kind} with {self.tuning.name} = {value:g}"
-            raise UnstableError(f"the mean cost of {given} does not settle within {LONGER * EFFORT} steps")
-        return found
-
-    def _look(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
         changed = self.problem.changed({self.tuning.name: value})
-        evaluation = look_at(changed, self.seed, steps, standard_error, self._stage)
+        return self._seen_as(value, settled(changed, self.tuning.name, self.seed, EFFORT, self._stage))
+
+    def try_at(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
+        """Return a trial of a number of steps, or at full precision."""
+        changed = self.problem.changed({self.tuning.name: value})
+        return self._seen_as(value, look_at(changed, self.seed, steps, standard_error, self._stage))
+
+    def _seen_as(self, value: float, evaluation: Evaluation) -> Look:
         found = self.goal.of(evaluation)
         return Look(value, evaluation, found.value - self.goal.budget, found.standard_error + found.error)
 
@@ -115,7 +127,7 @@ class Search:
         outwards = -1.0 if (here.above > 0) == self.rising else 1.0
         found = self._walk(here, outwards)
         if found is None:
-            nearest = min(self._looks(), key=lambda look: abs(look.above))
+            nearest = min(self.looks(), key=lambda look: abs(look.above))
             if abs(nearest.above) > SURE * nearest.error:
                 self._refuse()
             return nearest, nearest  # such as a rate of 1, which is the limit of a vanishing threshold
@@ -138,22 +150,44 @@ class Search:
         return None
 
     def close_in(self, low: Look, high: Look) -> tuple[Look, Look]:
-        """Return the trials on both sides of a jump, or the same trial twice if it meets the budget exactly."""
+        """Return the trials on both sides of a jump, or the same trial twice if it meets the budget exactly.
+
+        If a trial between them fails, the search continues between one of them and the last trial before the failure.
+
+        Raises:
+            ProblemError: no value reaches the budget.
+        """
         ends = [low, high]
+        try:
+            return self._close_in(ends)
+        except _FailedError as failed:
+            for end in ends:
+                way = failed.place - self.place(end.value)
+                edge = self._edge(end, float(np.sign(way)), end.value, abs(way))
+                if (edge.above > 0) != (end.above > 0):
+                    return self.close_in(*sorted((end, edge), key=lambda look: look.above))
+            self._refuse()
+
+    def _close_in(self, ends: list[Look]) -> tuple[Look, Look]:
+        """Return the same as ``close_in``, and keep the last trials on both sides in ``ends``.
+
+        Raises:
+            _FailedError: a trial fails.
+        """
 
         def above(place: float) -> float:
-            look = self.look(self._value(place))
+            look = self.look(self.value(place))
             if look is None:
-                self._refuse()
+                raise _FailedError(place)
             if self.meets_exactly(look):
                 ends[:] = [look, look]
                 return 0.0
             side = int(look.above > 0)
-            if abs(self._place(look.value) - self._place(ends[1 - side].value)) < self._width(ends):
+            if abs(self.place(look.value) - self.place(ends[1 - side].value)) < self._width(ends):
                 ends[side] = look
             return look.above
 
-        places = self._place(low.value), self._place(high.value)
+        places = self.place(ends[0].value), self.place(ends[1].value)
         if above(places[0]) * above(places[1]) > 0:  # at the limit of the range, rounding decides the side
             nearest = min(ends, key=lambda look: abs(look.above))
             return nearest, nearest
@@ -161,54 +195,7 @@ class Search:
         return ends[0], ends[1]
 
     def _width(self, ends: list[Look]) -> float:
-        return abs(self._place(ends[0].value) - self._place(ends[1].value))
-
-    def refine(self, look: Look, standard_error: float | None) -> tuple[Look, float | None, float | None]:
-        """Repeat a trial at full precision, and correct its values for the remaining distance from the budget.
-
-        Also return the standard error of its value as a solution of the budget, or None if the budget does not depend
-        on the value here, and the derivative of the cost with respect to the rate, or None if the rate does not change.
-        """
-        place = self._place(look.value)
-        around = [self.look(self._value(place + step)) for step in (-SPAN, SPAN)]
-        near = [one for one in around if one is not None]
-        slope = pace = blur = 0.0
-        if len(near) == 2:
-            slope = (near[1].above - near[0].above) / (2 * SPAN)
-            rates = [self.goal.use(one.evaluation).value for one in near]
-            pace = (rates[1] - rates[0]) / (2 * SPAN)
-        measured = self._look(look.value, LONGER * EFFORT) if look.error and slope else look
-        for _ in range(ROUNDS):
-            blur = measured.error  # error of the trial that determines the next place
-            missing = measured.above + AIMED * blur
-            place -= float(np.clip(missing / slope, -STRIDE, STRIDE)) if slope else 0.0
-            measured = self._look(self._value(place), standard_error=standard_error)
-            near_enough = measured.above >= -max(FAR * measured.error, EXACT * self.goal.budget)
-            if (self.keeps(measured) and near_enough) or not slope:
-                break
-        else:
-            if not self.keeps(measured):
-                measured = replace(measured, evaluation=replace(measured.evaluation, reached=False))
-        changes = slope / (measured.value - self.tuning.least)
-        error = blur / abs(changes) if changes else None
-        costs = [one.evaluation.cost.value for one in near]
-        along = (costs[1] - costs[0]) / (2 * SPAN) / pace if pace else None
-        return measured, error, along
-
-    def measure(self, look: Look, standard_error: float | None) -> Look:
-        """Return a trial of the same value of the tuning parameter at full precision."""
-        return self._look(look.value, standard_error=standard_error)
-
-    def measure_within(self, look: Look, standard_error: float | None) -> Look:
-        """Return a trial at full precision within the budget, at this integer or at a neighbouring one."""
-        found, step = self.measure(look, standard_error), -1 if self.rising else 1
-        for away in range(1, PASSED if self.tuning.whole else 1):
-            value = int(look.value) + away * step
-            if found.above <= EXACT * self.goal.budget or value < self.tuning.least:
-                break
-            if (other := self.look(value)) is not None:
-                found = self.measure(other, standard_error)
-        return found
+        return abs(self.place(ends[0].value) - self.place(ends[1].value))
 
     def _start(self) -> Look:
         """Return the trial of the given value, or of the nearest value for which a policy can be designed."""
@@ -260,27 +247,36 @@ class Search:
             )
 
     def _walk(self, here: Look, outwards: float) -> tuple[Look, Look] | None:
-        """Return the last two trials of a walk that passes the budget, or None if the walk ends before."""
-        side, start, distance, step = here.above > 0, here.value, 0.0, FIRST
+        """Return the last two trials of a walk that passes the budget, or None if the walk ends before.
+
+        Values that fail are passed over; if all farther ones fail, the walk ends at the farthest that does not.
+        """
+        side, start, distance, step, failed = here.above > 0, here.value, 0.0, FIRST, 0.0
         while distance < FARTHEST:
             distance += step
             step *= GROWTH
-            there = self.look(self._moved(start, outwards * distance)) or self._edge(here, outwards, start, distance)
+            there = self.look(self._moved(start, outwards * distance))
+            if there is None:
+                failed = failed or distance
+                continue
             if there.value == here.value:
                 return None
             if (there.above > 0) != side or self.meets_exactly(there):
                 return here, there
-            here = there
-        return None
+            here, failed = there, 0.0
+        there = self._edge(here, outwards, start, failed) if failed else here
+        return (here, there) if (there.above > 0) != side or self.meets_exactly(there) else None
 
     def _edge(self, last: Look, outwards: float, start: float, beyond: float) -> Look:
-        """Return the farthest trial for which a policy can still be designed."""
-        inside = abs(self._place(last.value) - self._place(start))
+        """Return the farthest trial for which a policy can be designed, or the first one that passes the budget."""
+        inside = abs(self.place(last.value) - self.place(start))
         for _ in range(HALVINGS):
             middle = (inside + beyond) / 2
             found = self.look(self._moved(start, outwards * middle))
             if found is None:
                 beyond = middle
+            elif (found.above > 0) != (last.above > 0):
+                return found
             else:
                 last, inside = found, middle
         return last
@@ -291,45 +287,29 @@ class Search:
         Raises:
             ProblemError: always.
         """
-        start = self._looks()[0]
+        start = self.looks()[0]
         for outwards in (-1.0, 1.0):
             self._walk(start, outwards)
-        looks = sorted(self._looks(), key=lambda look: look.above)
-        found = [look.above + self.goal.budget for look in looks]
-        ends = [self._nearest(look, start, ALIKE * (found[-1] - found[0])).value for look in (looks[0], looks[-1])]
-        failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
-        budget = self.goal.budget
-        near = [value for value in found if value < budget][-1:] + [value for value in found if value > budget][:1]
-        expected = (
-            "within this range" if len(near) < 2 else f"such as {near[0]:.5g} or {near[1]:.5g}, the nearest found"
-        )
-        raise ProblemError(
-            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {budget:g}: the {self.goal.name} "
-            f"ranges from {found[0]:.5g} ({self.tuning.name} = {ends[0]:.4g}) to {found[-1]:.5g} "
-            f"({self.tuning.name} = {ends[1]:.4g})"
-            + (f", and other values fail ({failed})" if failed else "")
-            + f"; expected a {self.goal.name} {expected}"
-        )
+        tried = [(look.value, self.goal.of(look.evaluation).value) for look in self.looks()]
+        failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), "")
+        raise out_of_reach(self.problem.kind, self.tuning.name, self.goal.name, self.goal.budget, tried, failed)
 
-    def _nearest(self, end: Look, start: Look, most: float) -> Look:
-        """Return the trial nearest to the first one whose result differs from that of ``end`` by its error at most."""
-        alike = [look for look in self._looks() if abs(look.above - end.above) <= max(most, look.error + end.error)]
-        return min(alike, key=lambda look: abs(self._place(look.value) - self._place(start.value)))
-
-    def _looks(self) -> list[Look]:
+    def looks(self) -> list[Look]:
+        """Return all trials that did not fail."""
         return [look for look in self._seen.values() if isinstance(look, Look)]
 
-    def _place(self, value: float) -> float:
+    def place(self, value: float) -> float:
         """Return the coordinate of a value on the logarithmic axis of the search."""
         return float(np.log(value - self.tuning.least + self.tuning.whole))
 
-    def _value(self, place: float) -> float:
+    def value(self, place: float) -> float:
+        """Return the value at a coordinate."""
         return self.tuning.least + float(np.exp(place))
 
     def _moved(self, start: float, by: float) -> float:
         """Return the value at a distance from another value; for integers, at least the next one."""
-        place = self._place(start) + by
+        place = self.place(start) + by
         if not self.tuning.whole:
-            return self._value(place) if by else start
+            return self.value(place) if by else start
         value = round(min(np.exp(place), 1e9)) - 1 + int(self.tuning.least)
         return int(max(self.tuning.least, value if value != start or by == 0 else start + np.sign(by)))

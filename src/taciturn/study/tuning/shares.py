@@ -11,11 +11,12 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn.design.kind import TradeoffParameter
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn.errors import TaciturnError
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.tuning.goal import Goal, RatesGoal
-from taciturn.study.tuning.trials import look_at
+from taciturn.study.tuning.search import Search
+from taciturn.study.tuning.trials import LONGER, out_of_reach, settled
 
 EFFORT = 400_000  # steps of a trial; all trials use the same draws
 FIRST, LAST = 1.6, 0.2  # first and last step of the search, in the logarithm of a share
@@ -60,23 +61,30 @@ class Division:
         self._problem, self._tuning, self._goal, self._seed = problem, tuning, goal, seed
         self._name, self._links = problem.record.shares, list(problem.network.links)
         self._progress, self._done = progress, 0
+        self._longer = LONGER if isinstance(goal, RatesGoal) else 1  # other shares that do not settle are left out
         # slopes of the limited and of the minimised quantity, at the last scale
         self._slopes: tuple[float, float] | None = None
 
-    def best(self) -> dict[str, float]:
-        """Return the best shares, with three digits and the mean 1.
+    def best(self) -> dict[str, object]:
+        """Return the best shares, with three digits and the mean 1, and the threshold at which the search found them.
 
         Raises:
             ProblemError: no threshold reaches the budget.
         """
-        return self._given_rates(self._goal) if isinstance(self._goal, RatesGoal) else self._cheapest()
+        logs = self._given_rates(self._goal) if isinstance(self._goal, RatesGoal) else self._cheapest()
+        return {self._tuning.name: self._whole(logs), self._name: self._shares(logs)}
 
-    def _cheapest(self) -> dict[str, float]:
+    def _cheapest(self) -> Array:
         """Return the shares of the least traffic at the budgeted cost, or of the least cost at the budgeted traffic.
 
-        The search changes one share at a time, and adapts the threshold of all links so that the budget is met.
+        The search changes one share at a time, and adapts the threshold of all links so that the budget is met. Equal
+        shares are first, for which the threshold is sought as for given shares.
         """
-        best, worth = self._scaled(np.full(len(self._links), self._start() - np.log(len(self._links))))
+        equal = self._problem.changed({self._name: dict.fromkeys(self._links, 1.0)})
+        search = Search(equal, self._tuning, self._goal, self._seed, self._stage())
+        found, _ = search.close_in(*search.bracket())
+        logs = np.full(len(self._links), 0.5 * np.log(found.value) - np.log(len(self._links)))
+        best, worth = Trial(logs, found.evaluation), self._other(found.evaluation)
         step = FIRST
         while step >= LAST:
             before = worth
@@ -93,7 +101,11 @@ class Division:
                         break
             if worth >= before - WORTH * abs(before):
                 step /= 2
-        return self._shares(best.logs)
+        return best.logs
+
+    def _other(self, found: Evaluation) -> float:
+        """Return the quantity to be minimised."""
+        return self._goal.use(found).value if self._goal.limits_cost else found.cost.value
 
     def _start(self) -> float:
         """Return the scale of the given threshold, or of one of usual size."""
@@ -109,10 +121,9 @@ class Division:
             return float(np.log(max(goal.of(trial.evaluation).value / goal.budget, LEAST)))
 
         def other(trial: Trial) -> float:
-            found = trial.evaluation
-            return goal.use(found).value if goal.limits_cost else found.cost.value
+            return self._other(trial.evaluation)
 
-        return self._root(logs, np.ones(len(logs)), above, other, sign)
+        return self._root(logs, np.ones(len(logs)), above, other, sign, (goal.name, goal.budget))
 
     def _root(
         self,
@@ -121,6 +132,7 @@ class Division:
         above: Callable[[Trial], float],
         other: Callable[[Trial], float],
         sign: float,
+        budget: tuple[str, float],
     ) -> tuple[Trial, float]:
         """Return a trial along a direction at which ``above`` is 0, and the value of ``other`` at exactly this place.
 
@@ -130,9 +142,11 @@ class Division:
         place, last = 0.0, None
         slope, along = self._slopes or (SLOPE * sign, None)
         low, high = -FARTHEST, FARTHEST
+        tried: list[tuple[float, float]] = []
         for _ in range(TRIES):
             trial = self._try(logs + place * direction)
             missing = above(trial)
+            tried.append((self._whole(trial.logs), budget[1] * float(np.exp(missing))))
             if last is not None and place != last[0]:
                 along = (other(trial) - last[2]) / (place - last[0])
                 if (missing - last[1]) * (place - last[0]) * sign > 0:
@@ -147,11 +161,9 @@ class Division:
             last = place, missing, other(trial)
             moved = place - float(np.clip(missing / slope, -STRIDE, STRIDE))
             place = moved if low < moved < high else (low + high) / 2
-        raise ProblemError(
-            f"no {self._tuning.name} gives {self._problem.kind} the {self._goal.short()}; expected another budget"
-        )
+        raise out_of_reach(self._problem.kind, self._tuning.name, *budget, tried)
 
-    def _given_rates(self, goal: RatesGoal) -> dict[str, float]:
+    def _given_rates(self, goal: RatesGoal) -> Array:
         """Return the shares at which the links with a limit reach it; the others send every sample."""
         named = [self._links.index(link) for link in goal.limits]
         logs = np.full(len(self._links), -np.inf)
@@ -161,14 +173,14 @@ class Division:
             before = logs.copy()
             for place in named:
                 self._slopes = None
-                logs = self._root(logs, axes[place], self._above_limit(goal, place), lambda _: 0.0, -1.0)[0].logs
+                link = self._links[place]
+                above, limit = self._above_limit(goal, link), (f"rate of {link}", goal.limits[link])
+                logs = self._root(logs, axes[place], above, lambda _: 0.0, -1.0, limit)[0].logs
             if np.abs(logs[named] - before[named]).max() < CLOSE or len(named) == 1:
                 break
-        return self._shares(logs)
+        return logs
 
-    def _above_limit(self, goal: RatesGoal, place: int) -> Callable[[Trial], float]:
-        link = self._links[place]
-
+    def _above_limit(self, goal: RatesGoal, link: str) -> Callable[[Trial], float]:
         def above(trial: Trial) -> float:
             least = 0.5 * (trial.evaluation.base_rate or 1.0) / EFFORT
             return float(np.log(max(trial.evaluation.rates[link].value, least) / goal.limits[link]))
@@ -176,14 +188,22 @@ class Division:
         return above
 
     def _try(self, logs: Array) -> Trial:
-        finite = np.isfinite(logs)
-        whole = float(np.exp(2 * np.logaddexp.reduce(logs[finite])))
-        changed = self._problem.changed({self._tuning.name: whole, self._name: self._shares(logs, digits=17)})
-        stage = Stages(self._progress, *(1 - LEFT ** (self._done + k) for k in (0, 1)))
-        self._done += 1
-        found = look_at(changed, self._seed, EFFORT, None, stage)
+        changed = self._problem.changed(
+            {self._tuning.name: self._whole(logs), self._name: self._shares(logs, digits=17)}
+        )
+        stage = self._stage()
+        found = settled(changed, self._tuning.name, self._seed, EFFORT, stage, self._longer)
         stage(1.0)
         return Trial(logs, found)
+
+    def _stage(self) -> Stages:
+        """Return the progress of the next trial."""
+        self._done += 1
+        return Stages(self._progress, *(1 - LEFT ** (self._done - k) for k in (1, 0)))
+
+    def _whole(self, logs: Array) -> float:
+        """Return the tuning parameter."""
+        return float(np.exp(2 * np.logaddexp.reduce(logs[np.isfinite(logs)])))
 
     def _shares(self, logs: Array, digits: int = 3) -> dict[str, float]:
         """Return the shares with the mean 1 of the links that do not send every sample."""

@@ -18,6 +18,7 @@ from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
 from taciturn.study.tuning.budget import budget_of
 from taciturn.study.tuning.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal
+from taciturn.study.tuning.refine import Refinement
 from taciturn.study.tuning.search import Look, Search
 from taciturn.study.tuning.shares import Division
 from taciturn.study.tuning.tuned import Parameter, Tuned
@@ -46,7 +47,8 @@ def tune(
 
     If the policy divides a threshold among several links, the shares of the links are tuned too, unless the problem
     states them or a link is named: for the least traffic at a cost, or for the least cost at a traffic or at given
-    rates. Links without a given rate then send every sample, as this costs least.
+    rates. Links without a given rate then send every sample, as this costs least. For a cost or a traffic, shares with
+    which the loop does not settle in a short trial are left out.
 
     Args:
         problem: the problem whose policy is tuned; the search starts at its value of the parameter.
@@ -82,12 +84,12 @@ def tune(
         ((link, rate),) = rate.items()
     tuning = _tuning(problem, link)
     goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic}, link)
-    shares, bar = None, Stages(in_notebook(progress))
-    if _divides(problem, goal, link):
+    bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
+    if divided:
         Search(problem, tuning, goal, seed, None).expect_start()
-        shares = Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best()
-        problem = problem.changed({str(problem.record.shares): shares})
+        problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
         bar = bar.stage(DIVIDED, 1.0)
+    shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
     return replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
 
 
@@ -98,15 +100,15 @@ def _found(
     search = Search(problem, tuning, goal, seed, bar)
     if tuning.cycles and (cycles := _next_to(problem, tuning, goal, search)) is not None:
         return cycles
-    low, high = search.bracket()
+    refinement, (low, high) = Refinement(search, standard_error), search.bracket()
     if not tuning.whole:
-        low, high = search.close_in(low, high)
-        if low is high:
-            return _tuned(search, *search.refine(low, standard_error))
-    found = _tuned(search, search.measure_within(low, standard_error), 0.0, None)
+        low, high, error, slope = refinement.refine(*search.close_in(low, high))
+        found = _tuned(search, low, error, slope)
+        return found if low is high else replace(found, beyond=_tuned(search, high, error, slope))
+    found = _tuned(search, refinement.measure_within(low), 0.0, None)
     if search.meets_exactly(low):
         return found
-    return replace(found, beyond=_tuned(search, search.measure(high, standard_error), 0.0, None))
+    return replace(found, beyond=_tuned(search, refinement.measure(high), 0.0, None))
 
 
 def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, object], link: str | None) -> Goal:

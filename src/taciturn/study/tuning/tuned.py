@@ -105,7 +105,8 @@ class Tuned(Tabular):
         if self.beyond is not None:
             other = self.beyond
             rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
-            text = f"{other.parameter.beside(parameter)}: {rates}, cost {other.evaluation.cost}"
+            traffic = f", traffic {other.evaluation.traffic}" if self.goal.name == "traffic" else ""
+            text = f"{other.parameter.beside(parameter)}: {rates}{traffic}, cost {other.evaluation.cost}"
             jump = f"the {self.goal.name} jumps across the budget; on the other side:"
             lines.append(("beyond", f"{jump} {parameter.name} = {text}"))
         return f"{pairs_text(lines)}\n{self.evaluation}"
@@ -124,7 +125,8 @@ class Tuned(Tabular):
         if self.beyond is not None:
             rates = {link: rate.value for link, rate in self.beyond.evaluation.rates.items()}
             jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
-            found["beyond"] = jump
+            traffic = self.beyond.evaluation.traffic
+            found["beyond"] = jump | ({} if traffic is None else {"traffic": traffic.value})
         return found
 
 
