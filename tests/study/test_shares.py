@@ -167,7 +167,7 @@ def test_a_traffic_that_no_dead_band_reaches_is_refused_with_the_range(monkeypat
     words = r"bands: no delta gives send-on-delta the traffic 0.5: the traffic ranges from 1 \(delta = "
     with pytest.raises(ProblemError, match=words):
         taciturn.compare(rivals, traffic=0.5, standard_error=1e-2)
-    words = r"no delta gives send-on-delta the rate of level 0.1: .*, the rate of level ranges from 0.2"
+    words = r"no delta gives send-on-delta the rate of level 0.1: the rate of level ranges from 0.2 "
     with pytest.raises(ProblemError, match=words):
         taciturn.tune(bands, rate={"level": 0.1, "valve": 0.5})
     assert taciturn.tune(bands, traffic=2.0).evaluation.traffic.value == pytest.approx(2.0, rel=1e-8)
