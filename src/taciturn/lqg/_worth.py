@@ -51,7 +51,7 @@ def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) 
     if needed.all():
         return Worth(needed, nothing, nothing, resting)
     reached = closure((given.B != 0).any(axis=1), moved)
-    leads = _paths(moved.T)
+    leads = paths(moved.T)
     left, decaying, still = ~needed, [nothing], [nothing]
     cycles: list[tuple[Bits, Modes]] = []
     while left.any():
@@ -88,7 +88,7 @@ def closure(found: Bits, leads: Bits) -> Bits:
     return np.asarray(found, dtype=np.bool_)
 
 
-def _paths(leads: Bits) -> Bits:
+def paths(leads: Bits) -> Bits:
     """Return the matrix whose entry (i, j) is true if i = j or a path leads from state i to state j, (n, n)."""
     found = leads | np.eye(len(leads), dtype=np.bool_)
     while True:

@@ -24,6 +24,7 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._cache import kept
+from taciturn.lqg._followed import followed
 from taciturn.lqg._newton import Solution, refuse_doubtful
 from taciturn.lqg._repetition import Repetition, fill_earlier
 
@@ -267,6 +268,11 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
     """
     found = _dare.solve(A, B, Q, R, N)
     if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
+        change = followed(Quadratic(A, B, Q, R, N))
+        if change is not None:
+            inner = regulate_checked(*change.problem, unit)
+            K, error = (_arrays.frozen(change.weight(part)) for part in (inner.K, inner.error))
+            return Regulator(K, _arrays.frozen(change.gain(inner.L)), inner.H, error, inner.slowest)
         seen = Quadratic(A, B, Q, R, N).among(_dare.worth(A, B, Q, R, N).states)
         lost = lost_modes(seen.A, seen.B, False)
         _refuse_unmoved(lost / unit, _disc(unit), np.abs(np.abs(lost) - 1) <= SCATTER, _disc(unit))

@@ -1,0 +1,95 @@
+"""States that no input moves, such as a disturbance or a set-point, and whose effect on the cost an input can cancel.
+
+Let d⁺ = Sd be such states, and x⁺ = Ax + Bu + Ed the others. If x = Xd and u = Ud cost nothing for every d, and
+
+    AX + BU + E = XS,
+
+then the deviations x − Xd and u − Ud have the dynamics and the cost of the problem without d. The regulator of this
+problem is u = L(x − Xd) + Ud, and its cost-to-go (x − Xd)'K(x − Xd), also if d never decays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, Bits
+from taciturn._display import Displayed
+from taciturn._modes import SCATTER, eigenvalues, reach
+from taciturn.lqg._axes import Quadratic
+from taciturn.lqg._worth import closure, paths
+
+CANCELS = 1e-9  # relative residual of the equations for X and U
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Followed(Displayed):
+    """Deviations of states and inputs from those that cost nothing.
+
+    Args:
+        states: mask of the states d, (n,).
+        T: matrix of the deviations (x − Xd, d) in the order of the states, (n, n).
+        U: inputs that cost nothing, zero for the states x, (m, n).
+        problem: the problem in the deviations, in which the states d have no cost.
+    """
+
+    states: Bits
+    T: Array
+    U: Array
+    problem: Quadratic
+
+    def gain(self, L: Array) -> Array:
+        """Return the gain of the states for a gain of the deviations."""
+        return L @ self.T + self.U
+
+    def weight(self, K: Array) -> Array:
+        """Return a weight of the states for a weight of the deviations."""
+        return self.T.T @ K @ self.T
+
+
+def followed(given: Quadratic) -> Followed | None:
+    """Return the deviations from what costs nothing, or None if no state needs them or an input cannot cancel it."""
+    free = ~closure((given.B != 0).any(axis=1), np.asarray(given.A != 0, dtype=np.bool_))
+    states = _lasting(given.A, free)
+    if not states.any() or states.all():
+        return None
+    size, unit = reach(given.A, given.B)  # so that the result does not depend on the units
+    A, B = given.A / size[:, None] * size, given.B / size[:, None] * unit
+    M = np.block([[given.Q, given.N], [given.N.T, given.R]]) * np.outer(*[np.concatenate([size, unit])] * 2)
+    largest = float(np.abs(M).max()) or 1.0
+    x, d = np.flatnonzero(~states), np.flatnonzero(states)
+    n, q, m = len(x), len(d), B.shape[1]
+    order = np.concatenate([x, len(A) + np.arange(m)])
+    cost, push, none = M[np.ix_(order, order)] / largest, M[np.ix_(order, d)] / largest, M[np.ix_(d, d)] / largest
+    S, E, I = A[np.ix_(d, d)], A[np.ix_(x, d)], np.eye(q)
+    # A X + B U − X S = −E, and the derivatives of the cost with respect to x and u are zero
+    moves = np.hstack([np.kron(I, A[np.ix_(x, x)]) - np.kron(S.T, np.eye(n)), np.kron(I, B[x])])
+    costs = np.hstack([np.kron(I, cost[:, :n]), np.kron(I, cost[:, n:])])
+    matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
+    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    rest = np.vstack([found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T])
+    left = none + rest.T @ push + push.T @ rest + rest.T @ cost @ rest
+    limit = CANCELS * max(1.0, float(np.abs(found).max()))
+    if np.abs(matrix @ found - right).max() > limit or np.abs(left).max() > limit:
+        return None
+    T, U = np.eye(len(A)), np.zeros((m, len(A)))
+    T[np.ix_(x, d)], U[:, d] = -rest[:n] * size[x, None] / size[d], rest[n:] * unit[:, None] / size[d]
+    keep, both = np.outer(~states, ~states), np.outer(states, states)
+    A, B, Q, R, N = given
+    problem = Quadratic(np.where(keep | both, A, 0.0), B, np.where(keep, Q, 0.0), R, np.where(states[:, None], 0.0, N))
+    return Followed(states, T, U, problem)
+
+
+def _lasting(A: Array, free: Bits) -> Bits:
+    """Return the states that no input moves and that do not decay, with those of them that affect each other."""
+    leads = paths(np.asarray(A != 0, dtype=np.bool_).T)
+    found, left = np.zeros_like(free), free.copy()
+    while left.any():
+        state = int(np.argmax(left))
+        cycle = leads[state] & leads[:, state]
+        left = left & ~cycle
+        if np.abs(eigenvalues(A[np.ix_(cycle, cycle)])).max() >= 1 - SCATTER:
+            found = found | cycle
+    between = leads[:, found].any(axis=1) | leads[found].any(axis=0)
+    return np.asarray(found | (free & between), dtype=np.bool_) if found.any() else found
