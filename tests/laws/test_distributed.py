@@ -54,7 +54,7 @@ def network_for(plant: Plant, rng: np.random.Generator) -> Network:
     return Network(nodes=nodes, links={name: LinkLaw(price=float(rng.uniform(0.5, 2.0))) for name in links})
 
 
-def excesses(loop: Loop, seed: int, ticks: int = 100, paths: int = 20) -> np.ndarray:
+def excesses(loop: Loop, seed: int, ticks: int = 40, paths: int = 50) -> np.ndarray:
     """Return the excess (u − Lx̂)'H(u − Lx̂) of every path, (steps, paths), in the units of the cost."""
     program = loop.reduced_program()
     states, found = loop.start(program, paths, seed), list[np.ndarray]()

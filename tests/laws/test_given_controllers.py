@@ -230,7 +230,7 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
         way = {"actuation": ("hold", "model")[seed % 2], "link": ("actuator", "sensor")[seed // 2 % 2]}
         policy = design.excess(plant, cost, theta=(0.0, 0.2, 1.0)[seed % 3], controller=kept, **way)
         loop = taciturn.close(plant, policy)
-        program, paths = loop.program(), 400
+        program, paths = loop.program(), 200
         prepared = prepare(program)
         states = prepared(loop.start(program, paths, seed), 2000, None).states
         assert_finite_time(policy, plant, kept, loop, states, way["link"])

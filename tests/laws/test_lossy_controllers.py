@@ -123,7 +123,7 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
             continue
         theta = (0.0, 0.2, 1.0)[seed % 3]
         policy = design.excess(plant, cost, theta=theta, controller=kept, link=link, network=network)
-        loop, paths = taciturn.close(plant, policy), 400
+        loop, paths = taciturn.close(plant, policy), 200
         assert loop.nominal
         if policy.guarantee is None:
             continue
