@@ -18,7 +18,7 @@ from taciturn.model.policy import Decide
 from taciturn.simulation.average import Averages, Estimator, average, completed_squares, plain_average
 
 STEPS, FEW_STEPS = 500_000, 100_000
-MOST_STEPS = 5_000_000  # a loop that keeps its start for longer hardly sends: more steps show nothing that others do not
+MOST_STEPS = 5_000_000  # a loop that keeps its start for longer hardly sends, and more steps show little
 LEAST = settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of what has more below
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
