@@ -31,6 +31,7 @@ from taciturn import (
     load,
     simulate,
 )
+from taciturn.program.machine import Kernel
 from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import run
 from taciturn.simulation.bank import Bank
@@ -114,7 +115,7 @@ def told_by_the_loop(loop: Loop, w: np.ndarray, v: np.ndarray) -> Told:
         Entry("v", i): column for i, column in enumerate(v.T)
     }
     supplied = np.array([noise[name] for name in program.inputs]).T[:, :, None]
-    found = run(program, loop.start(program, 1, 0), len(w), supplied).outputs
+    found = Kernel(program, "parity").run(program, loop.start(program, 1, 0), len(w), supplied).outputs
 
     def stacked(name: str, size: int) -> np.ndarray:
         return np.array([found[Entry(name, i)][:, 0] for i in range(size)]).T
