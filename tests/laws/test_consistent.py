@@ -19,7 +19,7 @@ DRAWN = given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))
 LAWS = ["wiener", "normal", "uniform", "two-point"]
 
 
-def it_beats_periodic_control(seed: int, law: str, share: float, steps: int = 400_000) -> None:
+def it_beats_periodic_control(seed: int, law: str, share: float, steps: int = 150_000) -> None:
     """V_p(r_p) ≤ V ≤ V_p(r), and V + δr ≤ V_p(r_p) + δr_p, as simulated."""
     plant, cost, period = continuous_system(seed, law)
     price = price_of(plant, cost)

@@ -56,15 +56,11 @@ def network_for(plant: Plant, rng: np.random.Generator) -> Network:
     return Network(nodes=nodes, links={name: LinkLaw(price=float(rng.uniform(0.5, 2.0))) for name in links})
 
 
-def excesses(loop: Loop, seed: int, ticks: int = 100, paths: int = 20) -> np.ndarray:
+def excesses(loop: Loop, seed: int, ticks: int = 40, paths: int = 50) -> np.ndarray:
     """Return the excess (u − Lx̂)'H(u − Lx̂) of every path, (steps, paths), in the units of the cost."""
     program = loop.reduced_program()
-    states, found = loop.start(program, paths, seed), list[np.ndarray]()
-    for _ in range(ticks):
-        ran = run(program, states, 1)
-        states = ran.states
-        found.append(ran.sums[EXCESS])
-    return np.array(found)
+    told = replace(program, sums={}, outputs={EXCESS: program.sums[EXCESS]})
+    return run(told, loop.start(told, paths, seed), ticks).outputs[EXCESS]
 
 
 def the_bound_holds_on_every_path(system: System, policy: Policy, steps: int) -> None:
@@ -99,7 +95,7 @@ def test_the_bound_holds_on_every_path(drawn: tuple[System, Policy]) -> None:
 @MANY
 def test_the_bound_holds_on_every_path_of_300_systems(drawn: tuple[System, Policy]) -> None:
     """One to six states, one to four sensors and actuators, unstable plants and correlated noise included."""
-    the_bound_holds_on_every_path(*drawn, steps=1_000_000)
+    the_bound_holds_on_every_path(*drawn, steps=250_000)
 
 
 def two_masses() -> tuple[Plant, Cost, Network]:

@@ -50,7 +50,7 @@ def admissible(seed: int, law: str) -> tuple[ContinuousPlant, Cost, PredictionCo
     return plant, cost, price, h_max, limit
 
 
-def it_beats_periodic_control(seed: int, law: str, cycles: int = 100_000) -> None:
+def it_beats_periodic_control(seed: int, law: str, cycles: int = 25_000) -> None:
     """J ≤ tr(PW) + c min(1, ε/E[θ]) ≤ J_per(E[θ]) at the fixed point of an admissible slope."""
     plant, cost, price, h_max, limit = admissible(seed, law)
     assert plant.jumps is not None

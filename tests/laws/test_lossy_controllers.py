@@ -123,7 +123,7 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
             continue
         theta = (0.0, 0.2, 1.0)[seed % 3]
         policy = design.excess(plant, cost, theta=theta, controller=kept, link=link, network=network)
-        loop, paths = taciturn.close(plant, policy), 400
+        loop, paths = taciturn.close(plant, policy), 200
         assert loop.nominal
         if policy.guarantee is None:
             continue
@@ -131,11 +131,11 @@ def test_the_identity_holds_and_the_bound_is_never_broken(seeds: range) -> None:
         program = loop.program()
         prepared = prepare(program)
         states = prepared(loop.start(program, paths, seed), 2000, None).states
-        sums = prepared(states, 4000, None).sums
-        plain, squares = sums["cost"] / 4000, policy.cost_all_time + sums["excess"] / 4000
+        sums = prepared(states, 1000, None).sums
+        plain, squares = sums["cost"] / 1000, policy.cost_all_time + sums["excess"] / 1000
         error = (plain - squares).std(ddof=1) / np.sqrt(paths)
         off.append(float((plain - squares).mean() / error))
-        rate = float(sums[Sent(link)].mean()) / 4000
+        rate = float(sums[Sent(link)].mean()) / 1000
         assert plain.mean() < policy.guarantee.at_rate(rate) + 4 * plain.std(ddof=1) / np.sqrt(paths)
     assert off
     assert np.abs(off).max() < 4.5

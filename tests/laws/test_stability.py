@@ -24,7 +24,7 @@ def quiet(plant: Plant) -> Plant:
     return Plant(plant.A, plant.B, zero, plant.C, np.zeros_like(plant.V), covariance=spread)
 
 
-def mean_square_stays(system: System, name: str, ticks: int = 6_000) -> None:
+def mean_square_stays(system: System, name: str, ticks: int = 2_000) -> None:
     """The mean square of the state over so many steps is that over as many before."""
     loop = closed(POLICIES[name](system))
     program = loop.program().keep({"cost"})

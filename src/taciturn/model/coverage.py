@@ -9,7 +9,7 @@ gets a group of names of its own, which each theory and each interpreter adds to
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import lru_cache
@@ -29,6 +29,7 @@ _PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "Link
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
 _OPAQUE = ("plant.function", "Apply.function")  # callables
+_LEAVES = frozenset({str, int, float, bool, np.ndarray, type(None)})  # most of what is found
 _PLAIN = (str, int, float, np.ndarray, type(None), LossLaw)  # every law of losses has the same two properties
 
 
@@ -122,27 +123,60 @@ def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
         >>> uncovered(WEIGHTS, Cost([[1.0]], [[1.0]], discount=0.9))
         ['cost.discount']
     """
-    return list(dict.fromkeys(name for thing in things for name in _uncovered(covered, thing)))
+    found, known = dict[str, None](), frozenset(covered)
+    for thing in things:
+        _collect(known, thing, found)
+    return list(found)
 
 
-def _uncovered(covered: AbstractSet[str], thing: object) -> Iterator[str]:
-    if isinstance(thing, Mapping | tuple | list):
+def _collect(covered: frozenset[str], thing: object, found: dict[str, None]) -> None:
+    """Add the names of the properties that are given but not covered."""
+    kind = type(thing)
+    looked = _look(kind, covered)
+    if looked is None:
         held = cast("Mapping[Any, object] | Sequence[object]", thing)
         for one in held.values() if isinstance(held, Mapping) else held:
-            yield from _uncovered(covered, one)
-    elif not isinstance(thing, _PLAIN):
-        owner, listed, more = _described(type(thing))
-        if owner not in covered:
-            yield owner
-            return
-        own = (f"{owner}.{name}" for name in vars(thing) if not hasattr(type(thing), name))
-        yield from (name for name in (*more, *own) if name not in covered and name not in listed)
-        for name, field in listed.items():
-            value: object = getattr(thing, field.name)
-            if name in covered:
-                yield from () if name in _OPAQUE else _uncovered(covered, value)
-            elif not _is_neutral(name, field, value):
-                yield name
+            if type(one) not in _LEAVES:
+                _collect(covered, one, found)
+        return
+    usual, more, parts = looked
+    for name in more:
+        found[name] = None
+    if usual is not None:
+        own = [f"{_described(kind)[0]}.{name}" for name in vars(thing) if name not in usual and not hasattr(kind, name)]
+        found.update((name, None) for name in own if name not in covered)
+    for field, name in parts:
+        value: object = getattr(thing, field.name)
+        if name is not None:
+            if not _is_neutral(name, field, value):
+                found[name] = None
+        elif type(value) not in _LEAVES:
+            _collect(covered, value, found)
+
+
+@lru_cache(maxsize=1024)
+def _look(
+    kind: type[object], covered: frozenset[str]
+) -> tuple[frozenset[str] | None, tuple[str, ...], tuple[tuple[Field[Any], str | None], ...]] | None:
+    """Return what to look at in things of a class, or None for a collection.
+
+    That is: the names of its fields (None if attributes are not looked at), what is not covered whatever a thing
+    contains, and the fields in order, each with its name if it is not covered.
+    """
+    if issubclass(kind, (Mapping, tuple, list)):
+        return None
+    if issubclass(kind, _PLAIN):
+        return None, (), ()
+    owner, listed, overridden = _described(kind)
+    if owner not in covered:
+        return None, (owner,), ()
+    more = tuple(name for name in overridden if name not in covered and name not in listed)
+    parts = tuple(
+        (field, None if name in covered else name)
+        for name, field in listed.items()
+        if name not in covered or name not in _OPAQUE
+    )
+    return frozenset(field.name for field in listed.values()), more, parts
 
 
 @lru_cache(maxsize=256)

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 from taciturn.program._llvm_lines import CodeLines, tile_columns
-from taciturn.program.ir import Program, needed
-from taciturn.program.ops import EIGHT, Op, Tile, tiles
+from taciturn.program.ir import Program
+from taciturn.program.ops import EIGHT, Op, Tile, needed, tiles
 from taciturn.program.target import Target
 
 Build = Literal["parity", "fast"]
@@ -69,7 +69,7 @@ class Body(CodeLines):
         """Start without lines."""
         super().__init__(program, target, lanes, own)
         self.flags, self.fuses = _FLAGS[build], build == "fast"
-        self.live = needed(program, _roots(program))
+        self.live = needed(program.ops, _roots(program))
         self.fused, self.summed = _fused(program, self.live) if self.fuses else ({}, set[int]())
         self.printed = sorted(self.live - {*self.fused.values(), *self.summed})
         self.names = [""] * len(program.ops)  # names of the values, by operation

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taciturn.program.bits import LAYOUTS
-from taciturn.program.ir import Program, needed
-from taciturn.program.ops import EIGHT, Op, Precision, tiles
+from taciturn.program.ir import Program
+from taciturn.program.ops import EIGHT, Op, Precision, needed, tiles
 
 REAL, ROOT, CONSTANTS = "tac_real", "tac_root", "constants"
 _INFIX: Mapping[str, tuple[str, str]] = {  # operator, and type of the result; an empty type is that of the operands
@@ -76,7 +76,7 @@ class _Printer:
     def __init__(self, program: Program, name: str, places: Sequence[int], constants: list[float]) -> None:
         self.program, self.name, self.places, self.constants = program, name, places, constants
         moved = [op for i, op in enumerate(program.following) if self._moves(i, op)]
-        self.live = needed(program, [*moved, *program.outputs.values()])
+        self.live = needed(program.ops, [*moved, *program.outputs.values()])
         self.types: dict[int, str] = {}  # of the operations
         self.names: dict[int, str] = {}  # expressions of values without a variable (constants)
         self.begins: dict[bytes, int] = {}  # places of constants, tables and matrices in the array

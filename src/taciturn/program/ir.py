@@ -12,7 +12,7 @@ from functools import cached_property
 from itertools import compress
 
 from taciturn.program.names import Name, Named
-from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Op, Precision, State, Total, tiles
+from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Op, Precision, State, Total, needed, tiles
 
 BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
 FULL = 4  # least number of nonzero coefficients of a column that takes part in the loop
@@ -116,13 +116,13 @@ class Builder:
         self.matrices: list[MatrixRows] = []
         self.states: list[State] = []
         self.inputs: list[Name] = []
-        self._known: dict[tuple[str, tuple[int, ...]], int] = {}
+        self.known: dict[tuple[str, tuple[int, ...]], int] = {}
         self._constant_index: dict[float | str, int] = {}
 
     def emit(self, name: str, *arguments: int) -> int:
         """Return the index of an operation; the operation is added if no equal one exists."""
         new = len(self.ops)
-        found = self._known.setdefault((name, arguments), new)
+        found = self.known.setdefault((name, arguments), new)
         if found == new:
             self.ops.append(Op(name, arguments))
         return found
@@ -284,18 +284,23 @@ class Builder:
 def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
     """Return a copy of a program with only the given states; ``substitute`` can replace a ``state`` or ``input``."""
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
-    live = sorted(needed(program, roots))
+    live = sorted(needed(program.ops, roots))
     builder = Builder(program.precision)
     for i in states:  # declared first, so that their order does not depend on the order of reading
         builder.state(program.states[i])
     new = [0] * len(program.ops)
+    known, ops = builder.known, builder.ops
     for index in live:
         op = program.ops[index]
-        if op.name in LITERAL:
-            replaced = substitute(builder, op) if op.name in ("state", "input") else None
+        name, arguments = op
+        if name in LITERAL:
+            replaced = substitute(builder, op) if name in ("state", "input") else None
             new[index] = _copy(program, builder, op, new) if replaced is None else replaced
-        else:  # the common case
-            new[index] = builder.emit(op.name, *[new[argument] for argument in op.arguments])
+        else:  # the common case: as ``emit``, which takes twice as long
+            moved = tuple([new[argument] for argument in arguments])
+            new[index] = found = known.setdefault((name, moved), len(ops))
+            if found == len(ops):
+                ops.append(op if moved == arguments else Op(name, moved))
     following = [new[program.following[i]] for i in states]
     sums = {name: new[index] for name, index in program.sums.items()}
     return builder.collect(following, sums, {name: new[index] for name, index in program.outputs.items()})
@@ -311,7 +316,7 @@ def merge_states(program: Program) -> Program:
     """
     starts: dict[object, int] = {}
     leader = [starts.setdefault((state.start, state.word), i) for i, state in enumerate(program.states)]
-    live = sorted(needed(program, program.following))
+    live = sorted(needed(program.ops, program.following))
     while True:
         same = _same_values(program, live, leader)
         classes: dict[tuple[int, int], int] = {}
@@ -359,22 +364,13 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
             continue
         seen.add(index)
         op = program.ops[index]
-        if op.name != "state":
-            roots += op.reads
-        elif (state := leader[op.arguments[0]]) not in alive:
+        name, arguments = op
+        if name != "state":
+            roots += op.reads if name in LITERAL else arguments
+        elif (state := leader[arguments[0]]) not in alive:
             alive.add(state)
             roots.append(program.following[state])
     return sorted(alive)
-
-
-def needed(program: Program, roots: Sequence[int]) -> set[int]:
-    """Return all operations of a program on which the operations ``roots`` depend within one step."""
-    needed = set(roots)
-    # operations read earlier ones only, so one pass from the last to the first finds all
-    for index in range(max(needed, default=-1), -1, -1):
-        if index in needed:
-            needed.update(program.ops[index].reads)
-    return needed
 
 
 def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int:

@@ -28,7 +28,7 @@ Programs have no vectors of paths and no loops; the back ends add them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -71,6 +71,21 @@ class Op(NamedTuple):
         """Indices of the operations whose values this operation reads."""
         literal = LITERAL.get(self.name)
         return self.arguments if literal is None else self.arguments[:literal] + self.arguments[literal + 1 :]
+
+
+def needed(ops: Sequence[Op], roots: Sequence[int]) -> set[int]:
+    """Return all operations on which the operations ``roots`` depend within one step."""
+    last = max(roots, default=-1)
+    marks = bytearray(last + 1)
+    for index in roots:
+        marks[index] = 1
+    # operations read earlier ones only, so one pass from the last to the first finds all
+    for index in range(last, -1, -1):
+        if marks[index]:
+            name, arguments = ops[index]
+            for argument in ops[index].reads if name in LITERAL else arguments:
+                marks[argument] = 1
+    return {index for index, mark in enumerate(marks) if mark}
 
 
 @dataclass(frozen=True)

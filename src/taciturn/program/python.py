@@ -11,8 +11,8 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
-from taciturn.program.ir import Program, needed
-from taciturn.program.ops import EIGHT, Op, tiles
+from taciturn.program.ir import Program
+from taciturn.program.ops import EIGHT, Op, needed, tiles
 
 CompiledStep: TypeAlias = Callable[[Sequence[Any], Sequence[float]], tuple[tuple[Any, ...], tuple[float, ...]]]
 """Function from states (words as integers) and inputs to next states and outputs, in the order of the program."""
@@ -32,7 +32,7 @@ def print_python(program: Program) -> str:
     """
     assert program.precision == "float64", "nodes compute in double precision"
     roots = [*program.following, *program.outputs.values()]
-    live = needed(program, roots)
+    live = needed(program.ops, roots)
     lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]
     states = "".join(f"v{i}, " for i in program.following)
     outputs = "".join(f"v{i}, " for i in program.outputs.values())

@@ -12,8 +12,9 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.errors import ProblemError
-from taciturn.program.ir import Program, needed
+from taciturn.program.ir import Program
 from taciturn.program.names import Name
+from taciturn.program.ops import needed
 
 
 def read_polynomials(program: Program, coordinates: int, inputs: Mapping[Name, Array]) -> dict[int, Array]:
@@ -28,7 +29,7 @@ def read_polynomials(program: Program, coordinates: int, inputs: Mapping[Name, A
         ProblemError: an operation is not a sum, a product of two linear values, or a multiple of a value.
     """
     unit, values = np.eye(coordinates + 1), dict[int, Array]()
-    for index in sorted(needed(program, [*program.following, *program.sums.values(), *program.outputs.values()])):
+    for index in sorted(needed(program.ops, [*program.following, *program.sums.values(), *program.outputs.values()])):
         name, (first, *rest) = program.ops[index]
         if name == "const":
             values[index] = program.constants[first] * unit[-1]

@@ -15,11 +15,11 @@ from taciturn.model.places import place_of, roles, wire_links
 from taciturn.model.policy import Policy, Send
 from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, OFFSETS, PERSON, TAG_SIZE, VERSION
 from taciturn.program.draws import seed_generators
-from taciturn.program.ir import Program, needed
+from taciturn.program.ir import Program
 from taciturn.program.layout import lay_out
 from taciturn.program.names import text_of
 from taciturn.program.node import lower_node
-from taciturn.program.ops import State, tiles
+from taciturn.program.ops import State, needed, tiles
 from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.packet import WIRED
 from taciturn.runtime.window import WIDTH
@@ -113,7 +113,7 @@ def _steps(program: Program) -> dict[str, Any]:
     An unused operation is null. Constants, tables and rows of matrices are part of the operation that reads them.
     """
     roots = [*program.following, *program.outputs.values()]
-    live = needed(program, roots)
+    live = needed(program.ops, roots)
     operations: list[list[object] | None] = []
     for index, (name, arguments) in enumerate(program.ops):
         read: Sequence[object] = arguments
