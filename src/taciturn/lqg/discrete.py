@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +18,7 @@ from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.exosystem import Exosystem
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
@@ -114,6 +116,8 @@ def discretise(
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
+    if plant.exosystem is not None:
+        return _with_exosystem(plant, plant.exosystem, cost, period, prediction)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected "
@@ -156,3 +160,18 @@ def discretise(
     return Discrete(
         discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction, plant
     )
+
+
+def _with_exosystem(
+    plant: Plant | ContinuousPlant, exosystem: Exosystem, cost: Cost, period: float | None, prediction: Prediction | None
+) -> Discrete:
+    """Return the problem of a plant with disturbances and set-points."""
+    from taciturn.lqg.regulation import joined
+
+    if prediction is not None or cost.mission or plant.full_state:
+        got = "the actuator predicts between steps" if prediction else "the cost has a horizon or a discount"
+        got = "the full state is measured" if plant.full_state else got
+        raise ProblemError(f"disturbances or set-points are given, and {got}; expected an average cost, C, and a held input")
+    alone = copy(plant)
+    object.__setattr__(alone, "exosystem", None)
+    return joined(discretise(alone, cost, period), plant, exosystem)

@@ -24,7 +24,7 @@ from taciturn.model.losses import LossLaw
 
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
-_OWN = ("Cost", "Network", "Jumps", "Reference", "Tracking", "Controller", "Disturbance")
+_OWN = ("Cost", "Network", "Jumps", "Reference", "Tracking", "Controller", "Disturbance", "Exosystem")
 _PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "LinkLaw": "links"}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
@@ -41,6 +41,7 @@ def names(owner: str, properties: str) -> frozenset[str]:
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state")
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
+EXOSYSTEM = names("exosystem", "S E G W start outputs F") | {"plant.exosystem"}
 WEIGHTS = names("cost", "Q R N")
 ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
 # a range has an effect only with a payload; prices and energies affect no packet
@@ -70,9 +71,9 @@ DRAWS = names("Draw", "at signal")
 FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
 
-LINEAR_LOOP = LINEAR_PLANT | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
+LINEAR_LOOP = LINEAR_PLANT | EXOSYSTEM | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
-PLANTS = LINEAR_PLANT | FUNCTION | LIMIT | JUMPS
+PLANTS = LINEAR_PLANT | EXOSYSTEM | FUNCTION | LIMIT | JUMPS
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself

@@ -14,6 +14,7 @@ from taciturn._modes import SCATTER, Slow, lost_modes, mode_text, pace
 from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
+from taciturn.model.exosystem import Exosystem
 
 JumpDistribution = Literal["normal", "uniform", "two-point"]
 
@@ -32,6 +33,7 @@ class Plant(DisplayedPlant):
         mean: mean of the initial state, (n,); default 0.
         covariance: covariance of the initial state, (n, n); default 0.
         input_limit: positive saturation limit of each input at the plant, (m,), symmetric; default no limit.
+        exosystem: disturbances and set-points, or None.
         function: step x⁺ = f(x, u, w) of a nonlinear plant, with arrays (n,), (m,), (n,) and w ~ N(0, W) drawn at
             every step. Policies are designed for A and B, which must be the derivatives of f with respect to x and u
             at the equilibrium 0. The derivative with respect to w must be the identity wherever W is not 0. If
@@ -57,6 +59,7 @@ class Plant(DisplayedPlant):
     input_limit: Array | None
     function: Dynamics | None
     full_state: bool
+    exosystem: Exosystem | None
     continuous: ClassVar[bool] = False
 
     def __init__(
@@ -71,9 +74,10 @@ class Plant(DisplayedPlant):
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
         function: Map | Dynamics | None = None,
+        exosystem: Exosystem | None = None,
     ) -> None:
         """Validate and store the arguments."""
-        _set_linear(self, A, B, C, V, mean, covariance, input_limit)
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit, exosystem)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
         object.__setattr__(self, "function", None if function is None else _checked(function, self))
@@ -92,7 +96,7 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {"mean", "covariance", "dt", "function", "full_state"}
+        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -175,6 +179,7 @@ class ContinuousPlant(DisplayedPlant):
         mean: mean of the initial state, (n,); default 0.
         covariance: covariance of the initial state, (n, n); default 0.
         input_limit: positive saturation limit of each input at the plant, (m,), symmetric; default no limit.
+        exosystem: disturbances and set-points, or None.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
@@ -195,6 +200,7 @@ class ContinuousPlant(DisplayedPlant):
     covariance: Array
     input_limit: Array | None
     full_state: bool
+    exosystem: Exosystem | None
 
     def __init__(
         self,
@@ -207,9 +213,10 @@ class ContinuousPlant(DisplayedPlant):
         mean: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
+        exosystem: Exosystem | None = None,
     ) -> None:
         """Validate and store the arguments."""
-        _set_linear(self, A, B, C, V, mean, covariance, input_limit)
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit, exosystem)
         if W is None and jumps is None:
             raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
         if jumps is not None:
@@ -325,6 +332,7 @@ def _set_linear(
     mean: ArrayLike | None,
     covariance: ArrayLike | None,
     input_limit: ArrayLike | None,
+    exosystem: Exosystem | None,
 ) -> None:
     """Check and set the attributes that both plant classes share."""
     A = array("A", A, (None, None), "(states, states)")
@@ -351,7 +359,13 @@ def _set_linear(
         if covariance is None
         else semidefinite("initial.covariance", covariance, n, "(states, states)"),
         "input_limit": limit,
+        "exosystem": exosystem,
     }
+    if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):
+        raise ProblemError(
+            f"the exosystem is for {exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs; expected {n} and "
+            f"{p}, as in the plant"
+        )
     for key, value in values.items():
         object.__setattr__(plant, key, value)
     object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())

@@ -1,0 +1,113 @@
+"""Regulator equations: the states and inputs for which an output does not react to disturbances and set-points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from taciturn._arrays import Array, symmetrised
+from taciturn._modes import reach
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.sampling import sample
+from taciturn.model.exosystem import Exosystem
+from taciturn.model.plant import ContinuousPlant, Plant
+
+SOLVED = 1e-9  # relative residual of the equations
+FREE = 1e-10  # relative singular value below which a direction is free
+
+
+def regulator_equations(
+    A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array
+) -> tuple[Array, Array]:
+    """Return X and U with A X + B U + E = X S and C_z X + F = 0, of which the cost of x = X d and u = U d is least.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        S: (q, q) dynamics of the disturbances and set-points d.
+        E: (n, q) effect of d on the state.
+        outputs: C_z, (z, n).
+        F: (z, q) effect of d on the output.
+        weight: [[Q, N], [N', R]], (n + m, n + m), which decides if more than one solution exists.
+
+    Raises:
+        ProblemError: no input keeps some output at zero.
+
+    Source: francis1977
+    """
+    (n, m), q = B.shape, len(S)
+    state, unit = reach(A, B)  # so that the result does not depend on the units
+    units = np.concatenate([state, unit])
+    A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
+    sizes = np.maximum(np.abs(outputs * state).max(axis=1, initial=0.0), 1e-300)
+    Cz, F = outputs * state / sizes[:, None], F / sizes[:, None]
+    I = np.eye(q)
+    moves = np.hstack([np.kron(I, A) - np.kron(S.T, np.eye(n)), np.kron(I, B)])
+    matrix, right = moves, -E.T.ravel()
+    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    for i in range(-1, len(Cz)):
+        if i >= 0:
+            row = np.hstack([np.kron(I, Cz[i : i + 1]), np.zeros((q, q * m))])
+            matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
+            found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+        if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):
+            what = "the state" if i < 0 else f"output {i} of the reference, {outputs[i].tolist()} x,"
+            more = "" if i < m else f" ({i + 1} outputs, {m} inputs)"
+            raise ProblemError(
+                f"no input keeps {what} free of the disturbances and at its set-point{more}; expected at most as many "
+                "reference.outputs as inputs, of which an input affects each, and disturbances that inputs can cancel"
+            )
+    scaled = weight * np.outer(units, units)
+    order = np.concatenate([np.arange(n * q).reshape(q, n), n * q + np.arange(m * q).reshape(q, m)], axis=1)
+    whole = np.zeros((len(found), len(found)))
+    for column in order:
+        whole[np.ix_(column, column)] = scaled
+    _, values, rows = np.linalg.svd(matrix)
+    rank = int((values > FREE * values.max(initial=1e-300)).sum())
+    free = rows[rank:].T
+    if free.shape[1]:
+        found = found - free @ np.linalg.lstsq(free.T @ whole @ free, free.T @ whole @ found, rcond=None)[0]
+    X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
+    return X * state[:, None], U * unit[:, None]
+
+
+def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
+    """Return the problem of a plant with its disturbances and set-points: its states are (x, d), its cost deviations.
+
+    The cost is (x − Xd)'Q(x − Xd) + (u − Ud)'R(u − Ud) + 2(x − Xd)'N(u − Ud), with X and U of the regulator equations.
+
+    Args:
+        base: the problem without them.
+        source: the plant before it was sampled.
+        exosystem: the disturbances and set-points.
+    """
+    plant, e = base.plant, exosystem
+    n, q, m = plant.states, len(e.S), plant.inputs
+    A = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
+    W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
+    B, noise_cost = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost
+    weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
+    if isinstance(source, ContinuousPlant):
+        none = np.zeros((n + q, n + q))
+        sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
+        X, U = regulator_equations(plant.A, plant.B, sampled.A[n:, n:], sampled.A[:n, n:], e.outputs, e.F, weights)
+        T = np.hstack([np.eye(n), -X])
+        cost = base.cost
+        noise_cost = sample(source.A, source.B, cost.Q, cost.R, cost.N, T @ W @ T.T, base.tick).noise_cost
+        A, W = sampled.A, sampled.W
+    else:
+        X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
+    deviation = np.block([[np.eye(n), -X, np.zeros((n, m))], [np.zeros((m, n)), -U, np.eye(m)]])
+    whole = symmetrised(deviation.T @ weights @ deviation)
+    states = n + q
+    mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
+    with_all = Plant(
+        A, np.vstack([plant.B, np.zeros((q, m))]), W, np.hstack([plant.C, e.G]), plant.V, plant.dt, mean, covariance,
+        plant.input_limit, plant.function,
+    )  # fmt: skip
+    return replace(
+        base, plant=with_all, Q=whole[:states, :states], N=whole[:states, states:], noise_cost=noise_cost,
+        source=source,
+    )  # fmt: skip

@@ -1,0 +1,189 @@
+"""Disturbances and set-points of a plant: signals that no input moves, and that the outputs are to be free of.
+
+The exosystem d⁺ = S d + w_d (or ḋ = S d + noise) acts on the plant:
+
+    x⁺ = A x + B u + E d + w,   y = C x + G d + v,   z = C_z x + F d,
+
+and z is to be zero. A constant disturbance is S = 1, and a set-point r of the output C_z x is a state of d with F = −1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, block_diagonal, number, quoted, semidefinite
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+
+Shape: TypeAlias = Literal["constant", "ramp", "sinusoid"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExternalDisturbance(Displayed):
+    """A disturbance of known shape and unknown size, which the filter estimates and the input compensates.
+
+    Args:
+        enters: how the disturbance moves the state: entries added to x per step, or per second, (n,).
+        wander: variance per step, or intensity per second, of the noise that moves the disturbance, positive: of its
+            value, for a ramp of its slope, for a sinusoid of both of its components.
+        shape: ``"constant"``, ``"ramp"`` or ``"sinusoid"``.
+        frequency: radians per step of a sinusoid, or radians per second for a continuous plant.
+        measured: how the disturbance adds to the measured outputs, (p,); default 0.
+
+    Raises:
+        ProblemError: the wander is not positive, or a frequency is missing or not used.
+
+    Example:
+        >>> ExternalDisturbance([0.0, 0.3], wander=1e-3).dynamics(continuous=False)
+        array([[1.]])
+    """
+
+    enters: Array
+    wander: float
+    shape: Shape = "constant"
+    frequency: float | None = None
+    measured: Array | None = None
+
+    def __init__(
+        self,
+        enters: ArrayLike,
+        wander: float,
+        shape: Shape = "constant",
+        frequency: float | None = None,
+        measured: ArrayLike | None = None,
+    ) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "enters", array("disturbance.enters", enters, (None,), "(states,)"))
+        object.__setattr__(self, "wander", number("disturbance.wander", wander, 0.0))
+        if shape not in get_args(Shape):
+            raise ProblemError(f"disturbance.kind is {quoted(shape)}; expected one of {', '.join(get_args(Shape))}")
+        if (frequency is None) == (shape == "sinusoid"):
+            got = "missing" if frequency is None else f"{frequency:g}"
+            expected = "the radians per step or second of a sinusoid" if frequency is None else f"none for a {shape}"
+            raise ProblemError(f"disturbance.frequency is {got}; expected {expected}")
+        object.__setattr__(self, "shape", shape)
+        checked = None if frequency is None else number("disturbance.frequency", frequency, 0.0)
+        object.__setattr__(self, "frequency", checked)
+        seen = None if measured is None else array("disturbance.measured", measured, (None,), "(outputs,)")
+        object.__setattr__(self, "measured", seen)
+
+    def dynamics(self, continuous: bool) -> Array:
+        """Return S; the first state is the value of the disturbance."""
+        if self.shape == "constant":
+            return np.array([[0.0 if continuous else 1.0]])
+        if self.shape == "ramp":
+            return np.array([[0.0, 1.0], [0.0, 0.0]]) + (0.0 if continuous else np.eye(2))
+        w = self.frequency or 0.0
+        return np.array([[0.0, w], [-w, 0.0]]) if continuous else np.array([[cos(w), sin(w)], [-sin(w), cos(w)]])
+
+    @property
+    def noise(self) -> Array:
+        """The covariance, or intensity, of the noise of the states."""
+        moved = {"constant": [1.0], "ramp": [0.0, 1.0], "sinusoid": [1.0, 1.0]}[self.shape]
+        return self.wander * np.diag(moved)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SetPoint(Displayed):
+    """The value that some combinations of the states are to have.
+
+    Args:
+        outputs: C_z of the combinations z = C_z x, (z, n).
+        value: their set-points, (z,); default 0.
+
+    Raises:
+        ProblemError: the number of set-points is not that of the combinations.
+
+    Example:
+        >>> SetPoint([[1.0, 0.0]], [2.5]).value
+        array([2.5])
+    """
+
+    outputs: Array
+    value: Array
+
+    def __init__(self, outputs: ArrayLike, value: ArrayLike | None = None) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(combinations, states)"))
+        size = len(self.outputs)
+        given = np.zeros(size) if value is None else value
+        object.__setattr__(self, "value", array("reference.value", given, (size,), "(combinations,)"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Exosystem(Displayed):
+    """All disturbances and set-points of a plant.
+
+    Args:
+        S: dynamics of the states d, (q, q).
+        E: effect on the state of the plant, (n, q).
+        G: effect on the measured outputs, (p, q).
+        W: covariance per step, or intensity per second, of the noise that moves d, (q, q).
+        start: initial value of d, (q,).
+        outputs: C_z, (z, n).
+        F: effect on z = C_z x + F d, (z, q).
+    """
+
+    S: Array
+    E: Array
+    G: Array
+    W: Array
+    start: Array
+    outputs: Array
+    F: Array
+
+    def __post_init__(self) -> None:
+        """Check the sizes and the covariance."""
+        q, (z, n) = len(self.S), self.outputs.shape
+        shapes: Mapping[str, tuple[int | None, ...]] = {
+            "S": (q, q), "E": (n, q), "G": (None, q), "start": (q,), "outputs": (z, n), "F": (z, q)
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, array(f"exosystem.{name}", getattr(self, name), shape))
+        object.__setattr__(self, "W", semidefinite("exosystem.W", self.W, q, "(q, q)"))
+
+    @staticmethod
+    def of(
+        disturbances: Sequence[ExternalDisturbance], target: SetPoint, outputs: int, continuous: bool
+    ) -> Exosystem:
+        """Return the exosystem of disturbances and of a set-point.
+
+        Args:
+            disturbances: the disturbances.
+            target: the combinations of the states that are to be at their set-points.
+            outputs: number of measured outputs p.
+            continuous: whether the plant is continuous in time.
+
+        Raises:
+            ProblemError: a disturbance has another number of states or outputs than the plant.
+        """
+        z, n = target.outputs.shape
+        parts, enters, seen = list[Array](), list[Array](), list[Array]()
+        for one in disturbances:
+            S = one.dynamics(continuous)
+            measured = np.zeros(outputs) if one.measured is None else one.measured
+            for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
+                if len(got) != expected:
+                    raise ProblemError(f"disturbance.{name} has {len(got)} entries; expected {expected}")
+            parts.append(S)
+            rest = np.zeros((1, len(S) - 1))
+            enters.append(np.hstack([one.enters[:, None], np.tile(rest, (n, 1))]))
+            seen.append(np.hstack([measured[:, None], np.tile(rest, (outputs, 1))]))
+        moved = bool(target.value.any())
+        r = z if moved else 0  # states of the set-points
+        S = block_diagonal(*parts, np.zeros((r, r)) if continuous else np.eye(r))
+        q = len(S) - r
+        return Exosystem(
+            S=S,
+            E=np.hstack([*enters, np.zeros((n, r))]),
+            G=np.hstack([*seen, np.zeros((outputs, r))]),
+            W=block_diagonal(*(one.noise for one in disturbances), np.zeros((r, r))),
+            start=np.concatenate([np.zeros(q), target.value[:r]]),
+            outputs=target.outputs,
+            F=np.hstack([np.zeros((z, q)), -np.eye(z)[:, :r]]),
+        )
