@@ -62,10 +62,10 @@ def followed(given: Quadratic) -> Followed | None:
     n, q, m = len(x), len(d), B.shape[1]
     order = np.concatenate([x, len(A) + np.arange(m)])
     cost, push, none = M[np.ix_(order, order)] / largest, M[np.ix_(order, d)] / largest, M[np.ix_(d, d)] / largest
-    S, E, I = A[np.ix_(d, d)], A[np.ix_(x, d)], np.eye(q)
+    S, E, same = A[np.ix_(d, d)], A[np.ix_(x, d)], np.eye(q)
     # A X + B U − X S = −E, and the derivatives of the cost with respect to x and u are zero
-    moves = np.hstack([np.kron(I, A[np.ix_(x, x)]) - np.kron(S.T, np.eye(n)), np.kron(I, B[x])])
-    costs = np.hstack([np.kron(I, cost[:, :n]), np.kron(I, cost[:, n:])])
+    moves = np.hstack([np.kron(same, A[np.ix_(x, x)]) - np.kron(S.T, np.eye(n)), np.kron(same, B[x])])
+    costs = np.hstack([np.kron(same, cost[:, :n]), np.kron(same, cost[:, n:])])
     matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     rest = np.vstack([found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T])

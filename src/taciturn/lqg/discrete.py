@@ -163,7 +163,11 @@ def discretise(
 
 
 def _with_exosystem(
-    plant: Plant | ContinuousPlant, exosystem: Exosystem, cost: Cost, period: float | None, prediction: Prediction | None
+    plant: Plant | ContinuousPlant,
+    exosystem: Exosystem,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None,
 ) -> Discrete:
     """Return the problem of a plant with disturbances and set-points."""
     from taciturn.lqg.regulation import joined
@@ -171,7 +175,9 @@ def _with_exosystem(
     if prediction is not None or cost.mission or plant.full_state:
         got = "the actuator predicts between steps" if prediction else "the cost has a horizon or a discount"
         got = "the full state is measured" if plant.full_state else got
-        raise ProblemError(f"disturbances or set-points are given, and {got}; expected an average cost, C, and a held input")
+        raise ProblemError(
+            f"disturbances or set-points are given, and {got}; expected an average cost, C, and a held input"
+        )
     alone = copy(plant)
     object.__setattr__(alone, "exosystem", None)
     return joined(discretise(alone, cost, period), plant, exosystem)

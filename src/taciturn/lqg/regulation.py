@@ -43,13 +43,13 @@ def regulator_equations(
     A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
     sizes = np.maximum(np.abs(outputs * state).max(axis=1, initial=0.0), 1e-300)
     Cz, F = outputs * state / sizes[:, None], F / sizes[:, None]
-    I = np.eye(q)
-    moves = np.hstack([np.kron(I, A) - np.kron(S.T, np.eye(n)), np.kron(I, B)])
+    same = np.eye(q)
+    moves = np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])
     matrix, right = moves, -E.T.ravel()
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     for i in range(-1, len(Cz)):
         if i >= 0:
-            row = np.hstack([np.kron(I, Cz[i : i + 1]), np.zeros((q, q * m))])
+            row = np.hstack([np.kron(same, Cz[i : i + 1]), np.zeros((q, q * m))])
             matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
             found = np.linalg.lstsq(matrix, right, rcond=None)[0]
         if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):

@@ -148,9 +148,7 @@ class Exosystem(Displayed):
         object.__setattr__(self, "W", semidefinite("exosystem.W", self.W, q, "(q, q)"))
 
     @staticmethod
-    def of(
-        disturbances: Sequence[ExternalDisturbance], target: SetPoint, outputs: int, continuous: bool
-    ) -> Exosystem:
+    def of(disturbances: Sequence[ExternalDisturbance], target: SetPoint, outputs: int, continuous: bool) -> Exosystem:
         """Return the exosystem of disturbances and of a set-point.
 
         Args:

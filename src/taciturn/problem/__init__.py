@@ -57,6 +57,7 @@ from taciturn.problem.parts import (
     plant_of,
     takes_losses,
 )
+from taciturn.problem.signals import reference_of, with_exosystem
 from taciturn.problem.tables import (
     ControllerTable as ControllerTable,
 )
@@ -84,6 +85,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "actual": ("plant",),
     **{name: (name,) for name in ("plant", "cost", "reference", "controller")},
 }
+PARTS["plant"] = ("plant", "disturbance", "reference")
 PARTS["network"] = ("network", "nodes", "links")
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
@@ -354,14 +356,17 @@ def parse(
     kind, parameters = read_policy(file.policy, name, own)
     try:
         record = own if own is not None and own.name == kind else find_kind(kind)
-        for part in (part for part in ("reference", "controller") if getattr(file, part) is not None):
+        followed = file.reference is not None and file.reference.states is not None
+        for part in (part for part, given in (("reference", followed), ("controller", file.controller)) if given):
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         plant = plant_of(file.plant, known or {})
         actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
-        reference = None if file.reference is None else Reference(**vars(file.reference))
+        reference = reference_of(file.reference)
         controller = None if file.controller is None else controller_of(file.controller)
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
+        plant, actual = (with_exosystem(one, file, network) for one in (plant, actual))
+        assert plant is not None
         return Problem(
             plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller
         )

@@ -116,11 +116,25 @@ class LinkTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class ReferenceTable(Displayed):
-    """The keys of the table ``[reference]``."""
+class DisturbanceEntry(Displayed):
+    """The keys of the tables ``[[disturbance]]``."""
 
-    states: Rows
-    inputs: Rows
+    enters: list[float]
+    wander: float
+    kind: str = "constant"
+    frequency: float | None = None
+    measured: list[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ReferenceTable(Displayed):
+    """The keys of the table ``[reference]``: a trajectory (states, inputs), or what outputs are to follow."""
+
+    states: Rows | None = None
+    inputs: Rows | None = None
+    outputs: Rows | None = None
+    value: list[float] | None = None
+    integral_action: list[str] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -175,6 +189,7 @@ class File(Displayed):
     nodes: dict[str, NodeTable] | None = None
     links: dict[str, LinkTable] | None = None
     reference: ReferenceTable | None = None
+    disturbance: list[DisturbanceEntry] | None = None
     controller: ControllerTable | None = None
     policy: dict[str, Any]
 

@@ -1,0 +1,96 @@
+"""Disturbances, set-points and trajectories of the tables of a problem file."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import TypeVar
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.errors import ProblemError
+from taciturn.lqg.regulation import regulator_equations
+from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
+from taciturn.model.network import Network
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.reference import Reference
+from taciturn.problem.tables import File, ReferenceTable
+
+AnyPlant = TypeVar("AnyPlant", Plant, ContinuousPlant, Plant | ContinuousPlant, None)
+SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
+
+
+def reference_of(table: ReferenceTable | None) -> Reference | None:
+    """Return the trajectory of a table, or None for a table of set-points.
+
+    Raises:
+        ProblemError: the table contains only one of ``states`` and ``inputs``, or also a set-point.
+    """
+    if table is None or (table.states is None and table.inputs is None):
+        return None
+    others = [name for name in ("outputs", "value", "integral_action") if getattr(table, name) is not None]
+    for name, value in (("states", table.states), ("inputs", table.inputs)):
+        if value is None:
+            raise ProblemError(f"the key reference.{name} is missing; expected it beside the other one of a trajectory")
+    if others:
+        raise ProblemError(
+            f"reference.{others[0]} is given with reference.states; expected either a trajectory (states, inputs) or "
+            "set-points"
+        )
+    assert table.states is not None
+    assert table.inputs is not None
+    return Reference(table.states, table.inputs)
+
+
+def with_exosystem(plant: AnyPlant, file: File, network: Network) -> AnyPlant:
+    """Return a plant with the disturbances and set-points of a file, if it states any."""
+    table = file.reference
+    points = table if table is not None and table.states is None else None
+    if plant is None or (points is None and not file.disturbance):
+        return plant
+    points = ReferenceTable() if points is None else points
+    acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
+    rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
+    target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value)
+    given = [
+        ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured)  # type: ignore[arg-type]
+        for one in file.disturbance or ()
+    ]
+    given += [] if acting is None else _at_inputs(plant, target)
+    found = copy(plant)
+    object.__setattr__(found, "exosystem", Exosystem.of(given, target, len(plant.C), plant.continuous))
+    return found
+
+
+def _outputs_of(nodes: list[str], plant: Plant | ContinuousPlant, network: Network) -> list[int]:
+    """Return the outputs that some nodes measure."""
+    measured = dict(network.measurements(len(plant.C)).values())
+    for node in (node for node in nodes if node not in measured):
+        raise ProblemError(
+            f"reference.integral_action names {node!r}; expected nodes that measure: {', '.join(measured)}"
+        )
+    return [output for node in nodes for output in measured[node]]
+
+
+def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[ExternalDisturbance]:
+    """Return a constant disturbance for each output that has integral action, which enters as the inputs do.
+
+    It enters as the inputs that change this output and no other one, and moves slowly compared with the noise.
+    """
+    z, n = target.outputs.shape
+    weight = np.diag([*np.zeros(n), *np.ones(plant.B.shape[1])])
+    moves = np.zeros((z, z)) if plant.continuous else np.eye(z)
+    none: Array = np.zeros((n, z))
+    _, U = regulator_equations(plant.A, plant.B, moves, none, target.outputs, -np.eye(z), weight)
+    U = U / np.maximum(np.abs(U).max(axis=0), 1e-300)
+    inverse = np.linalg.pinv(plant.B @ U)
+    seen = np.maximum(np.diag(inverse @ plant.W @ inverse.T), 0.0)
+    if not seen.all():
+        raise ProblemError(
+            "reference.integral_action is given, and W has no noise at an input, from which the speed of the "
+            "disturbance follows; expected a positive W there, or [[disturbance]] with its wander"
+        )
+    return [
+        ExternalDisturbance(plant.B @ column, 2 * SHARE**2 * size / STEPS)
+        for column, size in zip(U.T, seen.tolist(), strict=True)
+    ]
