@@ -1,0 +1,190 @@
+"""Disturbances and set-points: costs by two computations, identity, guarantees, and no offset."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from counts import few
+from scipy.linalg import block_diag, solve_discrete_are
+from systems import make_system, well_posed
+
+from taciturn import ContinuousPlant, Cost, Plant, Policy, TaciturnError, average, close, design, load, simulate
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.regulation import regulator_equations
+from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
+from taciturn.simulation.average import completed_squares, plain_average
+
+A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
+B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])
+C = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+COST = Cost(C.T @ C + 0.1 * np.eye(3), 0.1 * np.eye(2))
+PUSH = ExternalDisturbance([0.0, 0.3, 0.1], 1e-3)
+
+
+def plant_with(*disturbances: ExternalDisturbance, value: tuple[float, ...] = (1.0, -2.0)) -> Plant:
+    """Return the plant of the reference with disturbances and set-points."""
+    exosystem = Exosystem.of(disturbances, SetPoint(C, value), 2, False)
+    return Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2), exosystem=exosystem)
+
+
+REFERENCE = {0.05: (0.2045, 0.641), 0.3: (0.2712, 0.405)}
+"""Cost and rate by δ, from an independent simulation of 3000 paths."""
+
+
+@pytest.mark.parametrize("delta", REFERENCE)
+def test_the_reference_of_set_points_and_a_wandering_disturbance(delta: float) -> None:
+    """Its cost with every sample, cost and rate, and the bound."""
+    policy = design.excess(plant_with(PUSH), COST, delta=delta)
+    loop = close(plant_with(PUSH), policy)
+    assert policy.cost_all_time == pytest.approx(0.19629, abs=5e-6)
+    found = average(loop, seed=2, steps=1_000_000)
+    cost, rate = REFERENCE[delta]
+    assert found.cost.value == pytest.approx(cost, abs=4 * found.cost.standard_error + 3e-4)
+    assert found.rates["actuator"].value == pytest.approx(rate, abs=1.5e-3)
+    assert policy.guarantee is not None
+    bound = policy.guarantee.at_rates(found.rates, "actuator")
+    assert bound is not None
+    assert policy.cost_all_time < found.cost.value < bound.value
+
+
+def random_exosystem(rng: np.random.Generator, states: int, measured: np.ndarray, inputs: int) -> Exosystem:
+    """Return one or two disturbances of any shape, and set-points of at most as many outputs as inputs."""
+    shapes = ("constant", "ramp", "sinusoid")
+    parts = list[ExternalDisturbance]()
+    for _ in range(int(rng.integers(1, min(len(measured), 2) + 1))):
+        shape = shapes[rng.integers(3)]
+        frequency = float(rng.uniform(0.2, 2.0)) if shape == "sinusoid" else None
+        parts.append(
+            ExternalDisturbance(rng.standard_normal(states), float(rng.uniform(1e-4, 1e-2)), shape, frequency)  # type: ignore[arg-type]
+        )
+    z = int(rng.integers(1, min(inputs, states) + 1))
+    return Exosystem.of(parts, SetPoint(rng.standard_normal((z, states)), rng.standard_normal(z)), len(measured), False)
+
+
+def by_hand(plant: Plant, cost: Cost) -> float:
+    """Return tr(K T W T') + tr(H L_a Σ L_a') with equations of scipy, and X and U by plain linear algebra."""
+    e = plant.exosystem
+    assert e is not None
+    (n, m), q = plant.B.shape, len(e.S)
+    K = solve_discrete_are(plant.A, plant.B, cost.Q, cost.R, s=cost.N)
+    H = cost.R + plant.B.T @ K @ plant.B
+    L = -np.linalg.solve(H, plant.B.T @ K @ plant.A + cost.N.T)
+    weight = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
+    X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weight)
+    assert np.allclose(plant.A @ X + plant.B @ U + e.E, X @ e.S, atol=1e-8 * (1 + np.abs(X).max()))
+    assert np.allclose(e.outputs @ X + e.F, 0, atol=1e-8 * (1 + np.abs(X).max()))
+    moved = e.W.any(axis=0) | (e.E != 0).any(axis=0)  # set-points are known
+    size = int(moved.sum())
+    S, E, G, W = e.S[:size, :size], e.E[:, :size], e.G[:, :size], e.W[:size, :size]
+    whole = np.block([[plant.A, E], [np.zeros((size, n)), S]])
+    seen, noise = np.hstack([plant.C, G]), block_diag(plant.W, W)
+    prior = solve_discrete_are(whole.T, seen.T, noise, plant.V)
+    gain = prior @ seen.T @ np.linalg.inv(seen @ prior @ seen.T + plant.V)
+    posterior = prior - gain @ seen @ prior
+    T, La = np.hstack([np.eye(n), -X[:, :size]]), np.hstack([L, (U - L @ X)[:, :size]])
+    assert q >= size
+    return float(np.trace(K @ T @ noise @ T.T) + np.trace(H @ La @ posterior @ La.T))
+
+
+@pytest.mark.parametrize("seed", few(range(100), 3))
+def test_the_cost_of_every_sample_by_two_computations(seed: int) -> None:
+    """For random plants with random exosystems."""
+    rng = np.random.default_rng(seed)
+    system = make_system(seed, int(rng.integers(2, 6)), int(rng.integers(1, 4)), int(rng.integers(1, 4)), False)
+    plant, cost = system.plant, system.cost
+    if not (well_posed(plant.A, plant.B) and well_posed(plant.A.T, plant.C.T)):
+        pytest.skip("the random plant is hardly controllable")
+    exosystem = random_exosystem(rng, plant.states, plant.C, plant.inputs)
+    whole = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, exosystem=exosystem)
+    policy = design.excess(whole, cost, theta=0.2)
+    assert policy.cost_all_time == pytest.approx(by_hand(whole, cost), rel=1e-9)
+    loop = close(whole, policy)
+    assert loop.nominal
+    found = average(loop, completed_squares(loop), seed=seed, steps=100_000)
+    assert policy.guarantee is not None
+    assert policy.cost_all_time <= found.cost.value <= policy.guarantee.cost
+
+
+def policies() -> dict[str, Policy]:
+    """Return a policy of each kind that takes a disturbance, for the plant of the reference."""
+    plant = plant_with(PUSH)
+    return {
+        "all-time": design.all_time(plant, COST),
+        "periodic": design.periodic(plant, COST, every=2),
+        "excess": design.excess(plant, COST, delta=0.1),
+        "excess, model": design.excess(plant, COST, delta=0.1, actuation="model"),
+        "lqg": design.lqg(plant, COST, theta=0.2),
+        "distributed": design.distributed(plant, COST, theta=0.5),
+        "near-optimal": design.near_optimal(plant, COST, price=0.1),
+        "rollout": design.rollout(plant, COST, horizon=2, every=2),
+        "absolute": design.absolute(plant, COST, threshold=0.5),
+        "variance": design.variance(plant, COST, threshold=0.2),
+        "stochastic": design.stochastic(plant, COST),
+    }
+
+
+@pytest.mark.parametrize("kind", policies())
+def test_no_kind_leaves_an_offset(kind: str) -> None:
+    """Under a constant disturbance of three units, the mean of the outputs is at the set-points within its error."""
+    e = plant_with(PUSH).exosystem
+    assert e is not None
+    still = Exosystem(e.S, e.E, e.G, 0.0 * e.W, np.array([3.0, 1.0, -2.0]), e.outputs, e.F)  # it does not move
+    plant = Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2), exosystem=still)
+    path = simulate(close(plant, policies()[kind]), ticks=40_000, seed=3)
+    outputs = path.state[500:, :3] @ C.T
+    means = outputs[: len(outputs) // 50 * 50].reshape(50, -1, 2).mean(axis=1)
+    error = means.std(axis=0, ddof=1) / np.sqrt(50)
+    assert (np.abs(means.mean(axis=0) - [1.0, -2.0]) < 4 * error).all()
+    assert (error < 0.02).all()
+
+
+@pytest.mark.parametrize(
+    ("disturbances", "target", "error", "words"),
+    [
+        ([PUSH, ExternalDisturbance([0, 0.1, 0.3], 1e-3)], SetPoint(C[:1]), UnstableError, "which C does not observe"),
+        ([PUSH], SetPoint(np.eye(3)), ProblemError, r"no input keeps output 2 of the reference, .* .3 outputs, 2 inputs"),
+    ],
+)
+def test_what_cannot_be_compensated_or_seen_is_refused(
+    disturbances: list[ExternalDisturbance], target: SetPoint, error: type[TaciturnError], words: str
+) -> None:
+    """With the output, or the mode."""
+    seen = C[:1]
+    with pytest.raises(error, match=words):
+        exosystem = Exosystem.of(disturbances, target, 1, False)
+        design.excess(Plant(A, B, 0.02 * np.eye(3), seen, [[0.05]], exosystem=exosystem), COST, delta=0.1)
+
+
+@pytest.mark.parametrize("shape", ["constant", "ramp", "sinusoid"])
+def test_continuous_plants_have_all_shapes(shape: str) -> None:
+    """The identity is the plain average, between samples included; a constant is exact."""
+    frequency = 0.3 if shape == "sinusoid" else None
+    push = ExternalDisturbance([0, 0.3, 0.1], 1e-3, shape, frequency)  # type: ignore[arg-type]
+    exosystem = Exosystem.of([push], SetPoint(C[:1], [2.0]), 2, True)
+    plant = ContinuousPlant(A - np.eye(3), B, 0.02 * np.eye(3), C=C, V=0.05 * np.eye(2), exosystem=exosystem)
+    policy = design.excess(plant, COST, delta=0.05, period=0.5)
+    loop = close(plant, policy)
+    one, two = (average(loop, of(loop), seed=1, steps=400_000).cost for of in (completed_squares, plain_average))
+    assert abs(one.value - two.value) <= 4 * np.hypot(one.standard_error, two.standard_error)
+
+
+def test_a_problem_file_states_them() -> None:
+    """As arrays do in Python."""
+    tables = {
+        "plant": {"A": A.tolist(), "B": B.tolist(), "C": C.tolist(), "W": (0.02 * np.eye(3)).tolist(), "dt": 0.1,
+                  "V": (0.05 * np.eye(2)).tolist()},
+        "cost": {"Q": COST.Q.tolist(), "R": COST.R.tolist()},
+        "disturbance": [{"enters": [0.0, 0.3, 0.1], "wander": 1e-3}],
+        "reference": {"outputs": C.tolist(), "value": [1.0, -2.0]},
+        "policy": {"kind": "excess", "delta": 0.05},
+    }  # fmt: skip
+    from taciturn.problem import parse
+
+    problem = parse(tables, "tables")
+    assert problem.design().cost_all_time == design.excess(plant_with(PUSH), COST, delta=0.05).cost_all_time
+    acting = parse({**tables, "disturbance": [], "reference": {"integral_action": ["sensor"]}}, "tables")
+    assert acting.plant.exosystem is not None
+    assert acting.plant.exosystem.E.shape == (3, 2)
+    with pytest.raises(ProblemError, match="names 'probe'; expected nodes that measure: sensor"):
+        parse({**tables, "reference": {"integral_action": ["probe"]}}, "tables")
+    assert load("two-mass").plant.exosystem is None
