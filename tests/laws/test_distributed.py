@@ -185,7 +185,7 @@ def lossy_designs(draw: st.DrawFn) -> tuple[System, Network, dict[str, str]]:
     """Draw a system, a network of which some links drop packets, and how silence is predicted."""
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
-    system = make_system(seed, int(rng.integers(1, 4)), 2, 2, False)
+    system = make_system(seed, int(rng.integers(1, 3)), 2, 2, False)
     assume(well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T))
     network = network_for(system.plant, rng)
     assume(network.links)
@@ -211,9 +211,11 @@ def j_all_is_that_of_an_attempt_on_every_link(system: System, network: Network, 
         policy = design.distributed(system.plant, system.cost, delta=0.0, network=network, **modes)
     except UnstableError:
         assume(False)
-    found = outcomes(close(system.plant, policy))
-    assume(found is None or (found.growth(2) < 0.8 and found.growth(4) < 1))
     loop = close(system.plant, policy)
+    found = outcomes(loop)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taciturn.analyse.outcomes.MOST", 12)  # most states for fourth moments, for quick tests
+        assume(found is None or (found.F.shape[1] <= 12 and found.growth(2) < 0.8 and found.growth(4) < 0.9))
     simulated = average(loop, plain_average(loop), seed=system.seed, steps=200_000).cost
     assert abs(simulated.value - policy.cost_all_time) <= 5 * simulated.standard_error
 
