@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,8 @@ from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg import _dare
+from taciturn.lqg._axes import Quadratic
+from taciturn.lqg._followed import followed
 from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
@@ -68,13 +70,31 @@ class Discrete(Displayed):
         States that the excluded ones affect are excluded too. An average cost does not depend on the excluded states,
         and their variance may grow without bound.
         """
-        A = self.plant.A
-        resting = _dare.worth(A, self.plant.B, self.Q, self.R, self.N).resting
-        return ~closure(resting, np.asarray(A != 0, dtype=np.bool_))
+        return ~closure(self.lasting, np.asarray(self.plant.A != 0, dtype=np.bool_))
+
+    @cached_property
+    def lasting(self) -> Bits:
+        """Mask of the states, (n,), that do not decay, that no input moves, and that leave the cost finite.
+
+        These are states that do not affect the cost, and disturbances and set-points that an input can follow.
+        """
+        given = Quadratic(self.plant.A, self.plant.B, self.Q, self.R, self.N)
+        change = followed(given)
+        return _dare.worth(*given).resting if change is None else change.states
 
     def slowest(self, closed: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, restricted to the states that ``moving`` selects."""
-        return radius(closed[np.ix_(self.moving, self.moving)])
+        """Return the modulus of the slowest mode of a closed loop, without the modes of the lasting states."""
+        keep = ~self.lasting if self.source is not None and self.source.exosystem is not None else self.moving
+        return radius(closed[np.ix_(keep, keep)])
+
+    def among(self, states: Bits) -> Discrete:
+        """Return the problem restricted to some of the states, which the others do not affect."""
+        p, place = self.plant, np.ix_(states, states)
+        plant = Plant(
+            p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
+            p.input_limit,
+        )  # fmt: skip
+        return replace(self, plant=plant, Q=self.Q[place], N=self.N[states])
 
     @property
     def ticks(self) -> float:

@@ -17,7 +17,7 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import actuator_base, route_over
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.kept import controller_from
@@ -117,7 +117,9 @@ def _filter(
     bands = DeadBands(network, plant, delta, shares)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V + np.diag(bands.of_outputs**2 / 3))
     filtered = Filtered(plant, steady.gain, certainty.regulator.L)
-    base = actuator_base(problem, filtered.controller)
+    unknown = ~resting_states(plant)  # without set-points, which have no errors
+    alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
+    base = actuator_base(problem.among(unknown), alone.controller)
     errors = bands.errors(base)
     return Policy(
         kind="send-on-delta",
