@@ -12,6 +12,7 @@ from taciturn import ContinuousPlant, Cost, Plant, Policy, TaciturnError, averag
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
+from taciturn.model.following import follow
 from taciturn.simulation.average import completed_squares, plain_average
 
 A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
@@ -23,8 +24,7 @@ PUSH = ExternalDisturbance([0.0, 0.3, 0.1], 1e-3)
 
 def plant_with(*disturbances: ExternalDisturbance, value: tuple[float, ...] = (1.0, -2.0)) -> Plant:
     """Return the plant of the reference with disturbances and set-points."""
-    exosystem = Exosystem.of(disturbances, SetPoint(C, value), 2, False)
-    return Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2), exosystem=exosystem)
+    return follow(Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, disturbances)
 
 
 REFERENCE = {0.05: (0.2045, 0.641), 0.3: (0.2712, 0.405)}
@@ -65,7 +65,7 @@ def by_hand(plant: Plant, cost: Cost) -> float:
     """Return tr(K T W T') + tr(H L_a Σ L_a') with equations of scipy, and X and U by plain linear algebra."""
     e = plant.exosystem
     assert e is not None
-    (n, m), q = plant.B.shape, len(e.S)
+    n, q = len(plant.A), len(e.S)
     K = solve_discrete_are(plant.A, plant.B, cost.Q, cost.R, s=cost.N)
     H = cost.R + plant.B.T @ K @ plant.B
     L = -np.linalg.solve(H, plant.B.T @ K @ plant.A + cost.N.T)
@@ -139,20 +139,24 @@ def test_no_kind_leaves_an_offset(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("disturbances", "target", "error", "words"),
+    ("disturbances", "outputs", "error", "words"),
     [
-        ([PUSH, ExternalDisturbance([0, 0.1, 0.3], 1e-3)], SetPoint(C[:1]), UnstableError, "which C does not observe"),
-        ([PUSH], SetPoint(np.eye(3)), ProblemError, r"no input keeps output 2 of the reference, .* .3 outputs, 2 inputs"),
+        ([PUSH, ExternalDisturbance([0, 0.1, 0.3], 1e-3)], C[:1], UnstableError, "which C does not observe"),
+        (
+            [PUSH],
+            np.eye(3),
+            ProblemError,
+            r"no input keeps output 2 of the reference, .* .3 outputs, 2 inputs",
+        ),
     ],
 )
 def test_what_cannot_be_compensated_or_seen_is_refused(
-    disturbances: list[ExternalDisturbance], target: SetPoint, error: type[TaciturnError], words: str
+    disturbances: list[ExternalDisturbance], outputs: np.ndarray, error: type[TaciturnError], words: str
 ) -> None:
     """With the output, or the mode."""
-    seen = C[:1]
+    plant = follow(Plant(A, B, 0.02 * np.eye(3), C[:1], [[0.05]]), outputs, None, disturbances)
     with pytest.raises(error, match=words):
-        exosystem = Exosystem.of(disturbances, target, 1, False)
-        design.excess(Plant(A, B, 0.02 * np.eye(3), seen, [[0.05]], exosystem=exosystem), COST, delta=0.1)
+        design.excess(plant, COST, delta=0.1)
 
 
 @pytest.mark.parametrize("shape", ["constant", "ramp", "sinusoid"])
@@ -160,8 +164,8 @@ def test_continuous_plants_have_all_shapes(shape: str) -> None:
     """The identity is the plain average, between samples included; a constant is exact."""
     frequency = 0.3 if shape == "sinusoid" else None
     push = ExternalDisturbance([0, 0.3, 0.1], 1e-3, shape, frequency)  # type: ignore[arg-type]
-    exosystem = Exosystem.of([push], SetPoint(C[:1], [2.0]), 2, True)
-    plant = ContinuousPlant(A - np.eye(3), B, 0.02 * np.eye(3), C=C, V=0.05 * np.eye(2), exosystem=exosystem)
+    plant = ContinuousPlant(A - np.eye(3), B, 0.02 * np.eye(3), C=C, V=0.05 * np.eye(2))
+    plant = follow(plant, C[:1], [2.0], [push])
     policy = design.excess(plant, COST, delta=0.05, period=0.5)
     loop = close(plant, policy)
     one, two = (average(loop, of(loop), seed=1, steps=400_000).cost for of in (completed_squares, plain_average))

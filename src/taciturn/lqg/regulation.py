@@ -60,15 +60,16 @@ def regulator_equations(
                 "reference.outputs as inputs, of which an input affects each, and disturbances that inputs can cancel"
             )
     scaled = weight * np.outer(units, units)
-    order = np.concatenate([np.arange(n * q).reshape(q, n), n * q + np.arange(m * q).reshape(q, m)], axis=1)
-    whole = np.zeros((len(found), len(found)))
-    for column in order:
-        whole[np.ix_(column, column)] = scaled
-    _, values, rows = np.linalg.svd(matrix)
-    rank = int((values > FREE * values.max(initial=1e-300)).sum())
-    free = rows[rank:].T
+    weights = np.block(
+        [
+            [np.kron(same, scaled[:n, :n]), np.kron(same, scaled[:n, n:])],
+            [np.kron(same, scaled[n:, :n]), np.kron(same, scaled[n:, n:])],
+        ]
+    )
+    _, values, turned = np.linalg.svd(matrix)
+    free = np.asarray(turned[int((values > FREE * values.max(initial=1e-300)).sum()) :].T, dtype=np.float64)
     if free.shape[1]:
-        found = found - free @ np.linalg.lstsq(free.T @ whole @ free, free.T @ whole @ found, rcond=None)[0]
+        found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
     X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
     return X * state[:, None], U * unit[:, None]
 

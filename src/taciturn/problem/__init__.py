@@ -356,8 +356,8 @@ def parse(
     kind, parameters = read_policy(file.policy, name, own)
     try:
         record = own if own is not None and own.name == kind else find_kind(kind)
-        followed = file.reference is not None and file.reference.states is not None
-        for part in (part for part, given in (("reference", followed), ("controller", file.controller)) if given):
+        stated = {"reference": file.reference and file.reference.states, "controller": file.controller}
+        for part in (part for part, given in stated.items() if given):
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         plant = plant_of(file.plant, known or {})
         actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
@@ -365,11 +365,9 @@ def parse(
         controller = None if file.controller is None else controller_of(file.controller)
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
-        plant, actual = (with_exosystem(one, file, network) for one in (plant, actual))
-        assert plant is not None
-        return Problem(
-            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller
-        )
+        followed, actual = (with_exosystem(one, file, network) for one in (plant, actual))
+        rest = (actual, reference, _copied(tables), name, own, controller)
+        return Problem(followed or plant, cost, network, kind, parameters, *rest)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 

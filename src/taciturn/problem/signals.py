@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from copy import copy
-from typing import TypeVar
-
 import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
-from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
+from taciturn.model.exosystem import ExternalDisturbance, SetPoint
+from taciturn.model.following import follow
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.reference import Reference
 from taciturn.problem.tables import File, ReferenceTable
 
-AnyPlant = TypeVar("AnyPlant", Plant, ContinuousPlant, Plant | ContinuousPlant, None)
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
 
 
@@ -42,7 +39,9 @@ def reference_of(table: ReferenceTable | None) -> Reference | None:
     return Reference(table.states, table.inputs)
 
 
-def with_exosystem(plant: AnyPlant, file: File, network: Network) -> AnyPlant:
+def with_exosystem(
+    plant: Plant | ContinuousPlant | None, file: File, network: Network
+) -> Plant | ContinuousPlant | None:
     """Return a plant with the disturbances and set-points of a file, if it states any."""
     table = file.reference
     points = table if table is not None and table.states is None else None
@@ -57,9 +56,7 @@ def with_exosystem(plant: AnyPlant, file: File, network: Network) -> AnyPlant:
         for one in file.disturbance or ()
     ]
     given += [] if acting is None else _at_inputs(plant, target)
-    found = copy(plant)
-    object.__setattr__(found, "exosystem", Exosystem.of(given, target, len(plant.C), plant.continuous))
-    return found
+    return follow(plant, target.outputs, target.value, given)
 
 
 def _outputs_of(nodes: list[str], plant: Plant | ContinuousPlant, network: Network) -> list[int]:
@@ -83,7 +80,7 @@ def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[Externa
     none: Array = np.zeros((n, z))
     _, U = regulator_equations(plant.A, plant.B, moves, none, target.outputs, -np.eye(z), weight)
     U = U / np.maximum(np.abs(U).max(axis=0), 1e-300)
-    inverse = np.linalg.pinv(plant.B @ U)
+    inverse = np.asarray(np.linalg.pinv(plant.B @ U), dtype=np.float64)
     seen = np.maximum(np.diag(inverse @ plant.W @ inverse.T), 0.0)
     if not seen.all():
         raise ProblemError(

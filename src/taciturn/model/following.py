@@ -1,0 +1,54 @@
+"""Plants whose outputs are to follow set-points in spite of disturbances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import TypeVar
+
+from taciturn._arrays import ArrayLike, instance
+from taciturn.errors import ProblemError
+from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
+from taciturn.model.plant import ContinuousPlant, Plant
+
+AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
+
+
+def follow(
+    plant: AnyPlant,
+    outputs: ArrayLike | None = None,
+    value: ArrayLike | None = None,
+    disturbances: Sequence[ExternalDisturbance] = (),
+) -> AnyPlant:
+    """Return a plant with disturbances that are to be compensated, and with set-points of some outputs.
+
+    Args:
+        plant: the plant.
+        outputs: C_z of the outputs z = C_z x that are to be at their set-points in spite of the disturbances, (z, n);
+            default: the measured outputs C x.
+        value: the set-points, (z,); default 0.
+        disturbances: the disturbances.
+
+    Returns:
+        The plant. A policy for it estimates the disturbances, and its cost weights the deviations from the states and
+        inputs at which z is at the set-points.
+
+    Raises:
+        ProblemError: a size does not fit the plant.
+
+    Source: francis1977
+
+    Example:
+        >>> plant = Plant([[0.9]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
+        >>> follow(plant, value=[2.0], disturbances=[ExternalDisturbance([1.0], wander=1e-3)]).exosystem.start
+        array([0., 2.])
+    """
+    instance("plant", plant, Plant, ContinuousPlant)
+    for one in disturbances:
+        instance("disturbances", one, ExternalDisturbance)
+    target = SetPoint(plant.C if outputs is None else outputs, value)
+    if target.outputs.shape[1] != len(plant.A):
+        raise ProblemError(f"outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state")
+    found = copy(plant)
+    object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
+    return found
