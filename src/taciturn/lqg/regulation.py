@@ -49,7 +49,8 @@ def regulator_equations(
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     for i in range(-1, len(Cz)):
         if i >= 0:
-            row = np.hstack([np.kron(same, Cz[i : i + 1]), np.zeros((q, q * m))])
+            seen: Array = np.kron(same, Cz[i : i + 1])
+            row = np.hstack([seen, np.zeros((q, q * m))])
             matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
             found = np.linalg.lstsq(matrix, right, rcond=None)[0]
         if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):

@@ -82,11 +82,11 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
 PARTS: dict[str, tuple[str, ...]] = {
-    "actual": ("plant",),
-    **{name: (name,) for name in ("plant", "cost", "reference", "controller")},
+    "plant": ("plant", "disturbance", "reference"),
+    "actual": ("plant", "disturbance", "reference"),
+    "network": ("network", "nodes", "links"),
+    **{name: (name,) for name in ("cost", "reference", "controller")},
 }
-PARTS["plant"] = ("plant", "disturbance", "reference")
-PARTS["network"] = ("network", "nodes", "links")
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
