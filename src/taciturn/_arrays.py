@@ -174,6 +174,17 @@ def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
     return value
 
 
+def flag(name: str, value: object) -> bool:
+    """Return ``value`` if it is True or False.
+
+    Raises:
+        ProblemError: it is something else.
+    """
+    if not isinstance(value, bool):
+        raise ProblemError(f"{name} is {quoted(value)}; expected true or false")
+    return value
+
+
 def instance(name: str, value: object, *kinds: type) -> None:
     """Check that a value is an instance of one of the types.
 

@@ -19,6 +19,7 @@ from taciturn.lqg.riccati import regulate
 from taciturn.model.steps import Send
 from taciturn.problem.suggested import example_of
 from taciturn.study.describe import describe
+from taciturn.study.lines import rounded
 
 if TYPE_CHECKING:
     from conftest import Run, Write
@@ -116,7 +117,7 @@ def test_every_kind_is_shown(kind: str) -> None:
     proved = isinstance(policy, taciturn.Policy) and policy.guarantee is not None
     if isinstance(policy, taciturn.Policy) and policy.guarantee is not None:
         bound = policy.guarantee
-        assert rows(told)["guarantee"] == f"{bound.statement}: at most {bound.cost:.6g} ({bound.source})"
+        assert rows(told)["guarantee"] == f"{bound.statement}: at most {rounded(bound.cost, 6, 1)} ({bound.source})"
     assert (shown["guarantee"] is None) == (not proved)
     assert all(note in told for note in getattr(policy, "notes", ()))
 
@@ -159,7 +160,7 @@ def test_missions_links_and_tables_are_told(run: Run) -> None:
     assert rover["link, sensor"].startswith("y (1): if query, by the step counter: 11 of the first 59 steps")
     lossy = rows(run("show", "lossy-double-integrator").out)
     assert lossy["network"] == "udp (no acknowledgement); sensor drops 60 %, actuator drops 30 %"
-    assert lossy["at a rate"] == "at most 63.776 + 10 (1 − sends per step)"
+    assert lossy["at a rate"] == "at most 63.7761 + 10 (1 − sends per step)"
 
 
 def test_a_picture_is_written(run: Run, tmp_path: Path) -> None:

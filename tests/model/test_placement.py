@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -101,7 +101,8 @@ def test_a_place_away_from_the_controller_merges_nodes_only_in_kinds_of_three_no
         ({"a": {"measures": True, "site": "b"}, **APPLIED}, {}, "nodes.a.site is 'b'; expected one of valve, plc"),
         ({"a": {"measures": True, "controls": True}, **APPLIED}, {}, "2 nodes control"),
         ({**WIRED, **APPLIED}, {"valve": {"delay": 2}}, "links.valve.delay is given, but links model no delay yet"),
-        ({**WIRED, **APPLIED}, {"valve": {"price": 0.0}}, "links.valve.price is 0; expected 0 < price"),
+        ({**WIRED, **APPLIED}, {"valve": {"price": 0.0}}, "links.valve.price is 0; expected 1e-100 ≤ price"),
+        ({**WIRED, **APPLIED}, {"valve": {"price": 1e308}}, r"links.valve.price is 1e\+308; expected 1e-100 ≤ price"),
         ({**WIRED, **APPLIED}, {"valve": {"los": 0.1}}, r"links\.valve\.los is not a known key; .*, battery\. Did"),
     ],
 )  # fmt: skip
@@ -176,3 +177,19 @@ def test_messages_about_losses_name_the_keys_of_the_links(horizon: int | None) -
     if horizon is None:
         with pytest.raises(UnstableError, match=r"^links\.valve\.burst is 0\.8 and 0\.9 in its states, and the mean"):
             design.excess(plant, cost, theta=0.1, network=wired)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: NodeRole(controls="yes"), "controls is 'yes'; expected true or false"),  # type: ignore[arg-type]
+        (lambda: NodeRole(measures=True, site=3), "site is 3; expected the name of a node"),  # type: ignore[arg-type]
+        (lambda: LinkLaw(loss=0.1, acknowledged=1), "acknowledged is 1; expected true or false"),  # type: ignore[arg-type]
+        (lambda: placed(None, Network()), "policy is None; expected a Policy"),  # type: ignore[arg-type]
+    ],
+)
+def test_other_types_are_refused_in_python(make: Callable[[], object], words: str) -> None:
+    """As a problem file refuses them."""
+    with pytest.raises(ProblemError, match=words):
+        make()
+    assert NodeRole(measures=np.array([0, 2])).measures == (0, 2)

@@ -39,7 +39,11 @@ TANKS = {
     "tank, model": {},
     "tank, hold, sets of inputs": {"joint": True, "prediction": "hold", "actuation": "hold"},
     "tank, losses": {
-        f"links.{link}.{key}": value for link in ("level-1", "pump-2") for key, value in ACKNOWLEDGED.items()
+        f"links.{link}.{key}": value for link in ("level-1", "pump-1", "pump-2") for key, value in ACKNOWLEDGED.items()
+    },
+    "tank, losses of sets": {
+        **{f"links.pump-{i}.{key}": value for i in (1, 2) for key, value in ACKNOWLEDGED.items()},
+        **{"joint": True, "actuation": "hold"},
     },
     "tank, rounded": {"links.level-2.payload": "float32", "nodes.pump-1.site": "plc"},
     "tank, dead bands": {

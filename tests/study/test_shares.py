@@ -117,7 +117,7 @@ def test_given_shares_are_kept() -> None:
         ),
         ({"rate": {"level": 1.5}}, "the rate 1.5 of level is above the rate of sending at every step"),
         ({"cost": 0.01}, "is below the cost of sending at every step"),
-        ({"rate": 0.3}, "decides on 2 links; expected link to be one of level, valve"),
+        ({"rate": 0.3}, "decides on 2 links, and a rate is given without a link"),
     ],
 )
 def test_budgets_that_cannot_be_met_are_refused(budget: Mapping[str, Any], sentence: str) -> None:

@@ -31,7 +31,7 @@ from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.policy import Send
 
-MOST = 6  # largest number of states for which fourth moments are computed
+MOST = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
 MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
 WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
 
@@ -66,7 +66,7 @@ class Outcomes(Displayed):
         For order 4 the result is 0 if there are too many states.
         """
         r, states = self.F.shape[1], len(self.turns)
-        if r == 0 or (power == 4 and r > MOST):
+        if r == 0 or (power == 4 and states * r**4 * len(self.F) > MOST):
             return 0.0
         if states * r**power <= WHOLE:
             powers = [reduce(np.kron, [F] * power) for F in self.F]

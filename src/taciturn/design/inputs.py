@@ -42,8 +42,14 @@ class InputSteps(Displayed):
         """Return the steps of the controller's decisions, and of the actuators."""
         groups = [group for group in self.thresholds if not self._linked.isdisjoint(group)]
         commands = [step for node in self._actuators for step in self._command(node)]
-        sends = [step for group in groups for node in group for step in self._send(node, group)]
-        return (*commands, *map(self._decide, groups), *sends)
+        sends = [self._send(node, group) for group in groups for node in group]
+        # all packets before any acknowledgement, so that a node can wait for these until its next step
+        return (
+            *commands,
+            *map(self._decide, groups),
+            *(step for packet, _ in sends for step in packet),
+            *(step for _, copies in sends for step in copies),
+        )
 
     @property
     def held(self) -> Mapping[str, Array]:
@@ -98,8 +104,8 @@ class InputSteps(Displayed):
         sets = chain.from_iterable(combinations(group, size) for size in range(len(group) + 1))
         return sorted(sets, key=lambda sent: sum(self.network.links[link].price for link in sent))
 
-    def _send(self, node: str, group: tuple[str, ...]) -> tuple[Step, ...]:
-        """Return the steps that send to an actuator, apply its input, and copy this input at the controller."""
+    def _send(self, node: str, group: tuple[str, ...]) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+        """Return the steps that send to an actuator and apply its input, and those that copy it at the controller."""
         at, (signal, rows), on = self.network.controller, self._actuators[node], decision(group)
         sends = [node in sent for sent in self._sets(group)]
         labels = tuple(_label(sent) for sent in self._sets(group) if node in sent) if len(group) > 1 else ()
@@ -111,13 +117,13 @@ class InputSteps(Displayed):
             return (
                 Send(at, node, (f"command_{node}",), on, labels),
                 Assign(node, signal, ({signal: unit}, command), Received(node)),
-                Assign(at, f"held_{node}", tuple(command if sent else silent for sent in sends), told),
-            )
+            ), (Assign(at, f"held_{node}", tuple(command if sent else silent for sent in sends), told),)
         model, copy = f"model_{node}", f"held_model_{node}"
         return (
             Send(at, node, (STATE,), on, labels),
             Assign(node, model, ({model: closed_loop(self.certainty)}, {STATE: n}), Received(node)),
             Assign(node, signal, {model: L}),
+        ), (
             Assign(at, copy, tuple({STATE: n} if sent else {copy: n} for sent in sends), told),
             Assign(at, f"held_{node}", {copy: L}),
         )

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from taciturn._arrays import choice, instance, number
+from taciturn._arrays import choice, flag, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.losses import LossLaw
 from taciturn.model.wire import CODES, EncodingName
+
+MOST = 1e100  # largest price, energy and battery, and inverse of the least
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,10 +76,11 @@ class LinkLaw(Displayed):
             listed = cast("object", self.range)
             given = cast("Sequence[object]", listed if isinstance(listed, list | tuple) else (listed,))
             object.__setattr__(self, "range", tuple(number("range", entry, 0.0) for entry in given))
-        object.__setattr__(self, "price", number("price", self.price, 0.0))
-        for name in ("energy", "battery"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, number(name, getattr(self, name), 0.0))
+        for name in ("price", "energy", "battery"):
+            if getattr(self, name) is not None:  # their ratios and sums are finite
+                object.__setattr__(self, name, number(name, getattr(self, name), 1 / MOST, MOST, closed=True))
+        if self.acknowledged is not None:
+            object.__setattr__(self, "acknowledged", flag("acknowledged", self.acknowledged))
         if self.battery is not None and self.energy is None:
             raise ProblemError("battery is given without energy; expected the joules per packet")
 

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from taciturn._arrays import instance
 from taciturn.errors import PlacementError, TaciturnError
 from taciturn.model.joint import JointSets
 from taciturn.model.link import LinkLaw
@@ -91,6 +92,8 @@ def placed(policy: Policy, network: Network) -> Policy:
     Raises:
         PlacementError: the network does not correspond to three nodes, or places them elsewhere than the policy.
     """
+    instance("policy", policy, Policy)
+    instance("network", network, Network)
     if network.nodes == policy.network.nodes or not policy.network.triangle:
         return policy
     joint = _apart(network)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from numbers import Integral
 from typing import Literal, cast
 
-from taciturn._arrays import quoted
+import numpy as np
+
+from taciturn._arrays import flag, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
@@ -55,6 +57,9 @@ class NodeRole(Displayed):
             if len(set(listed)) < len(listed):
                 raise ProblemError(f"{name} is {list(listed)}; expected each index once")
             object.__setattr__(self, name, listed or False)
+        object.__setattr__(self, "controls", flag("controls", self.controls))
+        if self.site is not None and not isinstance(cast("object", self.site), str):
+            raise ProblemError(f"site is {quoted(self.site)}; expected the name of a node")
         if not (self.measures or self.applies or self.controls):
             raise ProblemError("it neither measures, applies nor controls; expected measures, applies or controls")
 
@@ -80,9 +85,9 @@ class NodeRole(Displayed):
 
 def _whole_numbers(value: object) -> list[int] | None:
     """Return a list of whole numbers, or None if the value is something else."""
-    if isinstance(value, str) or not isinstance(value, Sequence):
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
         return None
-    given = cast("Sequence[object]", value)
+    given = [*cast("Sequence[object]", value)]
     whole = [int(index) for index in given if not isinstance(index, bool) and isinstance(index, Integral)]
     return whole if len(whole) == len(given) else None
 

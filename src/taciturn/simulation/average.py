@@ -320,9 +320,10 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     if loop.horizon is not None:
         notes = doubt_tail(found.tail)
         return replace(found, notes=notes, trusted=not notes)
-    notes = (
-        doubt_moments(loop) if parts[0].estimator.sum == COST or (loop.policy.theory.fourth or 0.0) >= 1 else ()
-    )  # completed squares are bounded, or no packet is dropped
+    # completed squares are bounded if they are those of a decision and not of the input that is applied
+    identity, lossy = loop.identity, any(loop.network.loss(link) > 0 for link in loop.network.links)
+    unbounded = parts[0].estimator.sum == COST or (identity is not None and identity.on is None and lossy)
+    notes = doubt_moments(loop) if unbounded or (loop.policy.theory.fourth or 0.0) >= 1 else ()
     notes = notes or doubt_tail(found.tail)
     more = find_doubts(loop, found.cost, found.rates, found.steps, found.settled)
     return replace(found, notes=notes + more, trusted=not notes)

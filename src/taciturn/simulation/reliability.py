@@ -61,7 +61,7 @@ def find_doubts(
         steps: simulated steps of all paths together.
         settled: whether the initial transient has decayed.
     """
-    silent = [link for link, rate in rates.items() if rate.value == 0]
+    silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
     notes: tuple[str, ...] = ()
     limit = loop.problem.plant.input_limit
     if limit is not None and np.isfinite(limit).all() and _fastest(loop) > 1 + NEARLY:
@@ -71,11 +71,11 @@ def find_doubts(
         )
     if silent and comes_never_to_rest(loop):
         notes += (
-            f"nothing was sent on the {silent[0]} link in the {steps} steps simulated, and the plant does not come to "
+            f"nothing was sent on {silent} in the {steps} steps simulated, and the plant does not come to "
             "rest by itself: the cost depends on the length of the run and is not an average",
         )
     elif silent:
-        notes += (f"nothing was sent on the {silent[0]} link in {steps} steps: the cost is that of silence",)
+        notes += (f"nothing was sent on {silent} in {steps} steps: the cost is that of silence",)
     elif not settled:
         notes += (
             f"the loop has not settled within {steps} steps: cost and rates still depend on the initial state and "

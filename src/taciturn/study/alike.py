@@ -28,8 +28,9 @@ def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "ra
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
         for what in ("plant", "actual", "cost", "network", "reference"):
             if not _same(getattr(first, what), getattr(second, what)):
-                where = "[plant.actual]" if what == "actual" else f"[{what}]"
-                raise ProblemError(f"{one} and {other} differ in {where}; expected the same {where} in all problems")
+                tables = {"actual": "[plant.actual]", "network": "[network], [nodes] or [links]"}
+                where = tables.get(what, f"[{what}]")
+                raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
         if first.record is second.record and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
                 f"{one} and {other} are the same policy, {first.kind}, at the same {budget}; expected policies that "

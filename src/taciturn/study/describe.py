@@ -23,6 +23,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.layout import steps_of_a_fault
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.study.lines import rounded
 from taciturn.study.units import cost_unit, time_unit
 
 SHOWN_OPTIONS = 4  # options of a decision that are printed
@@ -195,15 +196,16 @@ class Description(Displayed):
             return [("guarantee", "none")]
         if not found["holds"]:
             return [("guarantee", f"none for this loop; for the loop of the design: {found['statement']}")]
-        lines = [("guarantee", f"{found['statement']}: at most {found['cost']:.6g} ({found['source']})")]
+        lines = [("guarantee", f"{found['statement']}: at most {rounded(found['cost'], 6, 1)} ({found['source']})")]
         rated = found.get("at_rate")
         if rated is not None and "deciders" in rated:
             deltas = [f"{one['delta']:.4g} ({' and '.join(one['links'])})" for one in rated["deciders"]]
-            lines.append(("at the rates r", f"at most {rated['base']:.6g} + (Σ√(δ(1 − r)))², δ = {', '.join(deltas)}"))
-        elif rated is not None:
             lines.append(
-                ("at a rate", f"at most {rated['base']:.6g} + {rated['per_silence']:.6g} (1 − sends per step)")
+                ("at the rates r", f"at most {rounded(rated['base'], 6, 1)} + (Σ√(δ(1 − r)))², δ = {', '.join(deltas)}")
             )
+        elif rated is not None:
+            base, slope = (rounded(rated[name], 6, 1) for name in ("base", "per_silence"))
+            lines.append(("at a rate", f"at most {base} + {slope} (1 − sends per step)"))
         return lines
 
 

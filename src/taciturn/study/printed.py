@@ -231,7 +231,7 @@ def certificates_text(found: Certificates) -> str:
         ("E|x|²", found.mean_square_bound, found.mean_square_all_time, "at most, at sampling instants"),
     ]
     policy = f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
-    rows = [[name, _shown(value), _shown(always)] for name, value, always, _ in table]
+    rows = [[name, _most(value), _shown(always)] for name, value, always, _ in table]
     parts = [pairs_text([("policy", policy)])]
     if any(value is not None for _, value, *_ in table):
         parts.append(table_text(["", "proved", "every sample"], rows, 1))
@@ -239,13 +239,18 @@ def certificates_text(found: Certificates) -> str:
     if found.errors:
         links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in found.errors.items()]
         parts.append(table_text(["link", "gain from its error", "largest error"], links, 1))
-        bound = f"at most {_shown(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
+        bound = f"at most {_most(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
         parts.append(pairs_text([("cost", bound)]))
     return "\n".join(filter(None, [*parts, pairs_text([("note", note) for note in found.notes])]))
 
 
 def _shown(value: float | None) -> str:
     return "none" if value is None else f"{value:.6g}"
+
+
+def _most(value: float | None) -> str:
+    """Return an upper bound, rounded up."""
+    return "none" if value is None else "0" if value == 0 else rounded(value, 6, 1)
 
 
 def bench_text(found: Bench) -> str:

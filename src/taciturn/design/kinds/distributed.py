@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from math import sqrt
 
-from taciturn._arrays import choice, instance
+from taciturn._arrays import choice, flag, instance
 from taciturn.analyse.outcomes import MOST_LINKS, outcomes
 from taciturn.design.bounds import shares_of, threshold_of
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
@@ -101,9 +101,8 @@ def distributed(
     all_time = certainty.cost_all_time
     if 0 < len(_lossy(network)) <= MOST_LINKS:
         all_time = _with_every_attempt(plant, cost, period, *given)
-    return _policy(
-        certainty, *given, _thresholds(network, threshold_of(all_time, delta, theta), shares, joint), all_time
-    )
+    thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
+    return _policy(certainty, *given, thresholds, all_time)
 
 
 @lru_cache(maxsize=8)  # every trial of a search for a threshold needs it

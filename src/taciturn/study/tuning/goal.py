@@ -85,7 +85,8 @@ class RateGoal(Goal):
         rates = evaluation.rates
         if self.link is None and len(rates) > 1:
             raise ProblemError(
-                f"{evaluation.policy} decides on {len(rates)} links; expected link to be one of {', '.join(rates)}"
+                f"{evaluation.policy} decides on {len(rates)} links, and a rate is given without a link; expected the "
+                f"link, one of {', '.join(rates)}"
             )
         return _rate(evaluation, next(iter(rates)) if self.link is None else self.link)
 
@@ -141,6 +142,7 @@ class RatesGoal(Goal):
         """
         most = evaluation.base_rate
         for link, limit in self.limits.items():
+            _rate(evaluation, link)
             if most is not None and limit > most * (1 + EXACT):
                 raise ProblemError(
                     f"the rate {limit:g} of {link} is above the rate of sending at every step; expected at most "

@@ -35,6 +35,11 @@ def look_at(
         progress: callback that receives the fraction done.
     """
     policy = problem.designed()
+    if isinstance(policy, Policy) and policy.theory.cost_all_time == 0:
+        raise ProblemError(
+            "sending every sample costs nothing, so that no budget determines a parameter; expected noise W or V that "
+            "the cost depends on"
+        )
     if isinstance(policy, OptimalPolicy) or (isinstance(policy, Policy) and _serves(problem, policy)):
         wanted = standard_error if steps is None else ROUGHLY * abs(policy.cost_all_time) or None
         try:
