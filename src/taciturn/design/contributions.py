@@ -17,7 +17,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
 from taciturn.design.estimation import ESTIMATE
-from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.kalman import filter_checked, resting_states
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Acknowledged, Assign, Condition, Decide, Received, Send, Step, Terms
@@ -25,6 +25,7 @@ from taciturn.model.theory import Innovations
 from taciturn.model.trigger import Form, Trigger
 
 SILENT, STATE = "silent", "state"
+REMEMBERED = 0.999  # factor per step of a disturbance in the filter of one sensor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,6 +63,13 @@ class ContributionSteps(Displayed):
         """Return the steps after all inputs are known, as a sum ``held`` of the controller's signals."""
         moved = {name: self._plant.B @ columns for name, columns in held.items()}
         return (Assign(self.network.controller, "prior", {"own": self._plant.A, **moved}),)
+
+    @property
+    def initial(self) -> dict[str, Array]:
+        """The initial values of the memories: models start at the mean of the initial state, as the estimate."""
+        mean = self._plant.mean
+        models = ("local", "copy_model", "used_model") if self.prediction == "model" and mean.any() else ()
+        return {"prior": mean, **{f"{name}_{node}": mean for name in models for node in self._remote}}
 
     @property
     def estimate(self) -> Terms:
@@ -138,13 +146,20 @@ class ContributionSteps(Displayed):
         return (*steps, Assign(at, model, ({model: n}, {f"local_{node}": n}), on))
 
     def _local(self, node: str) -> Step:
-        """Return the step of the Kalman filter of x⁺ = (A + BL)x + w̌ from the measurements of one sensor."""
+        """Return the step of the Kalman filter of x⁺ = (A + BL)x + w̌ from the measurements of one sensor.
+
+        An output that the controller keeps free of a disturbance does not show it, so the filter forgets it slowly. It
+        does not estimate set-points, which are known.
+        """
         plant, (signal, _, outputs) = self._plant, self._sensors[node]
-        moved = plant.B @ self.certainty.regulator.L
+        moved, closed = plant.B @ self.certainty.regulator.L, closed_loop(self.certainty)
+        known = resting_states(plant)
+        closed = np.where((self.certainty.problem.lasting & ~known)[:, None], REMEMBERED * closed, closed)
         W = plant.W + moved @ self.certainty.filter.posterior @ moved.T
         C, V = plant.C[outputs], plant.V[np.ix_(outputs, outputs)]
-        gain = filter_checked(closed_loop(self.certainty), C, W, V).gain
-        kept = (np.eye(plant.states) - gain @ C) @ closed_loop(self.certainty)
+        gain, place = np.zeros((plant.states, len(outputs))), np.ix_(~known, ~known)
+        gain[~known] = filter_checked(closed[place], C[:, ~known], W[place], V).gain
+        kept = (np.eye(plant.states) - gain @ C) @ closed
         return Assign(node, f"local_{node}", {f"local_{node}": kept, signal: gain})
 
 

@@ -58,9 +58,10 @@ def followed(given: Quadratic) -> Followed | None:
     A, B = given.A / size[:, None] * size, given.B / size[:, None] * unit
     M = np.block([[given.Q, given.N], [given.N.T, given.R]]) * np.outer(*[np.concatenate([size, unit])] * 2)
     largest = float(np.abs(M).max()) or 1.0
-    x, d = np.flatnonzero(~states), np.flatnonzero(states)
+    x: list[int] = np.flatnonzero(~states).tolist()
+    d: list[int] = np.flatnonzero(states).tolist()
     n, q, m = len(x), len(d), B.shape[1]
-    order = np.concatenate([x, len(A) + np.arange(m)])
+    order = [*x, *range(len(A), len(A) + m)]
     cost, push, none = M[np.ix_(order, order)] / largest, M[np.ix_(order, d)] / largest, M[np.ix_(d, d)] / largest
     S, E, same = A[np.ix_(d, d)], A[np.ix_(x, d)], np.eye(q)
     # A X + B U − X S = −E, and the derivatives of the cost with respect to x and u are zero

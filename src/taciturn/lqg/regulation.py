@@ -42,15 +42,15 @@ def regulator_equations(
     units = np.concatenate([state, unit])
     A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
     sizes = np.maximum(np.abs(outputs * state).max(axis=1, initial=0.0), 1e-300)
-    Cz, F = outputs * state / sizes[:, None], F / sizes[:, None]
-    same = np.eye(q)
+    Cz: Array = outputs * state / sizes[:, None]
+    F = F / sizes[:, None]
+    same: Array = np.eye(q)
     moves = np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])
     matrix, right = moves, -E.T.ravel()
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     for i in range(-1, len(Cz)):
         if i >= 0:
-            seen: Array = np.kron(same, Cz[i : i + 1])
-            row = np.hstack([seen, np.zeros((q, q * m))])
+            row = np.hstack([np.kron(same, Cz[[i]]), np.zeros((q, q * m))])
             matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
             found = np.linalg.lstsq(matrix, right, rcond=None)[0]
         if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):

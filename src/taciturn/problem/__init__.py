@@ -5,8 +5,7 @@ follow each other, and an error names the file, the key, the given value and the
 
 1. ``tables`` checks names and types of all keys. An unknown key is an error, so that a misspelt key is never ignored.
 2. The classes of ``taciturn.model`` check shapes and values. A ``Problem`` that is built in Python gets the same check.
-3. The design function of the kind declares its parameters by its signature (``parameters``). A network or a reference
-   that the signature lacks is an error, because the policy would ignore it.
+3. The design function of the kind declares its parameters (``parameters``); what it would ignore is an error.
 
 A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``functions``).
@@ -366,8 +365,8 @@ def parse(
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
         followed, actual = (with_exosystem(one, file, network) for one in (plant, actual))
-        rest = (actual, reference, _copied(tables), name, own, controller)
-        return Problem(followed or plant, cost, network, kind, parameters, *rest)
+        more = (actual, reference, _copied(tables), name, own, controller)
+        return Problem(followed or plant, cost, network, kind, parameters, *more)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 

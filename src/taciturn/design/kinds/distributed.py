@@ -156,7 +156,7 @@ def _policy(
         ),
         # nodes at another place do not use each other's signals, so each of them runs by itself
         sites=network.sites_of_controller,
-        initial={"prior": problem.plant.mean},
+        initial=sensors.initial,
         tick=problem.tick,
         network=network,
         notes=(f"{ACKNOWLEDGED if told else UNHEARD}; {ATTEMPTS if len(lossy) <= MOST_LINKS else TOO_MANY}",)
