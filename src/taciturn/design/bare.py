@@ -25,4 +25,4 @@ def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
             f"{policy.kind} has steps of {policy.tick:g} s, so its cost refers to a continuous plant, which a policy "
             "does not hold; expected a Problem with this plant and a policy kind"
         )
-    return policy.model, policy.cost, policy.network
+    return policy.model.alone or policy.model, policy.cost, policy.network

@@ -69,6 +69,8 @@ def followed(given: Quadratic) -> Followed | None:
     costs = np.hstack([np.kron(same, cost[:, :n]), np.kron(same, cost[:, n:])])
     matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    if not found.any():  # they have no effect
+        return None
     rest = np.vstack([found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T])
     left = none + rest.T @ push + push.T @ rest + rest.T @ cost @ rest
     limit = CANCELS * max(1.0, float(np.abs(found).max()))

@@ -109,6 +109,8 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         A, np.vstack([plant.B, np.zeros((q, m))]), W, np.hstack([plant.C, e.G]), plant.V, plant.dt, mean, covariance,
         plant.input_limit, plant.function,
     )  # fmt: skip
+    if isinstance(source, Plant):
+        object.__setattr__(with_all, "alone", source)
     return replace(
         base, plant=with_all, Q=whole[:states, :states], N=whole[:states, states:], noise_cost=noise_cost,
         source=source,

@@ -41,7 +41,7 @@ def names(owner: str, properties: str) -> frozenset[str]:
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state")
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
-EXOSYSTEM = names("exosystem", "S E G W start outputs F") | {"plant.exosystem"}
+EXOSYSTEM = names("exosystem", "S E G W start outputs F") | {"plant.exosystem", "plant.alone"}
 WEIGHTS = names("cost", "Q R N")
 ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
 # a range has an effect only with a payload; prices and energies affect no packet

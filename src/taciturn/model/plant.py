@@ -60,6 +60,7 @@ class Plant(DisplayedPlant):
     function: Dynamics | None
     full_state: bool
     exosystem: Exosystem | None
+    alone: Plant | None = None  # the plant without its disturbances and set-points, if these are states of this one
     continuous: ClassVar[bool] = False
 
     def __init__(
@@ -96,7 +97,7 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem"}
+        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem", "alone"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -362,10 +363,8 @@ def _set_linear(
         "exosystem": exosystem,
     }
     if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):
-        raise ProblemError(
-            f"the exosystem is for {exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs; expected {n} and "
-            f"{p}, as in the plant"
-        )
+        got = f"{exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs"
+        raise ProblemError(f"the exosystem is for {got}; expected {n} and {p}, as in the plant")
     for key, value in values.items():
         object.__setattr__(plant, key, value)
     object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())

@@ -56,7 +56,7 @@ from taciturn.problem.parts import (
     plant_of,
     takes_losses,
 )
-from taciturn.problem.signals import reference_of, with_exosystem
+from taciturn.problem.signals import is_trajectory, reference_of, with_exosystem
 from taciturn.problem.tables import (
     ControllerTable as ControllerTable,
 )
@@ -355,17 +355,16 @@ def parse(
     kind, parameters = read_policy(file.policy, name, own)
     try:
         record = own if own is not None and own.name == kind else find_kind(kind)
-        stated = {"reference": file.reference and file.reference.states, "controller": file.controller}
+        stated = {"reference": is_trajectory(file.reference), "controller": file.controller}
         for part in (part for part, given in stated.items() if given):
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         plant = plant_of(file.plant, known or {})
         actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
-        reference = reference_of(file.reference)
         controller = None if file.controller is None else controller_of(file.controller)
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
         followed, actual = (with_exosystem(one, file, network) for one in (plant, actual))
-        more = (actual, reference, _copied(tables), name, own, controller)
+        more = (actual, reference_of(file.reference), _copied(tables), name, own, controller)
         return Problem(followed or plant, cost, network, kind, parameters, *more)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None

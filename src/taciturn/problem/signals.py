@@ -17,25 +17,30 @@ from taciturn.problem.tables import File, ReferenceTable
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
 
 
-def reference_of(table: ReferenceTable | None) -> Reference | None:
-    """Return the trajectory of a table, or None for a table of set-points.
+def is_trajectory(table: ReferenceTable | None) -> bool:
+    """Return whether a table contains a trajectory, and not set-points.
 
     Raises:
         ProblemError: the table contains only one of ``states`` and ``inputs``, or also a set-point.
     """
     if table is None or (table.states is None and table.inputs is None):
-        return None
-    others = [name for name in ("outputs", "value", "integral_action") if getattr(table, name) is not None]
+        return False
     for name, value in (("states", table.states), ("inputs", table.inputs)):
         if value is None:
-            raise ProblemError(f"the key reference.{name} is missing; expected it beside the other one of a trajectory")
-    if others:
-        raise ProblemError(
-            f"reference.{others[0]} is given with reference.states; expected either a trajectory (states, inputs) or "
-            "set-points"
-        )
-    assert table.states is not None
-    assert table.inputs is not None
+            raise ProblemError(f"the key reference.{name} is missing; expected it in [reference], with the other one")
+    for name in ("outputs", "value", "integral_action"):
+        if getattr(table, name) is not None:
+            raise ProblemError(
+                f"reference.{name} is given with reference.states; expected either a trajectory (states, inputs) or "
+                "set-points"
+            )
+    return True
+
+
+def reference_of(table: ReferenceTable | None) -> Reference | None:
+    """Return the trajectory of a table, or None for a table of set-points."""
+    if table is None or table.states is None or table.inputs is None:
+        return None
     return Reference(table.states, table.inputs)
 
 
