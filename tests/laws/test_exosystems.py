@@ -13,7 +13,9 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
 from taciturn.model.following import follow
+from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
+from taciturn.study.describe import describe
 
 A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
 B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])
@@ -182,10 +184,11 @@ def test_a_problem_file_states_them() -> None:
         "reference": {"outputs": C.tolist(), "value": [1.0, -2.0]},
         "policy": {"kind": "excess", "delta": 0.05},
     }  # fmt: skip
-    from taciturn.problem import parse
-
     problem = parse(tables, "tables")
     assert problem.design().cost_all_time == design.excess(plant_with(PUSH), COST, delta=0.05).cost_all_time
+    told = describe(problem)
+    assert "diag(0.001, 0, 0)" in str(told)
+    assert told.document()["plant"]["exosystem"]["start"] == [0.0, 1.0, -2.0]
     acting = parse({**tables, "disturbance": [], "reference": {"integral_action": ["sensor"]}}, "tables")
     assert acting.plant.exosystem is not None
     assert acting.plant.exosystem.E.shape == (3, 2)

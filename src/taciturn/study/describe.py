@@ -251,7 +251,7 @@ def _gains(policy: Policy) -> dict[str, Matrix]:
 
 
 def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
-    unmoved, unseen = _lost(plant)
+    (unmoved, unseen), e = _lost(plant), plant.exosystem
     keys = ("A", "B", "C", "W", "V", "mean", "covariance", "input_limit")
     return {
         "states": plant.states,
@@ -264,6 +264,7 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
         "controllable": not len(unmoved),
         "observable": not len(unseen),
         **{key: _plain(getattr(plant, key)) for key in keys},
+        **({} if e is None else {"exosystem": {field.name: _plain(getattr(e, field.name)) for field in fields(e)}}),
     }
 
 
@@ -284,7 +285,13 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     for name in ("W", "V"):
         value = rows[name]
         lines += matrix_lines(f"noise {name}", value) if isinstance(value, np.ndarray) else []
-    return lines + ([] if plant.input_limit is None else [("input limit", vector_text(plant.input_limit))])
+    lines += [] if plant.input_limit is None else [("input limit", vector_text(plant.input_limit))]
+    if (e := plant.exosystem) is not None:
+        moves = "dd/dt = S d + noise" if plant.continuous else "d⁺ = S d + noise"
+        lines.append(("disturbances", f"and set-points, {len(e.S)} states d: {moves}; C_z x + F d is to be zero"))
+        shown = {"S": e.S, "E": e.E, "G": e.G, "W": e.W, "C_z": e.outputs, "F": e.F + 0.0, "start": e.start[None]}
+        lines += [line for name, value in shown.items() for line in matrix_lines(f"d, {name}", value)]
+    return lines
 
 
 def _cost_lines(problem: Problem) -> Lines:
