@@ -186,9 +186,8 @@ def test_a_problem_file_states_them() -> None:
     }  # fmt: skip
     problem = parse(tables, "tables")
     assert problem.design().cost_all_time == design.excess(plant_with(PUSH), COST, delta=0.05).cost_all_time
-    told = describe(problem)
-    assert "diag(0.001, 0, 0)" in str(told)
-    assert told.document()["plant"]["exosystem"]["start"] == [0.0, 1.0, -2.0]
+    told = describe(problem).document()
+    assert told["plant"]["exosystem"]["start"] == [0.0, 1.0, -2.0]
     acting = parse({**tables, "disturbance": [], "reference": {"integral_action": ["sensor"]}}, "tables")
     assert acting.plant.exosystem is not None
     assert acting.plant.exosystem.E.shape == (3, 2)
