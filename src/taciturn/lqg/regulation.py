@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
-from taciturn._modes import reach
+from taciturn._modes import lost_modes, reach
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.sampling import sample
@@ -101,12 +101,14 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         A, W = sampled.A, sampled.W
     else:
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
+    seen = np.hstack([plant.C, e.G])
+    _expect_shown(A, seen, n, e)
     deviation = np.block([[np.eye(n), -X, np.zeros((n, m))], [np.zeros((m, n)), -U, np.eye(m)]])
     whole = symmetrised(deviation.T @ weights @ deviation)
     states = n + q
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     with_all = Plant(
-        A, np.vstack([plant.B, np.zeros((q, m))]), W, np.hstack([plant.C, e.G]), plant.V, plant.dt, mean, covariance,
+        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, plant.V, plant.dt, mean, covariance,
         plant.input_limit, plant.function,
     )  # fmt: skip
     if isinstance(source, Plant):
@@ -115,3 +117,23 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         base, plant=with_all, Q=whole[:states, :states], N=whole[:states, states:], noise_cost=noise_cost,
         source=source,
     )  # fmt: skip
+
+
+def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem) -> None:
+    """Raise an error if the outputs show all modes of a plant, but not those of its disturbances.
+
+    Args:
+        A: dynamics of (x, d).
+        C: outputs of (x, d).
+        states: number of states x.
+        exosystem: the disturbances, and set-points, which are known.
+    """
+    unknown = np.vstack([exosystem.E, exosystem.G, exosystem.W]).any(axis=0)
+    keep = np.concatenate([np.ones(states, dtype=np.bool_), unknown])
+    alone, shown = (A[:states, :states], C[:, :states]), (A[np.ix_(keep, keep)], C[:, keep])
+    if not lost_modes(alone[0].T, alone[1].T, False).size and lost_modes(shown[0].T, shown[1].T, False).size:
+        raise ProblemError(
+            f"the measured outputs ({len(C)}) do not show every disturbance ({int(unknown.sum())} states); expected "
+            "disturbances with different effects on the outputs, at most one constant for each output: remove a "
+            "disturbance, or add a sensor"
+        )
