@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from counts import few
 from scipy.linalg import block_diag, solve_discrete_are
 from systems import make_system, well_posed
 
-from taciturn import ContinuousPlant, Cost, Plant, Policy, TaciturnError, average, close, design, load, simulate
+from taciturn import (
+    ContinuousPlant,
+    Cost,
+    Network,
+    Plant,
+    Policy,
+    Problem,
+    TaciturnError,
+    average,
+    certify,
+    close,
+    design,
+    load,
+    simulate,
+)  # fmt: skip
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
@@ -21,6 +37,7 @@ A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
 B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])
 C = np.array([[1.0, 0, 0], [0, 0, 1.0]])
 COST = Cost(C.T @ C + 0.1 * np.eye(3), 0.1 * np.eye(2))
+KEPT = "which a given controller and the options of excess do not use"
 PUSH = ExternalDisturbance([0.0, 0.3, 0.1], 1e-3)
 
 
@@ -159,6 +176,34 @@ def test_what_cannot_be_compensated_or_seen_is_refused(
     plant = follow(Plant(A, B, 0.02 * np.eye(3), C[:1], [[0.05]]), outputs, None, disturbances)
     with pytest.raises(error, match=words):
         design.excess(plant, COST, delta=0.1)
+
+
+@pytest.mark.parametrize(
+    ("design_it", "words"),
+    [
+        (
+            lambda plant: design.excess(plant, COST, delta=0.1, link="sensor"),
+            KEPT,
+        ),
+        (lambda plant: design.excess(plant, COST, delta=0.1, every=2), KEPT),
+        (
+            lambda plant: design.excess(plant, COST, delta=0.1, network=Network("tcp", actuator_loss=0.1)),
+            KEPT,
+        ),
+        (
+            lambda plant: design.distributed(plant, COST, theta=0.1, network=Network("tcp", sensor_loss=0.1)),
+            "network.sensor_loss is given, and disturbances or set-points too",
+        ),
+        (
+            lambda plant: certify(Problem(plant, COST, Network(), "excess", {"delta": 0.1})),
+            "disturbances or set-points are given, which certificates do not support",
+        ),
+    ],
+)
+def test_options_without_disturbances_are_refused(design_it: Callable[[Plant], object], words: str) -> None:
+    """By name, where the theory does not have them."""
+    with pytest.raises(ProblemError, match=words):
+        design_it(plant_with(PUSH))
 
 
 @pytest.mark.parametrize("shape", ["constant", "ramp", "sinusoid"])

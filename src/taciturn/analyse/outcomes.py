@@ -26,12 +26,13 @@ from taciturn.analyse.reduction import relevant
 from taciturn.analyse.switched import attempt_of, read_steps, refuse_loops
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
-from taciturn.model.coverage import BURSTS, FIRST, LOSSES, ROUNDING
+from taciturn.model.coverage import BURSTS, EXOSYSTEM, FIRST, LOSSES, ROUNDING
 from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.policy import Send
 
 MOST = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
+NEARLY = 1e-9  # distance to a growth of 1 within which the second moments count as divergent
 MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
 WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
 
@@ -84,7 +85,7 @@ class Outcomes(Displayed):
         r, states = self.F.shape[1], len(self.turns)
         if r == 0:
             return self.constant
-        if (growth := self.growth(2)) >= 1:
+        if (growth := self.growth(2)) >= 1 - NEARLY:
             raise UnstableError(
                 f"with these losses, the mean square of the loop that sends every packet grows by a factor of "
                 f"{growth:.6g} per step; expected fewer losses"
@@ -112,7 +113,7 @@ def outcomes(loop: Loop) -> Outcomes | None:
     if not links:
         return None
     try:
-        refuse_loops(loop, LOSSES | BURSTS | ROUNDING | FIRST)
+        refuse_loops(loop, LOSSES | BURSTS | ROUNDING | FIRST | EXOSYSTEM)
         return _read(loop, links)
     except ProblemError:
         return None

@@ -18,6 +18,7 @@ from taciturn.model.coverage import (
     BURSTS,
     DRAWS,
     ENDING,
+    EXOSYSTEM,
     FIRST,
     FUNCTION,
     FUNCTIONS,
@@ -43,7 +44,7 @@ from taciturn.program.quadratic import as_form, read_polynomials
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
 # the properties of a loop that its step represents, or refuses where it meets them (_FixedStep)
-CERTIFIED = LINEAR_LOOP | JUMPS | MEMORIES | BELLS | DRAWS
+CERTIFIED = (LINEAR_LOOP - EXOSYSTEM) | JUMPS | MEMORIES | BELLS | DRAWS
 
 
 class Case(NamedTuple):
@@ -286,6 +287,7 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
         f"{policy.kind} decides on sets of links by a limit": FIRST,
         "the loop is a finite-horizon run, with a horizon or a discount": ENDING,
         "inputs are clipped (input_limit)": LIMIT,
+        "disturbances or set-points are given": EXOSYSTEM,
         f"the {links[0] if links else ''} link drops packets": LOSSES | BURSTS,
         f"packets contain rounded numbers ({loop.network.payload})": ROUNDING,
     }

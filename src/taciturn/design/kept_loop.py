@@ -15,7 +15,7 @@ from taciturn.design.kept import disturbed, note_disturbance, recovery, remedy_o
 from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.routes import actuator_base
 from taciturn.design.same_control import SameControl
-from taciturn.errors import TaciturnError
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
@@ -48,6 +48,12 @@ class KeptLoop(Displayed):
     @staticmethod
     def of(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept) -> KeptLoop:
         """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
+        if plant.exosystem is not None:
+            raise ProblemError(
+                "the plant has disturbances or set-points, which a given controller and the options of excess do not "
+                "use; expected LQG with link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links, or "
+                "the keys setpoint and disturbance of the controller"
+            )
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
         point = operating_point(problem, controller)
         return KeptLoop(kept, controller, point.deviations(problem), point, disturbance)
