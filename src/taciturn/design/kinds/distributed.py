@@ -102,8 +102,8 @@ def distributed(
     if _lossy(network) and plant.exosystem is not None:
         link = _lossy(network)[0]
         raise ProblemError(
-            f"{network.lost(link)} is given, and disturbances or set-points too, with whose size the effect of a dropout "
-            "grows; expected links that deliver every packet, or no disturbances and set-points"
+            f"{network.lost(link)} is given, and disturbances or set-points too, with whose size the effect of a "
+            "dropout grows; expected links that deliver every packet, or no disturbances and set-points"
         )
     if 0 < len(_lossy(network)) <= MOST_LINKS:
         all_time = _with_every_attempt(plant, cost, period, *given)
