@@ -138,7 +138,7 @@ def spectral_radius(apply: Callable[[Array], Array], size: int) -> float:
 
 
 def fixed_point(apply: Callable[[Array], Array], added: Array) -> Array:
-    """Return x with x = apply(x) + added for a linear map of spectral radius below 1, to a relative residual of 1e-12.
+    """Return x with x = apply(x) + added for a linear map of spectral radius below 1; the caller checks the residual.
 
     Few unknowns are computed from the matrix of the map, many by the method of generalised minimal residuals.
     """

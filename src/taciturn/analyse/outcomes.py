@@ -32,6 +32,7 @@ from taciturn.model.network import Network
 from taciturn.model.policy import Send
 
 MOST = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
+SOLVED = 1e-9  # relative residual of the equation for the second moments
 NEARLY = 1e-9  # distance to a growth of 1 within which the second moments count as divergent
 MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
 WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
@@ -80,7 +81,7 @@ class Outcomes(Displayed):
         """Return the cost per step of the loop that sends every packet, by its second moments in the long run.
 
         Raises:
-            UnstableError: the second moments diverge.
+            UnstableError: the second moments diverge, or cannot be computed reliably.
         """
         r, states = self.F.shape[1], len(self.turns)
         if r == 0:
@@ -92,6 +93,12 @@ class Outcomes(Displayed):
             )
         added = np.tensordot(self.turns.T @ self.shares, self.G @ self.G.T, 0)
         moments = _scipy.fixed_point(lambda entries: self._moved(entries, 2), added.ravel())
+        missed = moments - self._moved(moments, 2) - added.ravel()
+        if not float(np.linalg.norm(missed)) <= SOLVED * float(np.linalg.norm(added)):
+            raise UnstableError(
+                "the second moments of the loop that sends every packet cannot be computed reliably; expected fewer "
+                "losses, or a larger stability margin"
+            )
         stage = np.tensordot(self.odds, self.M, 1)
         return self.constant + float(np.sum(stage * moments.reshape(states, r, r)))
 

@@ -122,7 +122,7 @@ def expect_average(kind: str, cost: Cost) -> None:
     """Raise an error if the cost has a horizon or a discount, and so is not an average.
 
     Raises:
-        ProblemError: if the cost has a horizon or a discount, or is no cost.
+        ProblemError: if the cost has a horizon or a discount, or is not a ``Cost``.
     """
     instance("cost", cost, Cost)
     for name, absent in (("horizon", None), ("discount", 1.0)):

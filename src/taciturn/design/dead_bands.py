@@ -178,7 +178,7 @@ def errors_of_one(loop: KeptLoop, link: str, delta: float) -> dict[str, ErrorGai
 
     Args:
         loop: the loop of the controller.
-        link: ``"sensor"`` or ``"actuator"``: what a packet would carry and each entry of the error refer to.
+        link: ``"sensor"``: packets carry measurements; ``"actuator"``: packets carry commands.
         delta: the largest error of an entry.
     """
     plant = loop.problem.plant

@@ -58,7 +58,7 @@ class KeptLoop(Displayed):
         point = operating_point(problem, controller)
         return KeptLoop(kept, controller, point.deviations(problem), point, disturbance)
 
-    @property
+    @cached_property
     def remedy(self) -> str:
         """The remedy if the loop is unstable."""
         return remedy_of(self.problem, self.controller)

@@ -159,7 +159,7 @@ def _collect(covered: frozenset[str], thing: object, found: dict[str, None]) -> 
 def _look(
     kind: type[object], covered: frozenset[str]
 ) -> tuple[frozenset[str] | None, tuple[str, ...], tuple[tuple[Field[Any], str | None], ...]] | None:
-    """Return what to look at in things of a class, or None for a collection.
+    """Return the fields of a class whose values need a check, or None for a collection.
 
     That is: the names of its fields (None if attributes are not looked at), what is not covered whatever a thing
     contains, and the fields in order, each with its name if it is not covered.

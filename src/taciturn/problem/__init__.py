@@ -5,7 +5,7 @@ follow each other, and an error names the file, the key, the given value and the
 
 1. ``tables`` checks names and types of all keys. An unknown key is an error, so that a misspelt key is never ignored.
 2. The classes of ``taciturn.model`` check shapes and values. A ``Problem`` that is built in Python gets the same check.
-3. The design function of the kind declares its parameters (``parameters``); what it would ignore is an error.
+3. The design function of the kind declares its parameters (``parameters``). An argument that it ignores is an error.
 
 A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``functions``).

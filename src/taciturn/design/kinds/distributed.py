@@ -98,14 +98,13 @@ def distributed(
         raise ProblemError(f"network.delay is {network.delay}; expected 0 with distributed")
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
-    all_time = certainty.cost_all_time
-    if _lossy(network) and plant.exosystem is not None:
-        link = _lossy(network)[0]
+    all_time, lossy = certainty.cost_all_time, _lossy(network)
+    if lossy and plant.exosystem is not None:
         raise ProblemError(
-            f"{network.lost(link)} is given, and disturbances or set-points too, with whose size the effect of a "
+            f"{network.lost(lossy[0])} is given, and disturbances or set-points too, with whose size the effect of a "
             "dropout grows; expected links that deliver every packet, or no disturbances and set-points"
         )
-    if 0 < len(_lossy(network)) <= MOST_LINKS:
+    if 0 < len(lossy) <= MOST_LINKS:
         all_time = _with_every_attempt(plant, cost, period, *given)
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
     return _policy(certainty, *given, thresholds, all_time)

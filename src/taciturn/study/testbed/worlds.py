@@ -35,7 +35,7 @@ class WorldRun(Displayed):
         faults: its faults.
         devices: roles of the nodes that ran as C code.
         keyed: whether the processes had keys.
-        broken: what does not hold, in a sentence; None if all invariants hold.
+        broken: sentence on the invariant that does not hold; None if all invariants hold.
         invariant: name of the invariant that does not hold, at which the world ends, or None.
         recovery: steps after the last fault until no node was degraded and all copies agreed.
         promised: steps within which they must.
