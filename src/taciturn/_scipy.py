@@ -125,18 +125,6 @@ def gamma_quantile(shape: float, share: float) -> float:
     return float(gammaincinv(shape, share))
 
 
-def spectral_radius(apply: Callable[[Array], Array], size: int) -> float:
-    """Return the spectral radius of a linear map on vectors with more than 2 entries, by Arnoldi's method."""
-    import scipy.sparse.linalg as sparse
-
-    operator = sparse.LinearOperator((size, size), matvec=apply, dtype=np.float64)
-    try:
-        found = sparse.eigs(operator, k=1, which="LM", return_eigenvectors=False, v0=np.ones(size), tol=1e-9)
-    except sparse.ArpackNoConvergence as error:
-        found = error.eigenvalues
-    return float(np.abs(np.asarray(found)).max(initial=0.0))
-
-
 def fixed_point(apply: Callable[[Array], Array], added: Array) -> Array:
     """Return x with x = apply(x) + added for a linear map of spectral radius below 1; the caller checks the residual.
 

@@ -21,6 +21,7 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array, pushed
 from taciturn._display import Displayed
+from taciturn._growth import growth, normal_moments
 from taciturn._modes import radius
 from taciturn.analyse.reduction import relevant
 from taciturn.analyse.switched import attempt_of, read_steps, refuse_loops
@@ -75,7 +76,8 @@ class Outcomes(Displayed):
             each = [sum(p * F for p, F in zip(row, powers, strict=True)) for row in self.odds]
             blocks = [[self.turns[s, after] * each[s] for s in range(states)] for after in range(states)]
             return radius(np.block(blocks))
-        return _scipy.spectral_radius(lambda entries: self._moved(entries, power), states * r**power)
+        start = np.stack([normal_moments(r, power)] * states)
+        return growth(lambda moments: self._moved(moments, power), start)
 
     def cost(self) -> float:
         """Return the cost per step of the loop that sends every packet, by its second moments in the long run.
@@ -92,22 +94,22 @@ class Outcomes(Displayed):
                 f"{growth:.6g} per step; expected fewer losses"
             )
         added = np.tensordot(self.turns.T @ self.shares, self.G @ self.G.T, 0)
-        moments = _scipy.fixed_point(lambda entries: self._moved(entries, 2), added.ravel())
-        missed = moments - self._moved(moments, 2) - added.ravel()
+        moved = _scipy.fixed_point(lambda entries: self._moved(entries.reshape(added.shape), 2).ravel(), added.ravel())
+        moments = moved.reshape(added.shape)
+        missed = moments - self._moved(moments, 2) - added
         if not float(np.linalg.norm(missed)) <= SOLVED * float(np.linalg.norm(added)):
             raise UnstableError(
                 "the second moments of the loop that sends every packet cannot be computed reliably; expected fewer "
                 "losses, or a larger stability margin"
             )
         stage = np.tensordot(self.odds, self.M, 1)
-        return self.constant + float(np.sum(stage * moments.reshape(states, r, r)))
+        return self.constant + float(np.sum(stage * moments))
 
-    def _moved(self, entries: Array, power: int) -> Array:
+    def _moved(self, moments: Array, power: int) -> Array:
         """Return the moments after a step without noise, from those before it."""
-        shape = (len(self.turns), *[self.F.shape[1]] * power)
-        each = [pushed(F, entries.reshape(shape), power) for F in self.F]
+        each = [pushed(F, moments, power) for F in self.F]
         before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
-        return np.tensordot(self.turns.T, np.stack(before), 1).ravel()
+        return np.tensordot(self.turns.T, np.stack(before), 1)
 
 
 def outcomes(loop: Loop) -> Outcomes | None:

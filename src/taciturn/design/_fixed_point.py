@@ -11,8 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn import _scipy
 from taciturn._arrays import Array, pushed, symmetrised
+from taciturn._growth import growth, normal_moments
 from taciturn.errors import ProblemError
 
 Fate: TypeAlias = tuple[float, Array, Array]
@@ -107,14 +107,13 @@ def fourth(P: Array, cycle: Cycle, turns: Array) -> float:
     shape = (len(turns), *[seen.shape[1]] * 4)
     reduced = [[[(p, seen.T @ F @ seen) for p, F, _ in fates] for fates in states] for states in cycle]
 
-    def moved(entries: Array) -> Array:
-        moments: Array = entries.reshape(shape)
+    def moved(moments: Array) -> Array:
         for states in reduced:
             after = np.zeros(shape)
             for m, fates in enumerate(states):
                 for p, F in fates:
                     after[m] += p * pushed(F, moments[m], 4)
             moments = np.tensordot(turns.T, after, 1)
-        return moments.ravel()
+        return moments
 
-    return _scipy.spectral_radius(moved, int(np.prod(shape))) ** (1 / len(cycle))
+    return growth(moved, np.stack([normal_moments(seen.shape[1], 4)] * len(turns))) ** (1 / len(cycle))

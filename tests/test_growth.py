@@ -1,0 +1,44 @@
+"""The growth of moments of random linear systems, against the eigenvalues of the map that moves these moments."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from taciturn._arrays import pushed
+from taciturn._growth import growth, normal_moments
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_growth_is_the_largest_eigenvalue(seed, order):
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(1, 5))
+    F, G = rng.normal(size=(2, size, size)) * rng.uniform(0.2, 0.8)
+    share = rng.uniform()
+
+    def move(moments):
+        return (1 - share) * pushed(F, moments, order) + share * pushed(G, moments, order)
+
+    unit = np.eye(size**order).reshape(-1, *[size] * order)
+    matrix = np.stack([move(one).ravel() for one in unit], axis=1)
+    largest = np.abs(np.linalg.eigvals(matrix)).max()
+    assert math.log(growth(move, normal_moments(size, order))) == pytest.approx(math.log(largest), rel=5e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize("pole", [0.9, 1.0, 1.05])
+def test_a_defective_eigenvalue_does_not_stop_the_computation(pole):
+    F = pole * np.eye(4) + np.eye(4, k=1)
+    found = growth(lambda moments: pushed(F, moments, 4), normal_moments(4, 4))
+    assert found == pytest.approx(pole**4, rel=0.01)  # the powers of a Jordan block grow faster, by polynomials
+
+
+def test_moments_that_vanish_do_not_grow():
+    assert growth(lambda moments: pushed(np.eye(2, k=1), moments, 2), normal_moments(2, 2)) == 0.0
+
+
+def test_the_normal_moments_are_those_of_isserlis():
+    found = normal_moments(2, 4)
+    assert (found[0, 0, 0, 0], found[0, 0, 1, 1], found[0, 1, 0, 1], found[0, 0, 0, 1]) == (3, 1, 1, 0)
