@@ -14,6 +14,7 @@ from taciturn._growth import growth, normal_moments
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("seed", range(12))
 def test_the_growth_is_the_largest_eigenvalue(seed, order):
+    """Of a map that applies one of two matrices at random."""
     rng = np.random.default_rng(seed)
     size = int(rng.integers(1, 5))
     F, G = rng.normal(size=(2, size, size)) * rng.uniform(0.2, 0.8)
@@ -30,15 +31,18 @@ def test_the_growth_is_the_largest_eigenvalue(seed, order):
 
 @pytest.mark.parametrize("pole", [0.9, 1.0, 1.05])
 def test_a_defective_eigenvalue_does_not_stop_the_computation(pole):
+    """Such as the common pole of a filter and of its copy, at which Arnoldi's method does not converge."""
     F = pole * np.eye(4) + np.eye(4, k=1)
     found = growth(lambda moments: pushed(F, moments, 4), normal_moments(4, 4))
     assert found == pytest.approx(pole**4, rel=0.01)  # the powers of a Jordan block grow faster, by polynomials
 
 
 def test_moments_that_vanish_do_not_grow():
+    """All of them are zero after as many steps as there are states."""
     assert growth(lambda moments: pushed(np.eye(2, k=1), moments, 2), normal_moments(2, 2)) == 0.0
 
 
 def test_the_normal_moments_are_those_of_isserlis():
+    """The sum over the pairings of four factors."""
     found = normal_moments(2, 4)
     assert (found[0, 0, 0, 0], found[0, 0, 1, 1], found[0, 1, 0, 1], found[0, 0, 0, 1]) == (3, 1, 1, 0)

@@ -85,8 +85,7 @@ class Outcomes(Displayed):
         Raises:
             UnstableError: the second moments diverge, or cannot be computed reliably.
         """
-        r, states = self.F.shape[1], len(self.turns)
-        if r == 0:
+        if self.F.shape[1] == 0:
             return self.constant
         if (growth := self.growth(2)) >= 1 - NEARLY:
             raise UnstableError(
