@@ -18,8 +18,8 @@ SOURCE = ROOT / "src" / "taciturn"
 SATELLITES = ("taciturn_boards", "taciturn_thesis", "taciturn_twins")
 FLOORS = {
     "errors": 0, "_arrays": 0, "_cycles": 0, "_plugins": 0, "_pydantic": 0, "_modes": 0, "_subspaces": 0, "_growth": 0,
-    "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0, "_grid": 0, "_files": 0, "_dask": 0, "_control": 0, "_matlab": 0,
-    "_version": 0, "_progress": 0, "_blas": 0, "_ending": 0, "_text": 0, "_display": 0,
+    "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0, "_grid": 0, "_files": 0, "_dask": 0, "_control": 0,
+    "_matlab": 0, "_version": 0, "_progress": 0, "_blas": 0, "_ending": 0, "_text": 0, "_display": 0,
     "model": 1,
     "lqg": 2, "problems": 2,
     "program": 3, "renewal": 3, "_assumptions": 3,
