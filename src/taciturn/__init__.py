@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from taciturn.model.plant import ContinuousPlant as ContinuousPlant
     from taciturn.model.plant import Jumps as Jumps
     from taciturn.model.plant import Plant as Plant
-    from taciturn.model.plant import plant_from as plant_from
     from taciturn.model.policy import Policy as Policy
     from taciturn.model.reference import Reference as Reference
+    from taciturn.model.state_space import plant_from as plant_from
     from taciturn.model.theory import Guarantee as Guarantee
     from taciturn.model.theory import Theory as Theory
     from taciturn.model.trigger import Trigger as Trigger
@@ -88,7 +88,7 @@ _HOME = {
     "integrate": "model.dynamics",
     "linearise": "model.dynamics",
     "load": "problem",
-    "plant_from": "model.plant",
+    "plant_from": "model.state_space",
     "run_network": "study.testbed.network",
     "share_channel": "study.channel.share",
     "simulate": "simulation.trajectory",

@@ -12,7 +12,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.controller import ContinuousController, Controller, Method
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.pid import PID, PIDLoops
-from taciturn.model.plant import state_space_of
+from taciturn.model.state_space import state_space_of
 
 Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
 

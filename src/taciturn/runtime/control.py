@@ -15,8 +15,9 @@ from taciturn.loop import Loop
 from taciturn.model.coverage import PLANTS, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Network
-from taciturn.model.plant import ContinuousPlant, Plant, plant_from
+from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
+from taciturn.model.state_space import plant_from
 from taciturn.program.names import Entry, Sent
 from taciturn.runtime.nodes import Nodes, StepFunction, Values
 

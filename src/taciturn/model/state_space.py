@@ -1,0 +1,98 @@
+"""Plants from systems of python-control and scipy."""
+
+from __future__ import annotations
+
+from typing import Protocol, cast, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import ArrayLike
+from taciturn.errors import ProblemError
+from taciturn.model.plant import ContinuousPlant, Plant
+
+
+@runtime_checkable
+class StateSpaceLike(Protocol):
+    """The common attributes of `control.StateSpace` and `scipy.signal.StateSpace`/`dlti`."""
+
+    A: npt.NDArray[np.float64]
+    B: npt.NDArray[np.float64]
+    C: npt.NDArray[np.float64]
+    D: npt.NDArray[np.float64]
+
+
+def plant_from(
+    system: object,
+    W: ArrayLike,
+    V: ArrayLike | None = None,
+    mean: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+    input_limit: ArrayLike | None = None,
+) -> Plant | ContinuousPlant:
+    """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
+
+    A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
+    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected.
+
+    Args:
+        system: an object with attributes A, B, C, D and dt, or with a method ``to_ss`` that returns such an object.
+        W: covariance or intensity of the process noise, (n, n).
+        V: measurement-noise covariance, (p, p); if omitted, the measurement is exact.
+        mean: mean of the initial state, (n,).
+        covariance: covariance of the initial state, (n, n).
+        input_limit: saturation limit of each input, (m,).
+
+    Returns:
+        The plant.
+
+    Raises:
+        ProblemError: if the system lacks these attributes, D is not 0, or the time base is unspecified.
+
+    Example:
+        >>> import scipy.signal
+        >>> plant_from(scipy.signal.dlti([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
+        0.1
+    """
+    linear, step = state_space_of("system", system)
+    if np.any(np.asarray(linear.D) != 0):
+        raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
+    C = np.asarray(linear.C, dtype=np.float64)
+    if step == 0:
+        return ContinuousPlant(
+            linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit
+        )
+    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit)
+
+
+def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:
+    """Return the state space of a system of python-control or scipy, and its step.
+
+    The step is 0 for continuous time, and None for discrete time without seconds.
+
+    Raises:
+        ProblemError: the system has no state space, or its time base is unspecified.
+    """
+    if not isinstance(system, StateSpaceLike):
+        to_state_space = getattr(system, "to_ss", None)  # transfer functions and zero-pole-gain systems
+        if to_state_space is None:
+            raise ProblemError(
+                f"{name} is a {type(system).__name__}; expected a state-space object with A, B, C, D: "
+                "convert it first, for example with control.ss"
+            )
+        try:
+            system = cast("StateSpaceLike", to_state_space())
+        except (TypeError, ValueError, NotImplementedError, ImportError) as error:  # improper, several inputs, no data
+            raise ProblemError(
+                f"{name} is a {type(system).__name__} without a state space ({error}); "
+                "expected an object with A, B, C, D, or a proper transfer function"
+            ) from None
+    dt: float | bool | None = getattr(system, "dt", None)
+    if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
+        raise ProblemError(
+            "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
+            "create the system again with dt=0 or dt=…"
+        )
+    if dt is None or (dt is not True and dt == 0):
+        return system, 0.0
+    return system, None if dt is True else float(dt)
