@@ -17,9 +17,10 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED, uncovered
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network
-from taciturn.model.network import Network
+from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
+from taciturn.model.set_points import SampledChanges
 from taciturn.model.steps import assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
@@ -31,6 +32,7 @@ from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import TimeStep, link_state
 from taciturn.program.names import Name, Sent, named
 from taciturn.program.ops import Precision
+from taciturn.program.set_points import TIMETABLE, add_changes, draw_noise
 from taciturn.program.trace import trace
 
 COST, EXCESS = "cost", "excess"
@@ -117,7 +119,7 @@ class Loop(Displayed):
     def reducible(self) -> bool:
         """True if the loop has the same distribution as a loop that is driven by the filter's innovations."""
         known = self.policy.theory.innovations is not None
-        return self.nominal and known and self.problem.jumps is None and self.horizon is None
+        return self.nominal and known and self.problem.gaussian and self.horizon is None
 
     def program(self) -> Program:
         """Return the program of one step of the loop, including the plant.
@@ -150,7 +152,8 @@ class Loop(Displayed):
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         outputs: dict[Name, int] = {COST: tick.form(self._stage(*self._deviate(tick)))}
         tick.signals["x"] = self._moved(tick)
-        outputs |= named("y", self._measured(tick))
+        measured = self._measured(tick)
+        outputs |= named("y", measured[: plant.sensed]) | named(REFERENCE, measured[plant.sensed :])
         return with_draws(tick.finish({}, outputs))
 
     def reduced_program(self) -> Program:
@@ -194,8 +197,11 @@ class Loop(Displayed):
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
         return tick.finish(self._sums(tick, stage), self._outputs(tick, ()))
 
-    def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
-        """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths)."""
+    def start(self, program: Program, paths: int, seed: int, first: int = 0, stationary: bool = False) -> Array:
+        """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths).
+
+        A ``stationary`` start is at a random step of a timetable of set-points.
+        """
         plant, network = self.problem.plant, self.network
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
@@ -204,7 +210,13 @@ class Loop(Displayed):
         for link, burst in ((link, network.burst(link)) for link in network.links):
             if burst is not None:
                 drawn[link_state(link)] = burst.pick(draws.random(paths)).astype(np.float64)[None]
-        starts = [state.start for state in program.states]
+        changes = plant.changes
+        if stationary and isinstance(changes, SampledChanges):
+            place = draws.integers(len(changes.table), size=paths)
+            x[-changes.size :] += (np.cumsum(changes.table, axis=0) - changes.table)[place].T
+            drawn[TIMETABLE] = place.astype(np.float64)[None]
+        begun = {TIMETABLE: (TIMETABLE, 0)} if TIMETABLE in drawn else {}
+        starts = [begun.get(state.name, state.start) for state in program.states]
         rows = [drawn[at[0]][at[1]] if isinstance(at, tuple) else np.full(paths, at) for at in starts]
         return np.array(rows).reshape(len(rows), paths)
 
@@ -247,8 +259,9 @@ class Loop(Displayed):
         if supplied:
             tick.recall("x")  # so that x is the first state
         tick.draw_losses(self.policy, self.network)
-        tick.signals["y"] = self._measured(tick, supplied)
-        measure(tick, self.policy, tick.signals["y"])
+        measured = self._measured(tick, supplied)
+        measure(tick, self.policy, measured)
+        tick.signals["y"] = measured[: self.problem.plant.sensed]
         for step in self.policy.steps:
             tick.take(step)
         tick.signals["applied"] = tick.clipped(gather_input(tick, self.policy), self.problem.plant.input_limit)
@@ -264,7 +277,7 @@ class Loop(Displayed):
         y = tick.combine({"x": plant.C}, plant.outputs)
         if supplied:
             return _add(tick, y, tick.supplied("v", plant.outputs))
-        return _add(tick, y, _noise(tick, factor(plant.V))) if plant.V.any() else y
+        return _add(tick, y, draw_noise(tick, factor(plant.V))) if plant.V.any() else y
 
     def _moved(self, tick: TimeStep, supplied: bool = False) -> list[int]:
         plant = self.problem.plant
@@ -283,7 +296,9 @@ class Loop(Displayed):
             return tick.supplied("w", plant.states)
         if not plant.W.any():
             return []
-        return _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
+        if plant.changes is not None:
+            return add_changes(tick, plant.W, plant.changes)
+        return draw_noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
 
     def _deviate(self, tick: TimeStep) -> tuple[str, str]:
         """Return the signals that the cost weights: state and input, or their deviations from a reference."""
@@ -375,9 +390,3 @@ def close(
 
 def _add(tick: TimeStep, values: list[int], noise: list[int]) -> list[int]:
     return [tick.builder.emit("add", value, drawn) for value, drawn in zip(values, noise, strict=True)]
-
-
-def _noise(tick: TimeStep, spread: Array) -> list[int]:
-    """Return the product of G and new normal draws."""
-    drawn = tick.supplied(NORMAL, spread.shape[1], len(tick.builder.inputs))
-    return list(map(tick.value, tick.builder.transform(spread.tolist(), drawn)))

@@ -154,6 +154,11 @@ def resets(loop: Loop) -> Reset:
             f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, which a lower bound "
             "requires"
         )
+    if loop.problem.plant.changes is not None:
+        raise ProblemError(
+            "the set-points change (reference.steps or file); expected constant set-points for optimal schedules and "
+            "lower bounds"
+        )
     if loop.policy.theory.reset is None or loop.horizon is not None:
         kind, links = loop.policy.kind, loop.policy.scheduled
         several = f"{kind} decides on several links ({', '.join(links)})"

@@ -19,6 +19,8 @@ from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
+from taciturn.lqg._axes import Quadratic
+from taciturn.lqg._followed import overlap
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start, filter_checked
 from taciturn.lqg.periodic import Held
@@ -28,6 +30,7 @@ from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Decide, Location, Policy, Received, Send, Step
+from taciturn.model.set_points import SampledChanges
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Reset, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
@@ -84,7 +87,7 @@ class CertaintyEquivalentDesign(Displayed):
         measured or all noise is Gaussian.
         """
         problem, L = self.problem, self.regulator.L
-        if actuation != "model" or not (problem.plant.full_state or problem.jumps is None):
+        if actuation != "model" or not (problem.plant.full_state or problem.gaussian):
             return None
         return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
 
@@ -110,6 +113,9 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
+    if isinstance(plant.changes, SampledChanges):
+        given = Quadratic(plant.A, plant.B, problem.Q, problem.R, problem.N)
+        cost += overlap(given, regulator.L, regulator.K, plant.changes.table)
     left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
     square = regulator.L.T @ regulator.H @ regulator.L
     doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))

@@ -90,7 +90,8 @@ class ContributionSteps(Displayed):
     @cached_property
     def _sensors(self) -> Mapping[str, tuple[str, Array, list[int]]]:
         """The signal that each sensor measures, the columns of the filter's gain for it, and its outputs."""
-        found, gain = self.network.measurements(self._plant.outputs), self.certainty.filter.gain
+        plant, gain = self._plant, self.certainty.filter.gain
+        found = self.network.measurements(plant.sensed, plant.outputs - plant.sensed)
         return {node: (signal, gain[:, [*outputs]], [*outputs]) for signal, (node, outputs) in found.items()}
 
     @cached_property

@@ -8,8 +8,10 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn.errors import ProblemError
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.queries import Predictor, follow_every_query
+from taciturn.model.network import REFERENCE
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Step
 from taciturn.model.theory import Innovations
@@ -56,7 +58,7 @@ def estimate_state(
     gain = steady.gain if gain is None and steady is not None else gain
     assert gain is not None
     correct = (
-        Assign(at, INNOVATION, {"y": np.eye(plant.outputs), "prior": -plant.C}),
+        Assign(at, INNOVATION, {**outputs_of(plant, at), "prior": -plant.C}),
         Assign(at, ESTIMATE, {"prior": np.eye(plant.states), INNOVATION: gain}),
     )
     predict = (Assign(at, "prior", {ESTIMATE: plant.A, HELD: plant.B}),)
@@ -64,6 +66,23 @@ def estimate_state(
     if steady is not None and gain is steady.gain:
         innovations = Innovations(INNOVATION, steady.innovation, ESTIMATE, steady.posterior)
     return FilterSteps(correct, predict, {"prior": plant.mean}, innovations)
+
+
+def outputs_of(plant: Plant, at: str = "controller") -> dict[str, Array]:
+    """Return the outputs of a plant as a sum of the measurement and of the set-points that the controller is given.
+
+    Raises:
+        ProblemError: a node other than the controller needs set-points that change.
+    """
+    unit, p = np.eye(plant.outputs), plant.sensed
+    if p == plant.outputs:
+        return {"y": unit}
+    if at != "controller":
+        raise ProblemError(
+            f"the set-points change (reference.steps or file), but the {at} runs the filter, and only the controller "
+            "is given the set-points; expected a policy whose filter is at the controller, or constant set-points"
+        )
+    return {"y": unit[:, :p], REFERENCE: unit[:, p:]}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -39,9 +39,10 @@ def modelled(
     certainty = design_certainty(kind, problem)
     reset = certainty.reset("model")
     if reset is None:
+        noise = "the plant has jumps" if problem.jumps else "the set-points change (reference.steps or file)"
         raise ProblemError(
-            "the plant has jumps and C or V is given, so successive estimation errors are dependent; "
-            "expected Gaussian noise, or neither C nor V"
+            f"{noise} and C or V is given, so successive estimation errors are dependent; "
+            "expected Gaussian noise and constant set-points, or neither C nor V"
         )
     rule = Trigger({"silent": silence(problem, reset), SEND: Form()})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, "model", rule)

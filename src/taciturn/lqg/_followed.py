@@ -48,6 +48,37 @@ class Followed(Displayed):
         return self.T.T @ K @ self.T
 
 
+def overlap(given: Quadratic, L: Array, K: Array, table: Array) -> float:
+    """Return the cost per step of set-points that change at known times, beyond that of unrelated changes.
+
+    A change moves the deviation x − Xd, before the transient of the change before it has ended. Unrelated changes cost
+    tr(X'KX ΔΔ') each.
+
+    Args:
+        given: the problem, whose last states are the set-points.
+        L: gain of the regulator.
+        K: cost-to-go of the regulator.
+        table: change of the set-points from each step to the next, repeated, (steps, z).
+    """
+    change = followed(given)
+    if change is None:
+        return 0.0
+    x = ~change.states
+    A, B, Q, R, N = change.problem
+    gain, weight = L[:, x], K[np.ix_(x, x)]
+    closed = A[np.ix_(x, x)] + B[x] @ gain
+    stage = Q[np.ix_(x, x)] + gain.T @ R @ gain + N[x] @ gain + (N[x] @ gain).T
+    moves = table @ change.T[x][:, -table.shape[1] :].T  # of the deviation, by each change
+    before, power = np.zeros(len(closed)), np.eye(len(closed))
+    for move in moves:
+        before, power = closed @ before + move, closed @ power
+    deviation, cost = np.linalg.solve(np.eye(len(closed)) - power, before), 0.0
+    for move in moves:
+        cost += float(deviation @ stage @ deviation) - float(move @ weight @ move)
+        deviation = closed @ deviation + move
+    return cost / len(table)
+
+
 def followed(given: Quadratic) -> Followed | None:
     """Return the deviations from what costs nothing, or None if no state needs them or an input cannot cancel it."""
     free = ~closure((given.B != 0).any(axis=1), np.asarray(given.A != 0, dtype=np.bool_))

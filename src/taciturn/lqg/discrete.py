@@ -97,6 +97,11 @@ class Discrete(Displayed):
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states])
 
     @property
+    def gaussian(self) -> bool:
+        """True if all noise is Gaussian: the plant has no jumps, and no set-points that change."""
+        return self.jumps is None and self.plant.changes is None
+
+    @property
     def ticks(self) -> float:
         """Total weight of the steps in the cost: 1 for an average, N for a horizon, 1/(1−α) for a discounted sum."""
         if self.cost.horizon is not None:

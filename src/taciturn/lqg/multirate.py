@@ -97,7 +97,9 @@ class MultirateControl(Displayed):
     @cached_property
     def _measured(self) -> Mapping[str, list[int]]:
         """The outputs that each node measures."""
-        return {node: [*held] for node, held in self.network.measurements(self.problem.plant.outputs).values()}
+        plant = self.problem.plant
+        measured = self.network.measurements(plant.sensed, plant.outputs - plant.sensed)
+        return {node: [*held] for node, held in measured.values()}
 
     @cached_property
     def _applied(self) -> Mapping[str, list[int]]:

@@ -101,16 +101,19 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         A, W = sampled.A, sampled.W
     else:
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
-    seen = np.hstack([plant.C, e.G])
+    changes = None if e.changes is None else e.changes.sampled(base.tick)
+    given = 0 if changes is None else changes.size  # the controller is given the last states
+    seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(A, seen, n, e)
     deviation = np.block([[np.eye(n), -X, np.zeros((n, m))], [np.zeros((m, n)), -U, np.eye(m)]])
     whole = symmetrised(deviation.T @ weights @ deviation)
     states = n + q
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     with_all = Plant(
-        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, plant.V, plant.dt, mean, covariance,
+        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
         plant.input_limit, plant.function,
     )  # fmt: skip
+    object.__setattr__(with_all, "changes", changes)
     if isinstance(source, Plant):
         object.__setattr__(with_all, "alone", source)
     return replace(
@@ -133,7 +136,7 @@ def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem) -> None
     alone, shown = (A[:states, :states], C[:, :states]), (A[np.ix_(keep, keep)], C[:, keep])
     if not lost_modes(alone[0].T, alone[1].T, False).size and lost_modes(shown[0].T, shown[1].T, False).size:
         raise ProblemError(
-            f"the measured outputs ({len(C)}) do not show every disturbance ({int(unknown.sum())} states); expected "
-            "disturbances with different effects on the outputs, at most one constant for each output: remove a "
-            "disturbance, or add a sensor"
+            f"the measured outputs ({len(exosystem.G)}) do not show every disturbance ({int(unknown.sum())} states); "
+            "expected disturbances with different effects on the outputs, at most one constant for each output: remove "
+            "a disturbance, or add a sensor"
         )

@@ -41,7 +41,12 @@ def names(owner: str, properties: str) -> frozenset[str]:
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state")
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
-EXOSYSTEM = names("exosystem", "S E G W start outputs F") | {"plant.exosystem", "plant.alone"}
+EXOSYSTEM = names("exosystem", "S E G W start outputs F changes") | {"plant.exosystem", "plant.alone"}
+CHANGES = (
+    names("RandomSteps", "rate covariance")
+    | names("Timetable", "times values")
+    | (names("SampledChanges", "table") | {"plant.changes"})
+)
 WEIGHTS = names("cost", "Q R N")
 ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
 # a range has an effect only with a payload; prices and energies affect no packet
@@ -71,9 +76,9 @@ DRAWS = names("Draw", "at signal")
 FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
 
-LINEAR_LOOP = LINEAR_PLANT | EXOSYSTEM | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
+LINEAR_LOOP = LINEAR_PLANT | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
-PLANTS = LINEAR_PLANT | EXOSYSTEM | FUNCTION | LIMIT | JUMPS
+PLANTS = LINEAR_PLANT | EXOSYSTEM | CHANGES | FUNCTION | LIMIT | JUMPS
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself

@@ -16,9 +16,18 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, block_diagonal, number, quoted, semidefinite
+from taciturn._arrays import (
+    Array,
+    ArrayLike,
+    array,
+    block_diagonal,
+    number,
+    quoted,
+    semidefinite,
+)
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.set_points import Changes, SetPoint
 
 Shape: TypeAlias = Literal["constant", "ramp", "sinusoid"]
 
@@ -89,33 +98,6 @@ class ExternalDisturbance(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SetPoint(Displayed):
-    """The value that some combinations of the states are to have.
-
-    Args:
-        outputs: C_z of the combinations z = C_z x, (z, n).
-        value: their set-points, (z,); default 0.
-
-    Raises:
-        ProblemError: the number of set-points is not that of the combinations.
-
-    Example:
-        >>> SetPoint([[1.0, 0.0]], [2.5]).value
-        array([2.5])
-    """
-
-    outputs: Array
-    value: Array
-
-    def __init__(self, outputs: ArrayLike, value: ArrayLike | None = None) -> None:
-        """Validate and store the arguments."""
-        object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(combinations, states)"))
-        size = len(self.outputs)
-        given = np.zeros(size) if value is None else value
-        object.__setattr__(self, "value", array("reference.value", given, (size,), "(combinations,)"))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class Exosystem(Displayed):
     """All disturbances and set-points of a plant.
 
@@ -127,6 +109,7 @@ class Exosystem(Displayed):
         start: initial value of d, (q,).
         outputs: C_z, (z, n).
         F: effect on z = C_z x + F d, (z, q).
+        changes: how the last states of d change, the set-points that the controller is given; None for constant ones.
     """
 
     S: Array
@@ -136,6 +119,7 @@ class Exosystem(Displayed):
     start: Array
     outputs: Array
     F: Array
+    changes: Changes | None = None
 
     def __post_init__(self) -> None:
         """Check the sizes and the covariance."""
@@ -172,16 +156,18 @@ class Exosystem(Displayed):
             rest = np.zeros((1, len(S) - 1))
             enters.append(np.hstack([one.enters[:, None], np.tile(rest, (n, 1))]))
             seen.append(np.hstack([measured[:, None], np.tile(rest, (outputs, 1))]))
-        moved = bool(target.value.any())
+        moved = bool(target.value.any()) or target.changes is not None
         r = z if moved else 0  # states of the set-points
         S = block_diagonal(*parts, np.zeros((r, r)) if continuous else np.eye(r))
         q = len(S) - r
+        noise = [np.zeros((r, r)) if target.changes is None else target.changes.noise]
         return Exosystem(
             S=S,
             E=np.hstack([*enters, np.zeros((n, r))]),
             G=np.hstack([*seen, np.zeros((outputs, r))]),
-            W=block_diagonal(*(one.noise for one in disturbances), np.zeros((r, r))),
+            W=block_diagonal(*(one.noise for one in disturbances), *noise),
             start=np.concatenate([np.zeros(q), target.value[:r]]),
             outputs=target.outputs,
             F=np.hstack([np.zeros((z, q)), -np.eye(z)[:, :r]]),
+            changes=target.changes,
         )

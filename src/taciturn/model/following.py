@@ -8,8 +8,9 @@ from typing import TypeVar
 
 from taciturn._arrays import ArrayLike, instance
 from taciturn.errors import ProblemError
-from taciturn.model.exosystem import Exosystem, ExternalDisturbance, SetPoint
+from taciturn.model.exosystem import Exosystem, ExternalDisturbance
 from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.set_points import Changes, SetPoint
 
 AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
 
@@ -19,6 +20,7 @@ def follow(
     outputs: ArrayLike | None = None,
     value: ArrayLike | None = None,
     disturbances: Sequence[ExternalDisturbance] = (),
+    changes: Changes | None = None,
 ) -> AnyPlant:
     """Return a plant with disturbances that are to be compensated, and with set-points of some outputs.
 
@@ -26,8 +28,9 @@ def follow(
         plant: the plant.
         outputs: C_z of the outputs z = C_z x that are to be at their set-points in spite of the disturbances, (z, n);
             default: the measured outputs C x.
-        value: the set-points, (z,); default 0.
+        value: the set-points, (z,); default 0. With steps at random times, those at the start.
         disturbances: the disturbances.
+        changes: how the set-points change while the loop runs; None for constant set-points.
 
     Returns:
         The plant. A policy for it estimates the disturbances, and its cost weights the deviations from the states and
@@ -46,7 +49,7 @@ def follow(
     instance("plant", plant, Plant, ContinuousPlant)
     for one in disturbances:
         instance("disturbances", one, ExternalDisturbance)
-    target = SetPoint(plant.C if outputs is None else outputs, value)
+    target = SetPoint(plant.C if outputs is None else outputs, value, changes)
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(f"outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state")
     found = copy(plant)

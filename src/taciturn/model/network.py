@@ -24,6 +24,7 @@ ProtocolName = Literal["udp", "tcp", "ideal"]
 TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
 ACKNOWLEDGED: Mapping[str, bool | None] = {"udp": False, "tcp": True, "ideal": None}  # by protocol
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
+REFERENCE = "reference"  # signal of the set-points that the controller is given
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -204,15 +205,18 @@ class Network(Displayed):
         """Return the node that receives the packets of a link."""
         return self.controller if self.nodes[link].measures else link
 
-    def measurements(self, outputs: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
+    def measurements(self, outputs: int, given: int = 0) -> Mapping[str, tuple[str, tuple[int, ...]]]:
         """Return the node and the outputs of each measured signal by name.
 
-        The signal is ``y`` if one node measures all outputs in their order, and ``y_NODE`` otherwise.
+        The signal is ``y`` if one node measures all outputs in their order, and ``y_NODE`` otherwise. The set-points
+        ``reference`` follow, which the controller is given.
 
         Raises:
             ProblemError: an output is measured by no node or by several nodes.
         """
-        return self._signals("measures", "y", "output", outputs)
+        found = self._signals("measures", "y", "output", outputs)
+        last = {REFERENCE: (self.controller, tuple(range(outputs, outputs + given)))} if given else {}
+        return {**found, **last}
 
     def applications(self, inputs: int) -> Mapping[str, tuple[str, tuple[int, ...]]]:
         """Return the node and the inputs of each applied signal by name: ``input``, or ``input_NODE``.

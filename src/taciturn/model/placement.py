@@ -176,9 +176,9 @@ def check_place(kind: str, network: Network, role: str, node: str, together: boo
 def _steps(policy: Policy, network: Network, names: Mapping[str, str], sets: JointSets | None) -> tuple[Step, ...]:
     """Return the policy steps with other names of nodes and links, between the signals that the nodes share."""
     plant, found = policy.model, list[Step]()
-    measured, applied = network.measurements(plant.outputs), network.applications(plant.inputs)
+    measured, applied = network.measurements(plant.sensed), network.applications(plant.inputs)
     if "y" not in measured:
-        terms = {signal: np.eye(plant.outputs)[:, [*outputs]] for signal, (_, outputs) in measured.items()}
+        terms = {signal: np.eye(plant.sensed)[:, [*outputs]] for signal, (_, outputs) in measured.items()}
         found.append(Assign(names["sensor"], "y", terms))
     for step in policy.steps:
         if sets is not None:

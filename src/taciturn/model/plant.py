@@ -14,6 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.exosystem import Exosystem
+from taciturn.model.set_points import RandomSteps, SampledChanges
 
 JumpDistribution = Literal["normal", "uniform", "two-point"]
 
@@ -60,6 +61,7 @@ class Plant(DisplayedPlant):
     full_state: bool
     exosystem: Exosystem | None
     alone: Plant | None = None  # the plant without its disturbances and set-points, if these are states of this one
+    changes: RandomSteps | SampledChanges | None = None  # of set-points, the last states, which are also outputs
     continuous: ClassVar[bool] = False
 
     def __init__(
@@ -94,9 +96,14 @@ class Plant(DisplayedPlant):
         """Number of measured outputs p."""
         return self.C.shape[0]
 
+    @property
+    def sensed(self) -> int:
+        """Number of outputs that sensors measure: all without the set-points that the controller is given."""
+        return self.outputs - (0 if self.changes is None else self.changes.size)
+
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem", "alone"}
+        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem", "alone", "changes"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:

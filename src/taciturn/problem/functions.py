@@ -80,12 +80,14 @@ def _tables(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[tuple[t
 
 
 def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the tables of a file with absolute paths; relative paths of functions and of a controller start there."""
+    """Return the tables of a file with absolute paths; relative paths of functions, of a controller and of
+    a timetable start there."""
     found = dict(tables)
-    controller = found.get("controller")
-    kept = cast("Mapping[str, Any]", controller if isinstance(controller, Mapping) else {})
-    if isinstance(kept.get("file"), str):
-        found["controller"] = {**kept, "file": str((folder / kept["file"]).absolute())}
+    for key in ("controller", "reference"):
+        given = found.get(key)
+        kept = cast("Mapping[str, Any]", given if isinstance(given, Mapping) else {})
+        if isinstance(kept.get("file"), str):
+            found[key] = {**kept, "file": str((folder / kept["file"]).absolute())}
     for key in ("plant", "actual"):  # [plant.actual] is within [plant]
         if isinstance(found.get(key), Mapping):
             found[key] = locate_functions(cast("Mapping[str, Any]", found[key]), folder)

@@ -7,11 +7,12 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
-from taciturn.model.exosystem import ExternalDisturbance, SetPoint
+from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.reference import Reference
+from taciturn.model.set_points import Changes, RandomSteps, SetPoint, Timetable
 from taciturn.problem.tables import File, ReferenceTable
 
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
@@ -28,7 +29,7 @@ def is_trajectory(table: ReferenceTable | None) -> bool:
     for name, value in (("states", table.states), ("inputs", table.inputs)):
         if value is None:
             raise ProblemError(f"the key reference.{name} is missing; expected it in [reference], with the other one")
-    for name in ("outputs", "value", "integral_action"):
+    for name in ("outputs", "value", "steps", "file", "integral_action"):
         if getattr(table, name) is not None:
             raise ProblemError(
                 f"reference.{name} is given with reference.states; expected either a trajectory (states, inputs) or "
@@ -55,13 +56,32 @@ def with_exosystem(
     points = ReferenceTable() if points is None else points
     acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
     rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
-    target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value)
+    target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value, _changes(points))
     given = [
         ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured)  # type: ignore[arg-type]
         for one in file.disturbance or ()
     ]
     given += [] if acting is None else _at_inputs(plant, target)
-    return follow(plant, target.outputs, target.value, given)
+    stated = None if isinstance(target.changes, Timetable) else target.value
+    return follow(plant, target.outputs, stated, given, target.changes)
+
+
+def _changes(table: ReferenceTable) -> Changes | None:
+    """Return how the set-points of a table change, or None if they are constant."""
+    if table.steps is not None and table.file is not None:
+        raise ProblemError("reference.steps and reference.file are given; expected one of them")
+    if table.steps is not None:
+        return RandomSteps(table.steps.rate, table.steps.covariance)
+    if table.file is None:
+        return None
+    try:
+        rows = np.loadtxt(table.file, delimiter=",", ndmin=2, encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ProblemError(
+            f"reference.file {table.file} cannot be read ({error}); expected a text file with rows of a time and the "
+            "set-points from then on, separated by commas"
+        ) from None
+    return Timetable(rows[:, 0], rows[:, 1:])
 
 
 def _outputs_of(nodes: list[str], plant: Plant | ContinuousPlant, network: Network) -> list[int]:

@@ -127,6 +127,14 @@ class DisturbanceEntry(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class StepsTable(Displayed):
+    """The keys of ``steps`` in the table ``[reference]``."""
+
+    rate: float
+    covariance: Rows
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ReferenceTable(Displayed):
     """The keys of the table ``[reference]``: a trajectory (states, inputs), or what outputs are to follow."""
 
@@ -134,6 +142,8 @@ class ReferenceTable(Displayed):
     inputs: Rows | None = None
     outputs: Rows | None = None
     value: list[float] | None = None
+    steps: StepsTable | None = None
+    file: str | None = None
     integral_action: list[str] | None = None
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TypeAlias
 
 from taciturn._arrays import Array
-from taciturn.model.network import Network
+from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
@@ -33,7 +33,8 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     NODES.check(policy.parts, policy.designed_for, network)
     tick = begin_time_step(policy, network, {}, {})
     tick.draw_losses(policy, network)
-    measure(tick, policy, tick.supplied("y", policy.model.outputs))
+    plant = policy.model
+    measure(tick, policy, [*tick.supplied("y", plant.sensed), *tick.supplied(REFERENCE, plant.outputs - plant.sensed)])
     for step in policy.steps:
         tick.take(step)
     applied = tick.clipped(gather_input(tick, policy), policy.model.input_limit)

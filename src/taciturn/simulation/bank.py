@@ -80,7 +80,7 @@ class Bank:
         self._states: list[Array] = []
         for members in groups.values():
             indices = np.array([index for index, _ in members])
-            starts = [self.loops[index].start(program, 1, seed, first=index) for index, program in members]
+            starts = [self.loops[index].start(program, 1, seed, index, stationary=True) for index, program in members]
             self._steppers.append((indices, Stepper([program for _, program in members])))
             self._states.append(np.concatenate(starts, axis=1))
 

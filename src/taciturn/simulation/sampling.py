@@ -132,7 +132,7 @@ class Sampling:
             else min(SIMULATED_PATHS, max(FEW_PATHS, SIMULATED_PATHS * SMALL // max(operations, 1) // 8 * 8))
         )
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
-        states = [part.loop.start(part.estimator.program, paths, self.seed) for part in self.parts]
+        states = [part.loop.start(part.estimator.program, paths, self.seed, stationary=True) for part in self.parts]
         states, dropped, forgotten = self._burn_in(states, min(least, budget // paths // width // 2), budget)
         paths = states[0].shape[1]
         if steps is not None and self._affordable(states, budget) > PAYS * dropped:

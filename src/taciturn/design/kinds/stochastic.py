@@ -94,7 +94,7 @@ def stochastic(
         bound = problem.per_unit(certainty.cost_all_time + 2 * mu / np.e)
         statement = "J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW; mean-square stable"
         guarantee = Guarantee(bound, statement, "han2015")
-    exact = actuation == "model" and problem.jumps is None
+    exact = actuation == "model" and problem.gaussian
     return certainty_policy(
         "stochastic",
         certainty,
