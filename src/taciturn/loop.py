@@ -262,6 +262,7 @@ class Loop(Displayed):
         measured = self._measured(tick, supplied)
         measure(tick, self.policy, measured)
         tick.signals["y"] = measured[: self.problem.plant.sensed]
+        tick.signals[REFERENCE] = measured[self.problem.plant.sensed :]
         for step in self.policy.steps:
             tick.take(step)
         tick.signals["applied"] = tick.clipped(gather_input(tick, self.policy), self.problem.plant.input_limit)
@@ -332,7 +333,7 @@ class Loop(Displayed):
         return sums
 
     def _outputs(self, tick: TimeStep, more: tuple[str, ...]) -> dict[Name, int]:
-        shown = [*more, *(name for name in ("y", "estimate", "applied") if name in tick.signals)]
+        shown = [*more, *(name for name in ("y", REFERENCE, "estimate", "applied") if name in tick.signals)]
         outputs: dict[Name, int] = {}
         for signal in shown:
             outputs |= named(signal, tick.signals[signal])

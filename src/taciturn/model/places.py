@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from taciturn.errors import ProblemError
+from taciturn.model.network import REFERENCE
 from taciturn.model.policy import Acknowledged, Assign, Evaluate, Policy, Send
-from taciturn.model.wire import PLANT
+from taciturn.model.wire import PLANT, SETPOINT
 
 
 class PlantLink(NamedTuple):
@@ -56,7 +57,14 @@ def roles(policy: Policy) -> tuple[str, ...]:
 
 def outputs_at(policy: Policy, role: str) -> list[int]:
     """Return the outputs of the plant that a process measures, in the order of its measurement."""
-    return [i for node, outputs in policy.measured.values() if node in policy.site(role) for i in outputs]
+    measured = [ends for signal, ends in policy.measured.items() if signal != REFERENCE]
+    return [i for node, outputs in measured if node in policy.site(role) for i in outputs]
+
+
+def set_points_at(policy: Policy, role: str) -> list[int]:
+    """Return the set-points that a process is given while the loop runs, as numbers of outputs of the plant."""
+    node, given = policy.measured.get(REFERENCE, ("", ()))
+    return [*given] if node in policy.site(role) else []
 
 
 def inputs_at(policy: Policy, role: str) -> list[int]:
@@ -68,7 +76,7 @@ def plant_links(policy: Policy) -> dict[str, PlantLink]:
     """Return the links between the plant and the processes by name.
 
     The link is called ``plant`` if one process measures and one process applies the inputs. Otherwise each of these
-    processes has its own link, ``plant/ROLE``.
+    processes has its own link, ``plant/ROLE``. The link ``setpoint`` gives the controller set-points that change.
     """
     names = roles(policy)
     measure = [role for role in names if outputs_at(policy, role)]
@@ -81,17 +89,20 @@ def plant_links(policy: Policy) -> dict[str, PlantLink]:
             for role in names
             if role in measure or role in apply
         }
-    return {
+    found = {
         link: PlantLink(
             one, other, tuple(outputs_at(policy, one) if one else ()), tuple(inputs_at(policy, other) if other else ())
         )
         for link, (one, other) in ends.items()
     }
+    given = [PlantLink(role, None, tuple(points), ()) for role in names if (points := set_points_at(policy, role))]
+    return {**found, **({SETPOINT: given[0]} if given else {})}
 
 
 def plant_link(policy: Policy, role: str) -> str | None:
     """Return the link between the plant and a process, or None if the process neither measures nor applies inputs."""
-    return next((link for link, ends in plant_links(policy).items() if role in (ends.measures, ends.applies)), None)
+    links = [(link, ends) for link, ends in plant_links(policy).items() if link != SETPOINT]
+    return next((link for link, ends in links if role in (ends.measures, ends.applies)), None)
 
 
 def wire_links(policy: Policy) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ EncodingName = Literal["float64", "float32", "int16"]
 PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer"]
 KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer")
 PLANT = "plant"  # the link between the plant and its nodes
+SETPOINT = "setpoint"  # the link on which the controller is given set-points, as measurements
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
 BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input"})  # kinds that travel against their link

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Literal, NamedTuple
 
+from taciturn.model.network import REFERENCE
 from taciturn.model.places import is_acknowledged
 from taciturn.model.policy import Acknowledged, Policy, Received
+from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM
 from taciturn.program.names import Entry, Name, Option, Sent, StepCounter
 from taciturn.program.node import NodeProgram
@@ -20,7 +22,7 @@ class Arrival(NamedTuple):
     """Packets (data or acknowledgements) that a node receives on one link, and their positions among its inputs.
 
     Args:
-        kind: ``"data"`` or ``"acknowledgement"``.
+        kind: ``"data"``, ``"acknowledgement"``, or ``"measurement"`` for set-points, of which the last are kept.
         link: link on which they arrive.
         lag: number of steps between the sending of a packet and the step that reads it.
         at: position of the flag "arrived" among the inputs; the payload is after it.
@@ -29,7 +31,7 @@ class Arrival(NamedTuple):
         acknowledged: whether the receiver acknowledges packets.
     """
 
-    kind: Literal["data", "acknowledgement"]
+    kind: Literal["data", "acknowledgement", "measurement"]
     link: str
     lag: int
     at: int
@@ -84,8 +86,9 @@ class Layout:
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     """Return the positions of all inputs and outputs in the time step of a node."""
     sizes, arrivals = policy.sizes, list[Arrival]()
-    measured = [signal for signal, (node, _) in policy.measured.items() if node in program.site]
-    others = [signal for signal in policy.measured if signal not in measured]  # unused, in the places of saved states
+    sensed = {signal: node for signal, (node, _) in policy.measured.items() if signal != REFERENCE}
+    measured = [signal for signal, node in sensed.items() if node in program.site]
+    others = [signal for signal in sensed if signal not in measured]  # unused, in the places of saved states
     names: list[Name] = [Entry(signal, i) for signal in (*measured, *others) for i in range(sizes[signal])]
     clocks = len(names)
     names += [StepCounter(place.name) for place in program.clocks]
@@ -97,6 +100,10 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
     for link in program.acknowledged:
         arrivals.append(Arrival("acknowledgement", link, 1, len(names), 0, 1, False))
         names.append(Acknowledged(link))
+    if policy.network.controller in program.site and REFERENCE in policy.measured:
+        given = [Entry(REFERENCE, i) for i in range(sizes[REFERENCE])]
+        arrivals.append(Arrival("measurement", SETPOINT, 0, len(names), len(given), 0, False))
+        names += [Received(SETPOINT), *given]
     drawn = slice(len(names), len(names) + (0 if program.draws is None else len(program.draws.outputs)))
     names += [Entry(UNIFORM, i) for i in range(drawn.stop - drawn.start)]
     places, outputs = (
@@ -120,6 +127,15 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         options={name: i for name, i in outputs.items() if isinstance(name, Option)},
         remembers=steps_of_a_fault(policy),
     )
+
+
+def first_inputs(policy: Policy, layout: Layout) -> list[float]:
+    """Return the inputs of a node before its first step: zeros, and the set-points at the start."""
+    found = [0.0] * len(layout.inputs)
+    for one in layout.arrivals:
+        if one.kind == "measurement":
+            found[one.at + 1 : one.at + 1 + one.size] = policy.model.mean[-one.size :].tolist()
+    return found
 
 
 def steps_of_a_fault(policy: Policy) -> int:

@@ -17,11 +17,13 @@ The counter `received` is the sum of all other counters and the number of waitin
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from taciturn._display import Displayed
+from taciturn.model.wire import SETPOINT
+from taciturn.program.layout import Arrival
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.window import Window
 
@@ -39,6 +41,7 @@ class Stream(Displayed):
         at: index of the first of its inputs of the node: whether a packet arrived, followed by the payload.
         size: number of entries of the payload.
         part: part of the step that reads the packets.
+        kept: whether the last payload remains in effect until another packet arrives, as for set-points.
         window: window over the sequence numbers received.
         waiting: packets that wait for their step, by step.
         behind: newest late packet, or None.
@@ -50,11 +53,17 @@ class Stream(Displayed):
     at: int
     size: int
     part: int
+    kept: bool = False
     window: Window = field(default_factory=Window)
     waiting: dict[int, Packet] = field(default_factory=dict[int, Packet])
     behind: Packet | None = None
     missing: int = 0
     newest: int = -1
+
+
+def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
+    """Return the packets that a node receives, by kind and link."""
+    return {(a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind == "measurement") for a in arrivals}
 
 
 class Inbox:
@@ -81,6 +90,11 @@ class Inbox:
         self.counters, self._degrade = counters, degrade
         self.marks = {link: Window() for _, link in streams}
         self.marked = {link: -1 for _, link in streams}  # last step that the sender has finished
+
+    @property
+    def links(self) -> list[str]:
+        """The links on which packets arrive."""
+        return [link for _, link in self.streams]
 
     @property
     def waiting(self) -> int:
@@ -127,11 +141,19 @@ class Inbox:
         """
         return tick < 0 or (self.marked[link] >= tick and not self.marks[link].missing)
 
+    def given(self, tick: int) -> bool:
+        """Return whether the set-points of a step have arrived, if the node is given any."""
+        stream = self.streams.get(("measurement", SETPOINT))
+        return stream is None or tick in stream.waiting
+
     def collect(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
         """Copy the packets that a part of a step reads to the inputs; return the packets that arrived in time."""
         found: list[Packet] = []
         for stream in self.streams.values():
             if stream.part != part:
+                continue
+            if stream.kept:
+                self._collect_kept(stream, tick, inputs)
                 continue
             wanted = tick - stream.lag
             for old in [number for number in stream.waiting if number < wanted]:
@@ -151,6 +173,17 @@ class Inbox:
             arrived = (0.0,) * (1 + stream.size) if packet is None else (1.0, *packet.values)
             inputs[stream.at : stream.at + 1 + stream.size] = arrived
         return found
+
+    def _collect_kept(self, stream: Stream, tick: int, inputs: list[float]) -> None:
+        """Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain."""
+        come = [stream.waiting.pop(number) for number in sorted(stream.waiting) if number <= tick]
+        come += [] if stream.behind is None else [stream.behind]
+        stream.behind = None
+        for packet in come:
+            self.counters["used"] += 1
+            if packet.tick >= stream.newest:
+                stream.newest = packet.tick
+                inputs[stream.at : stream.at + 1 + stream.size] = (1.0, *packet.values)
 
     def forget(self, link: str) -> None:
         """Begin new windows for the packets of a link, whose sender has begun another epoch."""
@@ -204,6 +237,9 @@ class Inbox:
 
     def _miss(self, stream: Stream, packet: Packet) -> None:
         self.counters["late"] += 1
+        if stream.kept:  # they take effect in the next step
+            stream.behind = max([packet, *([] if stream.behind is None else [stream.behind])], key=lambda one: one.tick)
+            return
         if packet.kind == "acknowledgement":
             self._degrade("late acknowledgement")
         elif self._lossless:

@@ -22,11 +22,11 @@ from taciturn.model.packets import fingerprint
 from taciturn.model.places import place_of
 from taciturn.model.policy import Policy
 from taciturn.program.draws import seed_generators
-from taciturn.program.layout import Layout, lay_out
+from taciturn.program.layout import Layout, first_inputs, lay_out
 from taciturn.program.names import Option
 from taciturn.program.node import NodeProgram, lower_node
 from taciturn.program.python import CompiledStep, compile_python
-from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
+from taciturn.runtime.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.runtime.packet import Packet
 
 CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
@@ -97,11 +97,11 @@ class Node:
         program, layout = self.program, self._layout
         self.counters: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
-        self._inputs = [0.0] * len(layout.inputs)
-        streams = {(one.kind, one.link): Stream(one.lag, one.at, one.size, one.part) for one in layout.arrivals}
+        self._inputs = first_inputs(policy, layout)
+        streams = streams_of(layout.arrivals)
         self.inbox = Inbox(streams, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
         # step k may begin when the sender on a link has finished step k minus this lag
-        self.listens: dict[str, int] = {link: stream.lag for (_, link), stream in self.inbox.streams.items()}
+        self.listens = {link: stream.lag for (_, link), stream in streams.items() if not stream.kept}
         self.watchdog = None if watchdog is None else count("watchdog", watchdog)
         if watchdog is not None and not program.hears:
             raise ProblemError(
@@ -230,7 +230,7 @@ class Node:
     def sort_in(self, packet: Packet) -> Handling:
         """Store a packet for the coming steps, and return how it was handled; ``step`` also stores its packets."""
         handling = self.inbox.take(packet, self.tick)
-        if handling in USABLE:
+        if handling in USABLE and packet.kind != "measurement":
             self._heard_at, self._unheard = self.tick + 1, False
         return handling
 

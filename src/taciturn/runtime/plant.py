@@ -14,6 +14,7 @@ from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.network import REFERENCE
 from taciturn.program.ir import Program
 from taciturn.program.names import is_entry
 from taciturn.program.python import CompiledStep, compile_python
@@ -51,7 +52,7 @@ class SimulatedPlant:
         ]
         outputs = list(program.outputs)
         self._cost = outputs.index(COST)
-        self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y")]
+        self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y", REFERENCE)]
         self._x = [i for i, state in enumerate(program.states) if state.name == "x"]
         plant = loop.problem.plant
         self._nonlinear = plant.function is not None

@@ -18,7 +18,7 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.places import plant_link
-from taciturn.model.wire import EITHER
+from taciturn.model.wire import EITHER, SETPOINT
 from taciturn.runtime.clock import JUMPED, LATE, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE
 from taciturn.runtime.node import Node, Values
@@ -88,7 +88,7 @@ class NodeServer:
         self._tick, self._wait = tick, wait
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self.phase = Phase(tick or 1.0)
-        links = [*first.program.sends, *first.listens, *([] if self._plant is None else [self._plant])]
+        links = [*first.program.sends, *first.inbox.links, *([] if self._plant is None else [self._plant])]
         self.reception = Reception(wire, endpoint, first.role, links, say, draw)
         self.refused = self.reception.refused
         self.arrived: Counter[str] = Counter()  # number of new data packets, by link
@@ -199,7 +199,7 @@ class NodeServer:
     def _sort(self, packet: Packet, now: float) -> None:
         """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
         loop, node = packet.loop, self.nodes[packet.loop]
-        if packet.link in self.wire.plant:
+        if packet.link in self.wire.plant and packet.link != SETPOINT:
             self._physical += 1
             news = self._measured[loop].admit(packet.epoch, packet.sequence)
             if packet.kind != "measurement" or packet.link != self._plant or not node.measures:
@@ -295,6 +295,7 @@ class NodeServer:
             # before the first datagram arrives, the peers may not run yet, and packets would be lost
             heard = all(node.inbox.finished(link, tick - lag) for link, lag in node.listens.items())
             heard = heard and self.endpoint.received > 0
+            heard = heard and node.inbox.given(tick)
             return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
         if node.measures:
             known = self._measurements[loop]
