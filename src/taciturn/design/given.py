@@ -205,13 +205,21 @@ def _at_limits(plant: Plant, controller: Controller, steady: Array, at: str) -> 
     """Return the steps that decide whether the command that a packet causes is beyond a limit of an input."""
     if plant.input_limit is None:
         return ()
-    m, clipped = plant.inputs, dict[str, Form]()
-    for i, limit in enumerate(plant.input_limit):
-        one = np.zeros((m, m))
-        one[i, i] = -1.0
-        clipped[f"input {i + 1} clipped"] = Form((WOULD,), one, constant=float(limit) ** 2)
-    command = nonempty({REGISTER: controller.C, MEASURED: controller.D, ONE: steady[:, None]})
-    return Assign(at, WOULD, command), Decide(at, LIMIT, Trigger({"within": Form(), **clipped}))
+    m, clipped, steps = plant.inputs, dict[str, Form](), list[Step]()
+    centre = np.where(np.isfinite(plant.input_limit).all(axis=1), plant.input_limit.sum(axis=1) / 2, 0.0)
+    for i, (low, high) in enumerate(plant.input_limit):
+        one, name = np.eye(m)[[i]], f"{WOULD} {i + 1}"
+        if not (np.isfinite(low) or np.isfinite(high)):
+            continue
+        if np.isfinite(low) and np.isfinite(high):
+            beyond = Form((WOULD,), -one.T @ one, constant=float(high - centre[i]) ** 2)
+        else:
+            sign, limit = (1.0, low) if np.isfinite(low) else (-1.0, high)
+            steps.append(Assign(at, name, {WOULD: one}))
+            beyond = Form(plus={name: sign}, constant=-sign * float(limit))
+        clipped[f"input {i + 1} clipped"] = beyond
+    command = nonempty({REGISTER: controller.C, MEASURED: controller.D, ONE: (steady - centre)[:, None]})
+    return Assign(at, WOULD, command), *steps, Decide(at, LIMIT, Trigger({"within": Form(), **clipped}))
 
 
 def _retried(link: str, at: str) -> tuple[tuple[Step, ...], tuple[Step, ...]]:

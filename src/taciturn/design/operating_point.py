@@ -21,6 +21,7 @@ from taciturn.model.controller import Controller
 from taciturn.model.plant import Plant
 from taciturn.model.policy import ONE, Apply, Assign, Condition, Policy, Step
 from taciturn.model.reference import Tracking
+from taciturn.model.saturation import limit_entries
 from taciturn.model.trigger import Matrix, Scheduled
 
 TARGET, STEADY, WANTED, LIMITED = "target", "steady input", "wanted", "applied input"
@@ -57,7 +58,8 @@ class OperatingPoint(Displayed):
         """Return the problem of the deviations from the point."""
         p = self.plant
         moved = Plant(
-            p.A, p.B, p.W, p.C, p.V, p.dt, p.mean - self.state, p.covariance, p.input_limit, p.function
+            p.A, p.B, p.W, p.C, p.V, p.dt, p.mean - self.state, p.covariance, p.input_limit, p.function,
+            input_rate=p.input_rate,
         )  # fmt: skip
         return replace(problem, plant=moved)
 
@@ -119,7 +121,7 @@ class Applied(Displayed):
     """The deviation of the input that an actuator with limits applies.
 
     Args:
-        limit: limit of each input, (m,), or None.
+        limit: limits of each input, (m, 2), or None.
         offset: what is added to the argument to give the input, (m,).
         steady: the input u* that the deviation refers to, (m,).
     """
@@ -131,7 +133,7 @@ class Applied(Displayed):
     def __call__(self, wanted: Any) -> Any:
         """Return the deviation of the input that is applied."""
         whole = wanted + self.offset
-        return (whole if self.limit is None else np.clip(whole, -self.limit, self.limit)) - self.steady
+        return (whole if self.limit is None else np.clip(whole, self.limit[:, 0], self.limit[:, 1])) - self.steady
 
 
 def operating_point(problem: Discrete, controller: Controller) -> OperatingPoint:
@@ -152,9 +154,10 @@ def operating_point(problem: Discrete, controller: Controller) -> OperatingPoint
         )
         state, steady = found[:n], found[n:]
         limit = plant.input_limit
-        if limit is not None and (np.abs(steady) >= limit).any():
+        if limit is not None and ((steady <= limit[:, 0]) | (steady >= limit[:, 1])).any():
             raise ProblemError(
-                f"the set-point needs the input {steady.round(4).tolist()}, beyond the input_limit {limit.tolist()}; "
+                f"the set-point needs the input {steady.round(4).tolist()}, beyond the input_limit "
+                f"{limit_entries(limit)}; "
                 "expected a set-point within the limits"
             )
         k = len(controller.A)

@@ -10,6 +10,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines
+from taciturn.model.saturation import Saturation, saturation
 from taciturn.model.trigger import Matrix, Scheduled
 
 BLUR = 1e-6  # relative difference below which poles are considered equal
@@ -32,6 +33,7 @@ class DisplayedPlant(Displayed):
     mean: Array
     covariance: Array
     input_limit: Array | None
+    input_rate: Array | None
     full_state: bool
     continuous: ClassVar[bool] = True
 
@@ -44,6 +46,11 @@ class DisplayedPlant(Displayed):
     def inputs(self) -> int:
         """Number of inputs m."""
         return self.B.shape[1]
+
+    @property
+    def saturation(self) -> Saturation | None:
+        """The limits of the inputs and of their changes, or None."""
+        return saturation(self.input_limit, self.input_rate)
 
     @property
     def time(self) -> str:
@@ -70,7 +77,8 @@ class DisplayedPlant(Displayed):
             "V": None if self.full_state else self.V,
             "mean": self.mean if self.mean.any() else None,
             "covariance": self.covariance if self.covariance.any() else None,
-            "input limit": self.input_limit,
+            "input limit": None if self.input_limit is None else limits_text(self.input_limit),
+            "input rate": None if self.input_rate is None else rates_text(self.input_rate, self.continuous),
         }
 
     def short(self, inputs: int | None = None) -> str:
@@ -78,6 +86,18 @@ class DisplayedPlant(Displayed):
         counts = (self.states, self.inputs if inputs is None else inputs, self.C.shape[0])
         named = zip(counts, ("state", "input", "output"), strict=True)
         return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in named)
+
+
+def limits_text(limit: Array) -> str:
+    """Return the limits of the inputs, (m, 2), as text."""
+    sides = (f"±{high:.6g}" if low == -high else f"{low:.6g} to {high:.6g}" for low, high in limit)
+    return ", ".join(sides).replace("inf", "∞")
+
+
+def rates_text(rate: Array, continuous: bool) -> str:
+    """Return the largest changes of the inputs, (m,), as text."""
+    listed = ", ".join(f"{value:.6g}" for value in rate).replace("inf", "∞")
+    return f"at most {listed} per {'second' if continuous else 'step'}"
 
 
 def _poles(A: Array, continuous: bool) -> str:

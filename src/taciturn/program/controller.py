@@ -12,7 +12,7 @@ from taciturn.model.packets import told_by
 from taciturn.model.policy import Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import Operands, TimeStep, encode_payloads, link_state
+from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
 from taciturn.program.names import named
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
@@ -23,22 +23,23 @@ Begin: TypeAlias = Callable[..., TimeStep]
 def lower_policy(policy: Policy, network: Network) -> Program:
     """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
 
-    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, clipped by the model's
-    ``input_limit``, and whether a packet is sent and received on each link.
+    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, within the limits of the model's
+    inputs, and whether a packet is sent and received on each link.
 
     Args:
         policy: the policy.
         network: the links between its nodes.
     """
     NODES.check(policy.parts, policy.designed_for, network)
-    tick = begin_time_step(policy, network, {}, {})
+    plant = policy.model
+    tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)})
     tick.draw_losses(policy, network)
     plant = policy.model
     measure(tick, policy, [*tick.supplied("y", plant.sensed), *tick.supplied(REFERENCE, plant.outputs - plant.sensed)])
     for step in policy.steps:
         tick.take(step)
-    applied = tick.clipped(gather_input(tick, policy), policy.model.input_limit)
-    return tick.finish({}, {**named("applied", applied), **tick.packets()})
+    applied = tick.limited(gather_input(tick, policy), plant.saturation, APPLIED)
+    return tick.finish({}, {**named(APPLIED, applied), **tick.packets()})
 
 
 def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:
