@@ -171,11 +171,15 @@ def discretise(
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
     else:
-        for name in (name for name in ("input_limit", "input_rate") if getattr(plant, name) is not None):
-            got = limit_entries(plant.input_limit) if plant.input_limit is not None else f"{plant.input_rate}"
+        limit, rate = plant.input_limit, plant.input_rate
+        given = {
+            "input_limit": None if limit is None else limit_entries(limit),
+            "input_rate": None if rate is None else rate.tolist(),
+        }
+        for name in (name for name, value in given.items() if value is not None):
             raise ProblemError(
-                f"{name} is {got}, but the input changes between steps, and a clipped input that changes has no exact "
-                f"discretisation; expected no {name}, or a policy that holds its input"
+                f"{name} is {given[name]}, but the input changes between steps, and a limited input that changes has "
+                f"no exact discretisation; expected no {name}, or a policy that holds its input"
             )
         sampled = sample_prediction(
             plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from copy import copy
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -51,6 +52,14 @@ class DisplayedPlant(Displayed):
     def saturation(self) -> Saturation | None:
         """The limits of the inputs and of their changes, or None."""
         return saturation(self.input_limit, self.input_rate)
+
+    @property
+    def unlimited(self) -> Self:
+        """The plant without limits of its inputs."""
+        found = copy(self)
+        for name in ("input_limit", "input_rate"):
+            object.__setattr__(found, name, None)
+        return found
 
     @property
     def time(self) -> str:

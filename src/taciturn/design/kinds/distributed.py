@@ -120,7 +120,8 @@ def _with_every_attempt(
     prediction: Actuation,
     actuation: Actuation,
 ) -> float:
-    """Return the cost per step of an attempt on every link in every step."""
+    """Return the cost per step of an attempt on every link in every step, without limits of the inputs."""
+    plant = plant.unlimited
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     thresholds = _thresholds(network, 0.0, None, False)
     policy = _policy(certainty, network, prediction, actuation, thresholds, certainty.cost_all_time)
