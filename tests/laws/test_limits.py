@@ -24,6 +24,8 @@ from taciturn.export.folder import print_folder
 from taciturn.lqg.kalman import filter_checked
 from taciturn.model.packets import fingerprint
 from taciturn.program.names import Entry
+from taciturn.runtime.nodes import Nodes
+from taciturn.study.disturbed import sends_every_sample
 
 SEEDS = st.integers(0, 2**32 - 1)
 MOVED = ("send-on-delta", "lossy udp")  # whose measurements or losses tell the filter something else
@@ -209,3 +211,41 @@ def test_a_rate_of_change_of_a_continuous_plant_is_per_second() -> None:
             ContinuousPlant([[0.0]], [[1.0]], [[0.1]], input_rate=[2.0]), Cost([[1.0]], [[0.1]]), period=0.1,
             actuation="model",
         )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", few(["excess", "model", "distributed", "remote", "kept", "kept at a set-point"], 4))
+def test_a_filter_that_is_told_what_was_applied_is_that_of_a_plant_with_this_limit(name: str) -> None:
+    """Nodes of an unlimited design, told the clipped inputs, estimate as nodes that know the limit."""
+    limit, ticks = 0.1, 40
+    pid = taciturn.PID(1.2, 0.15, 1.0, 0.5, setpoint=0.5 if "set-point" in name else 0.0, tracking_time=1.0)
+    build: dict[str, Any] = {
+        "excess": lambda plant: design.excess(plant, COST, delta=0.0),
+        "model": lambda plant: design.excess(plant, COST, delta=0.0, actuation="model"),
+        "distributed": lambda plant: design.distributed(plant, COST, theta=0.0),
+        "remote": lambda plant: design.remote_lqg(plant, COST, theta=0.0, zeta=0.0),
+    }
+    make = build.get(name, lambda plant: sends_every_sample(design.excess(plant, COST, delta=0.0, controller=pid)))
+    plant = Plant(PLANT.A, PLANT.B, PLANT.W, PLANT.C, PLANT.V, dt=0.1)
+    knows, told = (Nodes(make(one)) for one in (limited(plant, input_limit=[limit]), plant))
+    draws, applied = np.random.default_rng(2).normal(0.0, 0.5, (ticks, 1)), None
+    inputs = []
+    for y in draws:
+        expected = knows.step(y)
+        applied = np.clip(told.step(y, applied), -limit, limit)
+        inputs.append((expected[0], applied[0]))
+    assert np.array(inputs)[:, 1] == pytest.approx(np.array(inputs)[:, 0], abs=1e-9)
+    assert 0.1 < (np.abs(np.array(inputs)[:, 0]) == limit).mean() < 1
+
+
+def test_an_applied_input_that_nobody_uses_is_refused() -> None:
+    """In the first step, of a wrong size, and for nodes without a copy."""
+    nodes = Nodes(design.excess(PLANT, COST, delta=0.1))
+    with pytest.raises(ProblemError, match="applied is given, in the first step; expected no applied"):
+        nodes.step([0.0], applied=[0.0])
+    nodes.step([0.0])
+    with pytest.raises(ProblemError, match=r"applied has shape \(2,\); expected \(1,\) = \(inputs,\)"):
+        nodes.step([0.0], applied=[0.0, 1.0])
+    full = Nodes(design.excess(Plant(PLANT.A, PLANT.B, PLANT.W), COST, delta=0.1))
+    full.step([0.0, 0.0])
+    with pytest.raises(ProblemError, match="applied is given, and no node of excess uses the input"):
+        full.step([0.0, 0.0], applied=[0.0])
