@@ -249,3 +249,28 @@ def test_an_applied_input_that_nobody_uses_is_refused() -> None:
     full.step([0.0, 0.0])
     with pytest.raises(ProblemError, match="applied is given, and no node of excess uses the input"):
         full.step([0.0, 0.0], applied=[0.0])
+
+
+def test_an_evaluation_shows_the_loop_without_limits() -> None:
+    """Its cost and bound are those of the problem without the key; the share at the limit is that of a path."""
+    problem = taciturn.load("pid-tank").changed({"plant.input_limit": [[-0.08, 0.05]]})
+    found, free = (taciturn.evaluate(one, steps=400_000) for one in (problem, taciturn.load("pid-tank")))
+    beside = found.without_limits
+    assert free.without_limits is None
+    assert beside is not None
+    assert found.cost_bound is None
+    assert beside.cost == free.cost
+    assert beside.cost_bound == free.cost_bound
+    assert beside.rates == free.rates
+    path = taciturn.simulate(problem.close(problem.design()), 20_000, seed=1)
+    at = ((path.input[:, 0] <= -0.08) | (path.input[:, 0] >= 0.05)).astype(float)
+    parts = at.reshape(20, 1000).mean(axis=1)
+    assert abs(parts.mean() - beside.share.value) <= 5 * (parts.std() / np.sqrt(20) + beside.share.standard_error)
+    told = found.document()
+    assert told["share_at_limit"]["value"] == beside.share.value
+    assert told["without_limits"]["cost_bound"] == free.cost_bound
+    assert "a limit binds in" in str(found)
+    bare = taciturn.evaluate(design.excess(limited(PLANT, input_rate=[0.1]), COST, delta=1e-3), steps=100_000)
+    assert bare.without_limits is not None
+    assert bare.without_limits.cost is None
+    assert 0 < bare.without_limits.share.value < 1
