@@ -247,7 +247,7 @@ def test_an_applied_input_that_nobody_uses_is_refused() -> None:
         nodes.step([0.0], applied=[0.0, 1.0])
     full = Nodes(design.excess(Plant(PLANT.A, PLANT.B, PLANT.W), COST, delta=0.1))
     full.step([0.0, 0.0])
-    with pytest.raises(ProblemError, match="applied is given, and no node of excess uses the input"):
+    with pytest.raises(ProblemError, match="applied is given, and no filter of excess has a copy of the input"):
         full.step([0.0, 0.0], applied=[0.0])
 
 

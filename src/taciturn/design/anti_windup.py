@@ -183,13 +183,12 @@ def _where_apart(difference: Any, one: Any, other: Any) -> Any:
 
 def _is_difference(step: Assign) -> bool:
     """Return whether a step subtracts one signal from another."""
-    signs = [matrix for terms in step.branches for matrix in terms.values()]
-    unit = np.eye(step.size)
-    return (
-        len(signs) == 2
-        and all(isinstance(M, np.ndarray) for M in signs)
-        and (sorted(int(np.array_equal(M, unit)) - int(np.array_equal(M, -unit)) for M in signs) == [-1, 1])
-    )
+    weights = [matrix for terms in step.branches for matrix in terms.values()]
+    if step.on is not None or len(weights) != 2:
+        return False
+    one, other = weights
+    unlike = isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and np.array_equal(one, -other)
+    return unlike and (_is_unit(one) or _is_unit(other))
 
 
 def _is_unit(matrix: Matrix) -> bool:

@@ -137,5 +137,6 @@ def _pair(name: str, entry: Any) -> tuple[float, float]:
 
 def _within(value: Any, low: Any, high: Any) -> Any:
     """Return a number brought between two limits, each of which may be None."""
-    below: Any = value if high is None else np.where(value > high, high, value)
-    return below if low is None else np.where(low > below, low, below)
+    if high is not None:
+        return _within(np.where(value > high, high, value), low, None)
+    return value if low is None else cast("Any", np.where(low > value, low, value))

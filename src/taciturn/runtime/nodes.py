@@ -145,8 +145,10 @@ class Nodes:
     def _tell(self, applied: Array) -> None:
         """Replace the controller's copy of the last input by the input that was applied."""
         if not self._copies or not self.tick:
-            got = "in the first step" if self._copies else f"and no node of {self.policy.kind} uses the input"
-            raise ProblemError(f"applied is given, {got}; expected no applied, or a filter that knows a step before")
+            got = (
+                "in the first step" if self._copies else f"and no filter of {self.policy.kind} has a copy of the input"
+            )
+            raise ProblemError(f"applied is given, {got}; expected no applied")
         memory = dict(zip(self.turns.states, self._memory, strict=True))
         for copy in self._copies:
             change = copy.effect @ (applied[list(copy.inputs)] - copy.rest - self._held[copy.held])
