@@ -1,7 +1,7 @@
 """Anti-windup: a policy for actuators with limits, whose filters and copies use the input that is applied.
 
-A filter that is told the command instead of the input that a saturated actuator applies winds up: its estimate follows
-an input that the plant never received. For a plant with limits, the policy steps of a design change as follows:
+A filter that uses the command instead of the input that a saturated actuator applies winds up: its estimate follows an
+input that the plant never received. For a plant with limits, the policy steps of a design change as follows:
 
 - A controller commands only inputs between the lower and the upper limit: the values of ``command``, ``candidate`` and
   ``held`` are brought within the limits.
@@ -50,10 +50,10 @@ def within_limits(policy: Policy, rest: Array | None = None) -> Policy:
 
 
 class _Limited:
-    """The steps of a policy, and the inputs that its signals stand for."""
+    """The steps of a policy, and the inputs that its signals contain."""
 
     def __init__(self, policy: Policy, limits: Saturation, rest: Array) -> None:
-        """Find the signals that stand for inputs: what a node applies or holds, and what is copied to it."""
+        """Find the signals that contain inputs: those that a node applies or holds, and those that are copied to them."""
         self._policy, self._limits, self._rest = policy, limits, rest
         self._inputs = {signal: [*rows] for signal, (_, rows) in policy.applied.items()}
         sums = [step for step in policy.steps if isinstance(step, Assign)]
@@ -95,7 +95,7 @@ class _Limited:
         return found
 
     def _of(self, signal: str) -> Saturation:
-        """Return the limits of the inputs that a signal stands for."""
+        """Return the limits of the inputs that a signal contains."""
         rows = self._rows[signal]
         limits = self._limits.of(rows)
         return limits if signal in self._inputs else limits.around(self._rest[rows])

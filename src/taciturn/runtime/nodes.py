@@ -120,8 +120,8 @@ class Nodes:
         Args:
             measurement: measurement y, (p,).
             applied: input that the actuators really applied in the step before, (m,), if limits that the plant does not
-                state changed it. The filter, and a given controller that is told its input, use it in place of their
-                copy; default: the input that was returned.
+                state changed it. The filter, and a given controller that uses its input, take it in place of their copy;
+                default: the input that was returned.
 
         Returns:
             Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator

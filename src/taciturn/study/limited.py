@@ -1,4 +1,4 @@
-"""A loop whose inputs have limits beside the loop without limits: how often a limit binds, and cost and bound."""
+"""A loop whose inputs have limits and the loop without limits: how often a limit binds, and cost and bound."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NEAR = 1e-9  # relative distance at which an input is at its limit: the rounding
 
 @dataclass(frozen=True, repr=False)
 class WithoutLimits(Displayed):
-    """The loop without limits of its inputs, beside the loop that has them.
+    """The loop without limits of its inputs, compared with the loop that has them.
 
     Args:
         share: share of the steps in which a limit binds, in the loop with limits.
