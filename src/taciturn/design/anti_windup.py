@@ -53,7 +53,7 @@ class _Limited:
     """The steps of a policy, and the inputs that its signals contain."""
 
     def __init__(self, policy: Policy, limits: Saturation, rest: Array) -> None:
-        """Find the signals that contain inputs: those that a node applies or holds, and those that are copied to them."""
+        """Find the signals that contain inputs: those that a node applies or holds, and those copied to them."""
         self._policy, self._limits, self._rest = policy, limits, rest
         self._inputs = {signal: [*rows] for signal, (_, rows) in policy.applied.items()}
         sums = [step for step in policy.steps if isinstance(step, Assign)]

@@ -120,8 +120,8 @@ class Nodes:
         Args:
             measurement: measurement y, (p,).
             applied: input that the actuators really applied in the step before, (m,), if limits that the plant does not
-                state changed it. The filter, and a given controller that uses its input, take it in place of their copy;
-                default: the input that was returned.
+                state changed it. The filter, and a given controller that uses its input, take it in place of their
+                copy; default: the input that was returned.
 
         Returns:
             Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
@@ -131,9 +131,9 @@ class Nodes:
             ProblemError: the measurement or the applied input has the wrong size, or is not finite; or an applied input
                 is given in the first step, or for a policy whose nodes do not use it.
         """
+        y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
         if applied is not None:
             self._tell(array("applied", applied, (self.policy.model.inputs,), "(inputs,)"))
-        y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
         self._memory, values = self.turns.turn(self.tick, self._memory, y.tolist())
         self.tick += 1
         places = self.turns.outputs.items()
@@ -145,10 +145,8 @@ class Nodes:
     def _tell(self, applied: Array) -> None:
         """Replace the controller's copy of the last input by the input that was applied."""
         if not self._copies or not self.tick:
-            got = (
-                "in the first step" if self._copies else f"and no filter of {self.policy.kind} has a copy of the input"
-            )
-            raise ProblemError(f"applied is given, {got}; expected no applied")
+            got = f"and no filter of {self.policy.kind} has a copy of the input"
+            raise ProblemError(f"applied is given, {'in the first step' if self._copies else got}; expected no applied")
         memory = dict(zip(self.turns.states, self._memory, strict=True))
         for copy in self._copies:
             change = copy.effect @ (applied[list(copy.inputs)] - copy.rest - self._held[copy.held])
