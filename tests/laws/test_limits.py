@@ -25,6 +25,7 @@ from taciturn.lqg.kalman import filter_checked
 from taciturn.model.packets import fingerprint
 from taciturn.program.names import Entry
 from taciturn.runtime.nodes import Nodes
+from taciturn.runtime.plant import SimulatedPlant
 from taciturn.study.disturbed import sends_every_sample
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -274,3 +275,21 @@ def test_an_evaluation_shows_the_loop_without_limits() -> None:
     assert bare.without_limits is not None
     assert bare.without_limits.cost is None
     assert 0 < bare.without_limits.share.value < 1
+
+
+@pytest.mark.evidence
+def test_nodes_over_udp_and_their_plant_honour_limits() -> None:
+    """The costs of a run of processes are those of the nodes in memory."""
+    run = taciturn.run_network(taciturn.load("pid-tank").changed(SIDES["pid-tank"]), ticks=60, seed=1)
+    plant, nodes = SimulatedPlant(run.loop, seed=1), Nodes(run.loop.policy)
+    assert [plant.move(nodes.step(plant.measurement)) for _ in range(60)] == list(run.costs)
+
+
+def test_certificates_refuse_limits_by_name() -> None:
+    """The limit is named, not the function that computes it."""
+    for limits, words in (
+        ({"input_limit": [1.0]}, r"inputs are clipped \(input_limit\), which certificates do not support"),
+        ({"input_rate": [1.0]}, r"the changes of the inputs are limited \(input_rate\), which certificates do not"),
+    ):
+        with pytest.raises(ProblemError, match=words):
+            taciturn.certify(design.excess(limited(PLANT, **limits), COST, delta=0.1))

@@ -90,6 +90,11 @@ def limits_from(value: ArrayLike, inputs: int) -> Array:
     """
     entries = _entries(value)
     if not any(np.ndim(entry) for entry in entries):
+        if len(entries) == 2 > inputs:
+            raise ProblemError(
+                "input_limit has shape (2,); expected (1,) = (inputs,), or a pair of limits of the only input: "
+                f"[{quoted(entries)}]"
+            )
         high = positive("input_limit", value, inputs)
         return frozen(np.stack([-high, high], axis=1))
     if len(entries) != inputs:

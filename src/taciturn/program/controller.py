@@ -38,7 +38,6 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     plant = policy.model
     tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)})
     tick.draw_losses(policy, network)
-    plant = policy.model
     measure(tick, policy, [*tick.supplied("y", plant.sensed), *tick.supplied(REFERENCE, plant.outputs - plant.sensed)])
     for step in policy.steps:
         tick.take(step)
