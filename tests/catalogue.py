@@ -27,8 +27,9 @@ def started(plant: Plant, seed: int) -> Plant:
     spread = 0.5 * draws.standard_normal((plant.states, plant.states))
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     return Plant(
-        plant.A, plant.B, plant.W, C, V, mean=draws.standard_normal(plant.states), covariance=spread @ spread.T
-    )
+        plant.A, plant.B, plant.W, C, V, mean=draws.standard_normal(plant.states), covariance=spread @ spread.T,
+        input_limit=plant.input_limit, input_rate=plant.input_rate,
+    )  # fmt: skip
 
 
 def remote(
@@ -62,7 +63,8 @@ def lossy(protocol: Literal["udp", "tcp"], delay: int, horizon: int | None = Non
     """Return the design over links that lose 30 % and 60 %, or less, at a fifth of the all-time average per send."""
 
     def build(system: System) -> Policy:
-        plant = Plant(system.plant.A, system.plant.B, system.plant.W)
+        plant, given = Plant(system.plant.A, system.plant.B, system.plant.W), system.plant
+        plant = Plant(plant.A, plant.B, plant.W, input_limit=given.input_limit, input_rate=given.input_rate)
         plant = plant if horizon is None else started(plant, system.seed)
         cost = Cost(system.cost.Q, system.cost.R, horizon=horizon)
         price = 0.2 * design.all_time(plant, Cost(system.cost.Q, system.cost.R)).cost_all_time

@@ -78,7 +78,7 @@ KINDS |= {name: example_of(kind) for name, kind in CATALOGUE.items() if name not
 
 def rebuilt(plant: Plant | ContinuousPlant, **changes: Any) -> Any:
     """Return a plant with other arguments."""
-    names = ("A", "B", "W", "mean", "covariance", "input_limit")
+    names = ("A", "B", "W", "mean", "covariance", "input_limit", "input_rate")
     if isinstance(plant, Plant):
         given = {**{name: getattr(plant, name) for name in (*names, "dt")}, "function": plant.function, **changes}
         return Plant(**given) if plant.full_state else Plant(**given, C=plant.C, V=plant.V)
@@ -89,6 +89,11 @@ def rebuilt(plant: Plant | ContinuousPlant, **changes: Any) -> Any:
 def limited(plant: Plant | ContinuousPlant) -> Any:
     """Return the plant with limits of its inputs."""
     return rebuilt(plant, input_limit=[1.0] * plant.inputs)
+
+
+def slowed(plant: Plant | ContinuousPlant) -> Any:
+    """Return the plant with limits of the changes of its inputs."""
+    return rebuilt(plant, input_rate=[0.5] * plant.inputs)
 
 
 def moved(plant: Plant | ContinuousPlant) -> Any:
@@ -143,10 +148,12 @@ PROPERTIES: Mapping[str, Callable[[Problem], Problem]] = {
     "plant.initial.mean": lambda problem: replace(problem, plant=moved(problem.plant)),
     "plant.initial.covariance": lambda problem: replace(problem, plant=spread(problem.plant)),
     "plant.input_limit": lambda problem: replace(problem, plant=limited(problem.plant)),
+    "plant.input_rate": lambda problem: replace(problem, plant=slowed(problem.plant)),
     "plant.actual": lambda problem: replace(problem, actual=wider(problem.plant)),
     "plant.actual.initial.mean": lambda problem: replace(problem, actual=moved(problem.plant)),
     "plant.actual.initial.covariance": lambda problem: replace(problem, actual=spread(problem.plant)),
     "plant.actual.input_limit": lambda problem: replace(problem, actual=limited(problem.plant)),
+    "plant.actual.input_rate": lambda problem: replace(problem, actual=slowed(problem.plant)),
     "plant.initial.mean with plant.actual": lambda problem: replace(
         problem, plant=moved(problem.plant), actual=problem.plant
     ),
@@ -155,6 +162,9 @@ PROPERTIES: Mapping[str, Callable[[Problem], Problem]] = {
     ),
     "plant.input_limit with plant.actual": lambda problem: replace(
         problem, plant=limited(problem.plant), actual=problem.plant
+    ),
+    "plant.input_rate with plant.actual": lambda problem: replace(
+        problem, plant=slowed(problem.plant), actual=problem.plant
     ),
     "cost.N": crossed,
     "cost.horizon": in_cost(horizon=STEPS),

@@ -23,6 +23,7 @@ def check_plants(problem: Discrete, policy: Policy) -> None:
     begun = policy.cost is not None and policy.cost.mission
     ignored = {
         "input_limit": model.input_limit is not None and not plant.agrees("input_limit", model),
+        "input_rate": model.input_rate is not None and not plant.agrees("input_rate", model),
         "function": model.function is not None and plant.function is None,
         "initial.covariance": model.covariance.any() and not begun and not plant.agrees("covariance", model),
     }
@@ -47,7 +48,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
         "the plant is not the one of the design": not plant.same_as(model),
         "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
-        "inputs are clipped (input_limit)": lacks(LIMIT),
+        "inputs are clipped (input_limit)": "plant.input_limit" in missing,
+        "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
         "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
         "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
         "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,

@@ -29,7 +29,7 @@ from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import TimeStep, link_state
+from taciturn.program.lower import APPLIED, TimeStep, first_input, link_state
 from taciturn.program.names import Name, Sent, named
 from taciturn.program.ops import Precision
 from taciturn.program.set_points import TIMETABLE, add_changes, draw_noise
@@ -149,7 +149,7 @@ class Loop(Displayed):
         for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(followed)):
             tick.take(step)
         tick.signals["input"] = tick.supplied("input", plant.inputs)
-        tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
+        tick.limited(tick.signals["input"], plant.saturation, APPLIED)
         outputs: dict[Name, int] = {COST: tick.form(self._stage(*self._deviate(tick)))}
         tick.signals["x"] = self._moved(tick)
         measured = self._measured(tick)
@@ -246,8 +246,10 @@ class Loop(Displayed):
         return wanted
 
     def _tick(self, extra: Mapping[str, int], begin: Begin = TimeStep) -> TimeStep:
-        sizes = {**extra, "applied": self.problem.plant.inputs, WEIGHT: 1}
-        return begin_time_step(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision, begin)
+        plant = self.problem.plant
+        sizes = {**extra, APPLIED: plant.inputs, WEIGHT: 1}
+        initial = {"x": "x", WEIGHT: np.ones(1), APPLIED: first_input(self.policy, plant)}
+        return begin_time_step(self.policy, self.network, sizes, initial, self.precision, begin)
 
     def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
         """Return the program of one step of the loop with random numbers as an input.
@@ -265,7 +267,7 @@ class Loop(Displayed):
         tick.signals[REFERENCE] = measured[self.problem.plant.sensed :]
         for step in self.policy.steps:
             tick.take(step)
-        tick.signals["applied"] = tick.clipped(gather_input(tick, self.policy), self.problem.plant.input_limit)
+        tick.limited(gather_input(tick, self.policy), self.problem.plant.saturation, APPLIED)
         self._add_sums(tick)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, ProblemError
+from taciturn.model.saturation import limit_entries
 
 GOOD: dict[str, Any] = {
     "A": [[1.0, 0.1], [0.0, 1.0]],
@@ -64,6 +65,17 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"covariance": -np.eye(2)}, "initial.covariance has the eigenvalue -1; expected a positive semidefinite matrix"),
     ({"input_limit": [1.0, 1.0]}, "input_limit has shape (2,); expected (1,) = (inputs,)"),
     ({"input_limit": [0.0]}, "input_limit is 0; expected positive limits (omit it for no limit)"),
+    ({"input_limit": 1.0}, "input_limit has shape (); expected (1,) = (inputs,)"),
+    ({"input_limit": [[0.0, 1.0], 2.0]}, "input_limit has 2 entries; expected 1, one per input"),
+    (
+        {"input_limit": [[1.0, 1.0]]},
+        "input_limit[0] is [1.0, 1.0]; expected a positive number, or [low, high] with low < high",
+    ),
+    ({"input_limit": [[1.0, 2.0, 3.0]]}, "input_limit[0] is [1.0, 2.0, 3.0]; expected a positive number, or [low"),
+    ({"input_limit": [[np.inf, np.inf]]}, "input_limit[0] is [inf, inf]; expected a positive number, or [low, high]"),
+    ({"input_limit": [[np.nan, 1.0]]}, "input_limit[0] is [nan, 1.0]; expected a positive number, or [low, high]"),
+    ({"input_rate": [0.0]}, "input_rate is 0; expected positive limits (omit it for no limit)"),
+    ({"input_rate": [1.0, 1.0]}, "input_rate has shape (2,); expected (1,) = (inputs,)"),
     ({**GROWING, "B": [[1.0], [0.0]]}, "(A, B) is not stabilisable: no input can move the mode at 1.1, which grows"),
     ({**GROWING, "B": [[0.0], [0.0]]}, "expected a stabilisable plant; add an actuator, or remove the mode"),
     ({**GROWING, "C": [[0.0, 1.0]]}, "(A, C) is not detectable: no measurement shows the mode at 1.1, which grows"),
@@ -277,10 +289,30 @@ def test_a_network_that_does_not_fit_is_refused(data: dict[str, Any], sentence: 
     assert refusal(Network, data).startswith(sentence)
 
 
-@pytest.mark.parametrize("name", ["A", "B", "C", "W", "V", "mean", "covariance", "input_limit"])
+def test_limits_are_stored_as_pairs() -> None:
+    """A number limits both sides, and an infinite side is open; the arrays of a plant make the same plant again."""
+    B = np.ones((1, 3))
+    plant = Plant([[0.5]], B, [[1.0]], input_limit=[2.0, [0.0, np.inf], np.inf], input_rate=[1.0, np.inf, 3.0])
+    assert plant.input_limit is not None
+    assert plant.input_limit.tolist() == [[-2.0, 2.0], [0.0, np.inf], [-np.inf, np.inf]]
+    again = Plant([[0.5]], B, [[1.0]], input_limit=plant.input_limit, input_rate=plant.input_rate)
+    assert plant.same_as(again)
+    assert limit_entries(plant.input_limit) == [2.0, [0.0, np.inf], np.inf]
+    assert plant.summary()["input limit"] == "±2, 0 to ∞, ±∞"
+    assert plant.summary()["input rate"] == "at most 1, ∞, 3 per step"
+    assert plant.saturation is not None
+    assert plant.saturation(np.array([9.0, -9.0, 9.0]), np.array([0.0, 0.0, 1.0])).tolist() == [1.0, 0.0, 4.0]
+
+
+@pytest.mark.parametrize("name", ["A", "B", "C", "W", "V", "mean", "covariance", "input_limit", "input_rate"])
 def test_a_plant_is_frozen_and_its_own(name: str) -> None:
     """Nobody can write to a plant's arrays, nor change them through the array that was passed."""
-    data: dict[str, Any] = GOOD | {"mean": np.zeros(2), "covariance": np.eye(2), "input_limit": np.ones(1)}
+    data: dict[str, Any] = GOOD | {
+        "mean": np.zeros(2),
+        "covariance": np.eye(2),
+        "input_limit": np.ones(1),
+        "input_rate": np.ones(1),
+    }
     given = np.array(data[name], dtype=np.float64)
     for plant in (Plant(**data | {name: given}), ContinuousPlant(**data | {name: given})):
         kept: np.ndarray = getattr(plant, name)

@@ -142,7 +142,7 @@ def test_a_limit_of_the_design_alone_is_refused_and_the_same_limit_in_both_is_us
             ProblemError, match=r"plant.input_limit is given, but the simulated plant, plant.actual, has"
         ):
             close(plant, policy, None, COST)
-    assert close(other, policy, None, COST).problem.plant.input_limit == [1.0]
+    assert close(other, policy, None, COST).problem.plant.input_limit.tolist() == [[-1.0, 1.0]]
     unlimited = close(other, design.lqg(FULL, COST, theta=0.3), None, COST)
     assert "inputs are clipped (input_limit)" in unlimited.violated_assumptions
 

@@ -281,12 +281,13 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     links = [link for link in loop.network.links if loop.network.loss(link) > 0]
     known = {
         "the plant is not linear": FUNCTION,
+        "inputs are clipped (input_limit)": LIMIT & {"plant.input_limit"},
+        "the changes of the inputs are limited (input_rate)": LIMIT & {"plant.input_rate"},
         f"{policy.kind} {_beyond(functions[0]) if functions else ''}": FUNCTIONS,
         f"{policy.kind} follows a reference": TRACKING,
         f"{policy.kind} adds constants": frozenset({ONE} if constants else ()),
         f"{policy.kind} decides on sets of links by a limit": FIRST,
         "the loop is a finite-horizon run, with a horizon or a discount": ENDING,
-        "inputs are clipped (input_limit)": LIMIT,
         "disturbances or set-points are given": EXOSYSTEM,
         f"the {links[0] if links else ''} link drops packets": LOSSES | BURSTS,
         f"packets contain rounded numbers ({loop.network.payload})": ROUNDING,

@@ -17,6 +17,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg._axes import Quadratic
@@ -212,7 +213,7 @@ def certainty_policy(
         notes: remarks that a reader of the results should know.
     """
     problem = certainty.problem
-    return Policy(
+    policy = Policy(
         kind=kind,
         steps=steps,
         model=problem.plant,
@@ -235,6 +236,7 @@ def certainty_policy(
         tick=problem.tick,
         notes=notes,
     )
+    return within_limits(policy)
 
 
 def steps_at_the_actuator(
@@ -336,6 +338,9 @@ def hold_steps(plant: Plant, L: Matrix | None, on: str | None) -> ActuationSteps
 def _model(plant: Plant, L: Matrix, on: str | None) -> ActuationSteps:
     unit = np.eye(plant.states)
     closed = Scheduled(L.by, plant.A + plant.B @ L.values) if isinstance(L, Scheduled) else plant.A + plant.B @ L
+    moved, followed = {"model": closed}, {"copy": closed}
+    if plant.saturation is not None:  # the input that is applied differs from the command
+        moved, followed = {"model": plant.A, "input": plant.B}, {"copy": plant.A, HELD: plant.B}
     copied = ({"prediction": unit}, {ESTIMATE: unit})
     known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
     return ActuationSteps(
@@ -344,10 +349,10 @@ def _model(plant: Plant, L: Matrix, on: str | None) -> ActuationSteps:
             Send("controller", "actuator", (ESTIMATE,), on),
             Assign("actuator", "input", ({"forecast": L}, {ESTIMATE: L}), Received("actuator")),
             Assign("actuator", "model", ({"forecast": unit}, {ESTIMATE: unit}), Received("actuator")),
-            Assign("actuator", "forecast", {"model": closed}),
+            Assign("actuator", "forecast", moved),
             Assign("controller", "copy", copied, on) if on else Assign("controller", "copy", copied[1]),
             Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
-            Assign("controller", "prediction", {"copy": closed}),
+            Assign("controller", "prediction", followed),
         ),
         {"prediction": plant.mean, "forecast": plant.mean},
         (_off(plant, "prediction"),),

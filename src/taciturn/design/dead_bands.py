@@ -51,8 +51,9 @@ def keep_at_nodes(
     """
     loop = KeptLoop.of(plant, cost, period, kept)
     plant = loop.problem.plant
-    if plant.input_limit is not None or loop.point.moved or loop.point.before.any() or loop.point.start.any():
-        got = "plant.input_limit is given" if plant.input_limit is not None else "the controller has a set-point"
+    if plant.saturation is not None or loop.point.moved or loop.point.before.any() or loop.point.start.any():
+        limit = "input_rate" if plant.input_limit is None else "input_limit"
+        got = "the controller has a set-point" if plant.saturation is None else f"plant.{limit} is given"
         raise ProblemError(
             f"{got}, and packets are sent on {len(network.links)} links; expected inputs without limits and a "
             "controller without set-point and start, or one link"
@@ -182,7 +183,7 @@ def errors_of_one(loop: KeptLoop, link: str, delta: float) -> dict[str, ErrorGai
         delta: the largest error of an entry.
     """
     plant = loop.problem.plant
-    if plant.input_limit is not None:  # the loop is not linear
+    if plant.saturation is not None:  # the loop is not linear
         return {}
     size = plant.outputs if link == "sensor" else plant.inputs
     gains = ErrorGains(loop.every_sample())

@@ -8,15 +8,18 @@ uses in silence and the choice, the value that a packet would carry.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from taciturn._arrays import Array, choice
+from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND
-from taciturn.design.estimation import ESTIMATE, INNOVATION, estimate_state
+from taciturn.design.estimation import ESTIMATE, HELD, INNOVATION, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
@@ -32,11 +35,12 @@ from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
 from taciturn.model.kept import Kept
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Evaluate, Policy, Step
+from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, Policy, Step
+from taciturn.model.saturation import Saturation
 from taciturn.model.theory import Identity, Theory
 from taciturn.model.trigger import Form, Trigger
 
-MISSING, WOULD, LIMIT = "missing", "command of a packet", "limit"
+MISSING, WOULD, BEYOND, LIMIT = "missing", "command of a packet", "beyond limits", "limit"
 
 
 def keep_controller(
@@ -135,7 +139,7 @@ def keep_controller(
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
-        functions=frozenset({BELIEF}),
+        functions=frozenset({BELIEF, BEYOND}),
         fourth=found.fourth,
         periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,
     )
@@ -202,16 +206,27 @@ def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: fl
 
 
 def _at_limits(plant: Plant, controller: Controller, steady: Array, at: str) -> tuple[Step, ...]:
-    """Return the steps that decide whether the command that a packet causes is beyond a limit of an input."""
-    if plant.input_limit is None:
+    """Return the steps that decide whether an actuator cannot apply the command that a packet causes."""
+    if plant.saturation is None:
         return ()
-    m, clipped = plant.inputs, dict[str, Form]()
-    for i, limit in enumerate(plant.input_limit):
-        one = np.zeros((m, m))
-        one[i, i] = -1.0
-        clipped[f"input {i + 1} clipped"] = Form((WOULD,), one, constant=float(limit) ** 2)
-    command = nonempty({REGISTER: controller.C, MEASURED: controller.D, ONE: steady[:, None]})
-    return Assign(at, WOULD, command), Decide(at, LIMIT, Trigger({"within": Form(), **clipped}))
+    limits, m = plant.saturation.around(steady), plant.inputs
+    beyond = {f"input {i + 1} limited": Form((BEYOND,), -np.diag(row)) for i, row in enumerate(np.eye(m))}
+    return (
+        Assign(at, WOULD, nonempty({REGISTER: controller.C, MEASURED: controller.D})),
+        Apply(at, {BEYOND: m}, Beyond(limits), (WOULD, HELD) if limits.moves else (WOULD,)),
+        Decide(at, LIMIT, Trigger({"within": Form(), **beyond})),
+    )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Beyond(Displayed):
+    """The part of a command that an actuator with limits does not apply."""
+
+    limits: Saturation
+
+    def __call__(self, wanted: Any, before: Any = None) -> Any:
+        """Return the command minus the input that is applied."""
+        return wanted - self.limits(wanted, before)
 
 
 def _retried(link: str, at: str) -> tuple[tuple[Step, ...], tuple[Step, ...]]:

@@ -78,10 +78,17 @@ class InputSteps(Displayed):
         if self.actuation == "model":
             model = f"held_model_{node}"
             silent = (
-                Assign(at, model, {model: closed_loop(self.certainty)}),
+                Assign(at, model, self._moved(node, model, f"held_{node}")),
                 Assign(at, f"silent_{node}", {model: L[rows]}),
             )
         return (command, *silent, Assign(at, f"error_{node}", {f"silent_{node}": unit, name: -unit}))
+
+    def _moved(self, node: str, model: str, applied: str) -> dict[str, Array]:
+        """Return the next state of an actuator's model: it uses the input that it applies, and for others Lx̃."""
+        closed, plant, (_, rows) = closed_loop(self.certainty), self.certainty.problem.plant, self._actuators[node]
+        if plant.saturation is None:
+            return {model: closed}
+        return {model: closed - plant.B[:, rows] @ self.certainty.regulator.L[rows], applied: plant.B[:, rows]}
 
     def _decide(self, group: tuple[str, ...]) -> Step:
         """Return the decision on a group: to send if the error exceeds the limit, or the first set that prevents it."""
@@ -121,7 +128,7 @@ class InputSteps(Displayed):
         model, copy = f"model_{node}", f"held_model_{node}"
         return (
             Send(at, node, (STATE,), on, labels),
-            Assign(node, model, ({model: closed_loop(self.certainty)}, {STATE: n}), Received(node)),
+            Assign(node, model, (self._moved(node, model, signal), {STATE: n}), Received(node)),
             Assign(node, signal, {model: L}),
         ), (
             Assign(at, copy, tuple({STATE: n} if sent else {copy: n} for sent in sends), told),

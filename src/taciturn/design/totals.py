@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import COLLOCATED, SEND, Actuation, completed_square, control_steps
 from taciturn.design.estimation import estimate_state
@@ -37,7 +38,7 @@ def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: C
     estimation = estimate_state(plant, None, gain=counter.gains)
     rule = Trigger({"silent": Form(("error",), by_clock(prices.H)), SEND: Form(constant=price)})
     steps, initial = control_steps(plant, estimation, by_clock(prices.L), actuation, rule)
-    return Policy(
+    policy = Policy(
         kind=kind,
         steps=steps,
         model=plant,
@@ -54,3 +55,4 @@ def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: C
         initial=initial,
         tick=problem.tick,
     )
+    return within_limits(policy)

@@ -22,6 +22,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
+from taciturn.model.saturation import limit_entries
 
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
@@ -92,7 +93,7 @@ class Discrete(Displayed):
         p, place = self.plant, np.ix_(states, states)
         plant = Plant(
             p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
-            p.input_limit,
+            p.input_limit, input_rate=p.input_rate,
         )  # fmt: skip
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states])
 
@@ -170,17 +171,24 @@ def discretise(
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
     else:
-        if plant.input_limit is not None:
+        limit, rate = plant.input_limit, plant.input_rate
+        given = {
+            "input_limit": None if limit is None else limit_entries(limit),
+            "input_rate": None if rate is None else rate.tolist(),
+        }
+        for name in (name for name, value in given.items() if value is not None):
             raise ProblemError(
-                f"input_limit is {plant.input_limit.tolist()}, but the input changes between steps, and a clipped "
-                "input that changes has no exact discretisation; expected no input_limit, or a policy that holds its "
-                "input"
+                f"{name} is {given[name]}, but the input changes between steps, and a limited input that changes has "
+                f"no exact discretisation; expected no {name}, or a policy that holds its input"
             )
         sampled = sample_prediction(
             plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics
         )
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
-    discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
+    rate = None if plant.input_rate is None else period * plant.input_rate
+    discrete = Plant(
+        sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit, input_rate=rate
+    )
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return Discrete(
         discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction, plant

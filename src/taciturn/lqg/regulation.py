@@ -111,7 +111,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     with_all = Plant(
         A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
-        plant.input_limit, plant.function,
+        plant.input_limit, plant.function, input_rate=plant.input_rate,
     )  # fmt: skip
     object.__setattr__(with_all, "changes", changes)
     if isinstance(source, Plant):

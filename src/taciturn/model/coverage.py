@@ -39,7 +39,7 @@ def names(owner: str, properties: str) -> frozenset[str]:
 
 
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state")
-FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit"})
+FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit", "plant.input_rate"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
 EXOSYSTEM = names("exosystem", "S E G W start outputs F changes") | {"plant.exosystem", "plant.alone"}
 CHANGES = (

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from copy import copy
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines
+from taciturn.model.saturation import Saturation, saturation
 from taciturn.model.trigger import Matrix, Scheduled
 
 BLUR = 1e-6  # relative difference below which poles are considered equal
@@ -32,6 +34,7 @@ class DisplayedPlant(Displayed):
     mean: Array
     covariance: Array
     input_limit: Array | None
+    input_rate: Array | None
     full_state: bool
     continuous: ClassVar[bool] = True
 
@@ -44,6 +47,19 @@ class DisplayedPlant(Displayed):
     def inputs(self) -> int:
         """Number of inputs m."""
         return self.B.shape[1]
+
+    @property
+    def saturation(self) -> Saturation | None:
+        """The limits of the inputs and of their changes, or None."""
+        return saturation(self.input_limit, self.input_rate)
+
+    @property
+    def unlimited(self) -> Self:
+        """The plant without limits of its inputs."""
+        found = copy(self)
+        for name in ("input_limit", "input_rate"):
+            object.__setattr__(found, name, None)
+        return found
 
     @property
     def time(self) -> str:
@@ -70,7 +86,8 @@ class DisplayedPlant(Displayed):
             "V": None if self.full_state else self.V,
             "mean": self.mean if self.mean.any() else None,
             "covariance": self.covariance if self.covariance.any() else None,
-            "input limit": self.input_limit,
+            "input limit": None if self.input_limit is None else limits_text(self.input_limit),
+            "input rate": None if self.input_rate is None else rates_text(self.input_rate, self.continuous),
         }
 
     def short(self, inputs: int | None = None) -> str:
@@ -78,6 +95,18 @@ class DisplayedPlant(Displayed):
         counts = (self.states, self.inputs if inputs is None else inputs, self.C.shape[0])
         named = zip(counts, ("state", "input", "output"), strict=True)
         return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in named)
+
+
+def limits_text(limit: Array) -> str:
+    """Return the limits of the inputs, (m, 2), as text."""
+    sides = (f"±{high:.6g}" if low == -high else f"{low:.6g} to {high:.6g}" for low, high in limit)
+    return ", ".join(sides).replace("inf", "∞")
+
+
+def rates_text(rate: Array, continuous: bool) -> str:
+    """Return the largest changes of the inputs, (m,), as text."""
+    listed = ", ".join(f"{value:.6g}" for value in rate).replace("inf", "∞")
+    return f"at most {listed} per {'second' if continuous else 'step'}"
 
 
 def _poles(A: Array, continuous: bool) -> str:

@@ -118,7 +118,7 @@ class Disturbance(Displayed):
         function = None if plant.function is None else cast("_Disturbed", plant.function.function).function
         return Plant(
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
-            plant.covariance[:n, :n], plant.input_limit, function,
+            plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate,
         )  # fmt: skip
 
 
@@ -139,7 +139,7 @@ def _with(plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array) -
     (n, m), p = plant.B.shape, len(plant.C)
     A = np.block([[plant.A, plant.B], [np.zeros((m, n)), kept * np.eye(m)]])
     B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, np.zeros((p, m))])
-    noise, mean = block_diagonal(plant.W, W * np.eye(m)), np.concatenate([plant.mean, start])
+    noise, mean, rate = block_diagonal(plant.W, W * np.eye(m)), np.concatenate([plant.mean, start]), plant.input_rate
     covariance = block_diagonal(plant.covariance, np.zeros((m, m)))
     if isinstance(plant, ContinuousPlant):
         if plant.jumps is not None:
@@ -147,9 +147,9 @@ def _with(plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array) -
                 "the plant has jumps, and a slow disturbance needs Gaussian noise; expected W instead of jumps, or no "
                 "disturbance"
             )
-        return ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit)
+        return ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate)
     function = None if plant.function is None else _Disturbed(plant.function, n, kept)
-    return Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function)
+    return Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate)
 
 
 @dataclass(frozen=True, repr=False)

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.places import plant_links
@@ -63,8 +64,18 @@ def fingerprint(policy: Policy, network: Network) -> int:
     data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
     data = data if network.triangle else (*data, network.nodes)
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
-    text = repr(_plain([data, rounding, policy.model.input_limit]))
+    limit, rate = policy.model.input_limit, policy.model.input_rate
+    limits = [None if limit is None else _sides(limit), *([] if rate is None else [_sides(rate)])]
+    text = repr(_plain([data, rounding, *limits]))
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
+
+
+def _sides(limit: Array) -> object:
+    """Return limits as one number per input if all are symmetric, and open sides apart."""
+    closed = np.isfinite(limit)
+    if not closed.all():
+        return np.where(closed, limit, 0.0), closed.astype(np.float64)
+    return limit[:, 1] if limit.ndim == 2 and np.array_equal(limit[:, 0], -limit[:, 1]) else limit
 
 
 def _sampled(policy: Policy, step: Apply) -> object:

@@ -14,6 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.exosystem import Exosystem
+from taciturn.model.saturation import limits_from, positive
 from taciturn.model.set_points import RandomSteps, SampledChanges
 
 JumpDistribution = Literal["normal", "uniform", "two-point"]
@@ -32,12 +33,15 @@ class Plant(DisplayedPlant):
         dt: seconds per step; if omitted, time is counted in steps.
         mean: mean of the initial state, (n,); default 0.
         covariance: covariance of the initial state, (n, n); default 0.
-        input_limit: positive saturation limit of each input at the plant, (m,), symmetric; default no limit.
+        input_limit: limits of each input at the plant: a positive number for symmetric limits, or a pair [low, high],
+            with ∞ for an open side; stored as (m, 2); default no limit.
         exosystem: disturbances and set-points, or None.
         function: step x⁺ = f(x, u, w) of a nonlinear plant, with arrays (n,), (m,), (n,) and w ~ N(0, W) drawn at
             every step. Policies are designed for A and B, which must be the derivatives of f with respect to x and u
             at the equilibrium 0. The derivative with respect to w must be the identity wherever W is not 0. If
             ``function`` is omitted, the step is A x + B u + w.
+        input_rate: largest change of each input per step, (m,), ∞ for no limit; default no limit. The input before the
+            start is 0.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
@@ -57,6 +61,7 @@ class Plant(DisplayedPlant):
     mean: Array
     covariance: Array
     input_limit: Array | None
+    input_rate: Array | None
     function: Dynamics | None
     full_state: bool
     exosystem: Exosystem | None
@@ -77,9 +82,10 @@ class Plant(DisplayedPlant):
         input_limit: ArrayLike | None = None,
         function: Map | Dynamics | None = None,
         exosystem: Exosystem | None = None,
+        input_rate: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
-        _set_linear(self, A, B, C, V, mean, covariance, input_limit, exosystem)
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
         object.__setattr__(self, "function", None if function is None else _checked(function, self))
@@ -185,8 +191,11 @@ class ContinuousPlant(DisplayedPlant):
         V: measurement-noise covariance of each sample, (p, p); if omitted, the measurement is exact.
         mean: mean of the initial state, (n,); default 0.
         covariance: covariance of the initial state, (n, n); default 0.
-        input_limit: positive saturation limit of each input at the plant, (m,), symmetric; default no limit.
+        input_limit: limits of each input at the plant: a positive number for symmetric limits, or a pair [low, high],
+            with ∞ for an open side; stored as (m, 2); default no limit.
         exosystem: disturbances and set-points, or None.
+        input_rate: largest change of each input per second, (m,), ∞ for no limit; default no limit. The input before
+            the start is 0. Between the samples the input is held, and changes only at them.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
@@ -206,6 +215,7 @@ class ContinuousPlant(DisplayedPlant):
     mean: Array
     covariance: Array
     input_limit: Array | None
+    input_rate: Array | None
     full_state: bool
     exosystem: Exosystem | None
 
@@ -221,9 +231,10 @@ class ContinuousPlant(DisplayedPlant):
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
         exosystem: Exosystem | None = None,
+        input_rate: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
-        _set_linear(self, A, B, C, V, mean, covariance, input_limit, exosystem)
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
         if W is None and jumps is None:
             raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
         if jumps is not None:
@@ -253,6 +264,7 @@ def _set_linear(
     mean: ArrayLike | None,
     covariance: ArrayLike | None,
     input_limit: ArrayLike | None,
+    input_rate: ArrayLike | None,
     exosystem: Exosystem | None,
 ) -> None:
     """Check and set the attributes that both plant classes share."""
@@ -267,9 +279,6 @@ def _set_linear(
     p = C.shape[0]
     if p == 0:
         raise ProblemError("C has no rows; expected at least one measured output (omit C to measure the full state)")
-    limit = None if input_limit is None else array("input_limit", input_limit, (B.shape[1],), "(inputs,)")
-    if limit is not None and (limit <= 0).any():
-        raise ProblemError(f"input_limit is {limit.min():g}; expected positive limits (omit it for no limit)")
     values: dict[str, object] = {
         "A": A,
         "B": B,
@@ -279,7 +288,8 @@ def _set_linear(
         "covariance": frozen(np.zeros((n, n)))
         if covariance is None
         else semidefinite("initial.covariance", covariance, n, "(states, states)"),
-        "input_limit": limit,
+        "input_limit": None if input_limit is None else limits_from(input_limit, B.shape[1]),
+        "input_rate": None if input_rate is None else positive("input_rate", input_rate, B.shape[1]),
         "exosystem": exosystem,
     }
     if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):

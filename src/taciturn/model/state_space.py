@@ -29,6 +29,7 @@ def plant_from(
     mean: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     input_limit: ArrayLike | None = None,
+    input_rate: ArrayLike | None = None,
 ) -> Plant | ContinuousPlant:
     """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
 
@@ -41,7 +42,8 @@ def plant_from(
         V: measurement-noise covariance, (p, p); if omitted, the measurement is exact.
         mean: mean of the initial state, (n,).
         covariance: covariance of the initial state, (n, n).
-        input_limit: saturation limit of each input, (m,).
+        input_limit: limits of each input: a positive number, or a pair [low, high].
+        input_rate: largest change of each input, per second of a continuous system, and per step of a discrete one.
 
     Returns:
         The plant.
@@ -60,9 +62,10 @@ def plant_from(
     C = np.asarray(linear.C, dtype=np.float64)
     if step == 0:
         return ContinuousPlant(
-            linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit
-        )
-    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit)
+            linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit,
+            input_rate=input_rate,
+        )  # fmt: skip
+    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate)
 
 
 def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:

@@ -63,8 +63,9 @@ def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | Contin
             )
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
-            table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit
-        )
+            table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
+            input_rate=table.input_rate,
+        )  # fmt: skip
     if table.jumps is not None:
         raise ProblemError(
             "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt"
@@ -74,7 +75,7 @@ def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | Contin
     function = None if table.function is None else read_function(table.function, known)
     return Plant(
         table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
-        function,
+        function, input_rate=table.input_rate,
     )  # fmt: skip
 
 

@@ -42,7 +42,8 @@ class PlantTable(Displayed):
     W: Rows | None = None
     V: Rows | None = None
     dt: float | None = None
-    input_limit: list[float] | None = None
+    input_limit: list[float | list[float]] | None = None
+    input_rate: list[float] | None = None
     function: str | None = None
     initial: InitialTable | None = None
     jumps: JumpsTable | None = None

@@ -54,7 +54,9 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         "V": "measurement noise v: covariance per sample, in the units of the outputs squared",
     }
     lines += _table(plant, about)
-    lines += _offered({"input_limit": ("[…]", "symmetric limit of each input; with a limit, no guarantee is shown")})
+    lines += _offered(
+        {"input_limit": ("[…]", "largest size of each input, or [low, high]; with a limit, no guarantee is shown")}
+    )
     lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
     about = {
         "Q": "weight of the state",

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
+
+import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import Assign, Policy, Step
+from taciturn.model.policy import ONE, Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import Operands, TimeStep, encode_payloads, link_state
+from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
 from taciturn.program.names import named
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision
+
+FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
 
@@ -23,22 +27,62 @@ Begin: TypeAlias = Callable[..., TimeStep]
 def lower_policy(policy: Policy, network: Network) -> Program:
     """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
 
-    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, clipped by the model's
-    ``input_limit``, and whether a packet is sent and received on each link.
+    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, within the limits of the model's
+    inputs, the nodes' copies of it, and whether a packet is sent and received on each link.
 
     Args:
         policy: the policy.
         network: the links between its nodes.
     """
     NODES.check(policy.parts, policy.designed_for, network)
-    tick = begin_time_step(policy, network, {}, {})
-    tick.draw_losses(policy, network)
     plant = policy.model
+    tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)})
+    tick.draw_losses(policy, network)
     measure(tick, policy, [*tick.supplied("y", plant.sensed), *tick.supplied(REFERENCE, plant.outputs - plant.sensed)])
     for step in policy.steps:
         tick.take(step)
-    applied = tick.clipped(gather_input(tick, policy), policy.model.input_limit)
-    return tick.finish({}, {**named("applied", applied), **tick.packets()})
+    applied = tick.limited(gather_input(tick, policy), plant.saturation, APPLIED)
+    copies = {
+        name: i for copy in copies_of_inputs(policy) for name, i in named(copy.held, tick.read(copy.held)).items()
+    }
+    return tick.finish({}, {**named(APPLIED, applied), **copies, **tick.packets()})
+
+
+@dataclass(frozen=True, eq=False)
+class CopiedInput:
+    """A signal of a filter or controller into which the copy of an input enters at the end of a step.
+
+    Args:
+        signal: the signal.
+        held: the copy.
+        effect: its matrix.
+        inputs: indices of the inputs.
+        rest: the inputs from which the copy deviates.
+    """
+
+    signal: str
+    held: str
+    effect: Array
+    inputs: tuple[int, ...]
+    rest: Array
+
+
+def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
+    """Return the copies of inputs that filters and given controllers use, apart from models of the actuator."""
+    names = {HELD: tuple(range(policy.model.inputs))} | {
+        f"{HELD}_{node}": rows for node, rows in policy.applied.values()
+    }
+    rest, found = np.zeros(policy.model.inputs), list[CopiedInput]()
+    for step in (step for step in policy.steps if isinstance(step, Assign)):
+        if step.signal in policy.applied and isinstance(given := step.branches[-1].get(ONE), np.ndarray):
+            rest[[*policy.applied[step.signal][1]]] = given[:, 0]
+    for step in (step for step in policy.steps if isinstance(step, Assign) and step.on is None):
+        told = step.signal == FILTER or (step.signal in REGISTERS and step.at in policy.site(policy.network.controller))
+        for held in (name for name in step.branches[0] if told and name in names):
+            effect = step.branches[0][held]
+            if isinstance(effect, np.ndarray):
+                found.append(CopiedInput(step.signal, held, effect, names[held], rest[[*names[held]]]))
+    return tuple(found)
 
 
 def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.coverage import NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
+from taciturn.model.plant import Plant
 from taciturn.model.policy import (
     ONE,
     Apply,
@@ -32,6 +33,7 @@ from taciturn.model.policy import (
     Step,
     Terms,
 )
+from taciturn.model.saturation import Saturation
 from taciturn.model.trigger import Form, GaussianTerm, Matrix, Scheduled
 from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
@@ -42,9 +44,18 @@ from taciturn.program.ops import State
 from taciturn.program.trace import trace
 
 Operands = list[int]
+APPLIED = "applied"  # the input that the actuators apply
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
 
 LOWERED = Coverage(STEPS | TRACKING | NETWORKS, "programs do not carry out")
+
+
+def first_input(policy: Policy, plant: Plant) -> Array:
+    """Return the input of a plant before the first step: that of the policy, or 0, within the limits."""
+    found = np.zeros(plant.inputs)
+    for signal, (_, inputs) in policy.applied.items():
+        found[[*inputs]] = policy.initial.get(signal, 0.0)
+    return found if plant.saturation is None else plant.saturation.begun(found)
 
 
 class TimeStep:
@@ -103,17 +114,19 @@ class TimeStep:
         """Round to an integer multiple of the resolution, scale/LARGEST, ties to even."""
         # a sum with 1.5·2^mantissa has no bits below 1, so that adding and subtracting this number rounds to an integer
         b, most = self.builder, float(FULL_SCALE)
-        steps = self.clip(b.scale(most / scale, value), most)
+        steps = self._clip(b.scale(most / scale, value), most)
         rounder = b.constant(ROUNDERS[b.precision])
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
-    def clipped(self, values: Operands, limit: Array | None) -> Operands:
-        """Return the values of a signal clipped to ± their limits; without limits they are unchanged."""
-        return (
-            values if limit is None else [self.clip(v, bound) for v, bound in zip(values, limit.tolist(), strict=True)]
-        )
+    def limited(self, values: Operands, limits: Saturation | None, memory: str) -> Operands:
+        """Set the signal ``memory`` to the inputs that actuators with limits apply, and return it; they remember it."""
+        if limits is not None:
+            given = {"command": values, **({memory: self.recall(memory)} if limits.moves else {})}
+            values = trace(self.builder, limits, given, {memory: len(values)})[memory]
+        self.signals[memory] = values
+        return values
 
-    def clip(self, value: int, limit: float) -> int:
+    def _clip(self, value: int, limit: float) -> int:
         """Return a number clipped to the range ±limit."""
         high, low = self.builder.constant(limit), self.builder.constant(-limit)
         below = self.choose(self.builder.emit("greater", value, high), high, value)

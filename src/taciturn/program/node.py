@@ -28,7 +28,7 @@ from taciturn.model.policy import (
 from taciturn.model.steps import assigned
 from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
-from taciturn.program.lower import Operands, Payloads, TimeStep, encode_payloads
+from taciturn.program.lower import APPLIED, Operands, Payloads, TimeStep, encode_payloads, first_input
 from taciturn.program.names import Name, Sent, StepCounter, named
 from taciturn.program.ops import Precision, State
 
@@ -156,7 +156,11 @@ class _Part(TimeStep):
 
     def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
-        super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
+        counts |= {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
+        start = first_input(policy, policy.model)
+        initial = {_applied(signal): start[[*inputs]] for signal, (_, inputs) in policy.applied.items()}
+        initial |= policy.initial
+        super().__init__(Builder(precision), {**policy.sizes, **counts}, initial, policy.locations, payloads)
         self.drawn = drawn
         self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
         self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
@@ -199,7 +203,7 @@ class _Lowering:
     def __init__(self, policy: Policy, site: frozenset[str], network: Network, precision: Precision) -> None:
         self.policy, self.site = policy, site
         self.precision: Precision = precision
-        self.applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
+        self.applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
         self.payloads = encode_payloads(policy, network)
         self.steps = [step for step in policy.steps if step.at in site]
         if not self.steps:
@@ -225,6 +229,7 @@ class _Lowering:
         walked: list[_Part] = []
         for part in self.parts:
             walked.append(self._walk(part, walked[0].drawn if walked else 0))
+        self._apply(walked[0])
         for place in self.places:
             walked[-1].move(place)
         states = list(dict.fromkeys(state for tick in walked for state in tick.builder.states))
@@ -249,7 +254,7 @@ class _Lowering:
 
     def _leaves(self, step: Step) -> bool:
         """Return whether a policy step produces an output of the node."""
-        return isinstance(step, Send) or not self.applied.isdisjoint(assigned(step))
+        return isinstance(step, Send) or not self.applied.keys().isdisjoint(assigned(step))
 
     def _order(self, link: str) -> tuple[str, ...]:
         return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
@@ -272,6 +277,12 @@ class _Lowering:
         for step in steps:
             tick.take(step)
         return tick
+
+    def _apply(self, tick: _Part) -> None:
+        """Bring the inputs that the site applies within the limits of the plant."""
+        limits = self.policy.model.saturation
+        for signal, inputs in self.applied.items():
+            tick.limited(tick.recall(signal), None if limits is None else limits.of(inputs), _applied(signal))
 
     def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
         """Return a part as a program over the states of all parts."""
@@ -298,15 +309,18 @@ class _Lowering:
         outputs: dict[Name, int] = {}
         for link, truth in tick.sent.items():
             outputs |= {Sent(link): tick.as_number(truth), **named(link, tick.payload[link])}
-        limit = self.policy.model.input_limit
-        for signal, (_, inputs) in self.policy.applied.items():
-            if signal in self.applied:
-                outputs |= named(signal, tick.clipped(tick.recall(signal), None if limit is None else limit[[*inputs]]))
+        for signal in self.applied:
+            outputs |= named(signal, tick.recall(_applied(signal)))
         return outputs | tick.option_values()
 
 
 def _condition(step: Step) -> Condition | None:
     return step.on if isinstance(step, Assign | Evaluate) else None
+
+
+def _applied(signal: str) -> str:
+    """Return the name of the memory of the input that a node applied."""
+    return f"{APPLIED} {signal}"
 
 
 def _flags(decision: str) -> str:

@@ -145,6 +145,7 @@ class OptimalPolicy(Displayed):
 def _only_simulated(plant: Plant | ContinuousPlant) -> Mapping[str, bool]:
     return {
         "plant.input_limit": plant.input_limit is not None,
+        "plant.input_rate": plant.input_rate is not None,
         "plant.initial.mean": bool(plant.mean.any()),
         "plant.initial.covariance": bool(plant.covariance.any()),
     }

@@ -98,6 +98,7 @@ def from_control(
     mean: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     input_limit: ArrayLike | None = None,
+    input_rate: ArrayLike | None = None,
 ) -> Plant | ContinuousPlant:
     """Convert a linear system of python-control to a plant; ``plant_from`` also accepts systems of scipy.
 
@@ -109,7 +110,8 @@ def from_control(
         V: measurement-noise covariance, (p, p); default: exact measurement.
         mean: initial mean, (n,); default: 0.
         covariance: initial covariance, (n, n); default: 0.
-        input_limit: symmetric limit of each input, (m,), positive; default: no limit.
+        input_limit: limits of each input: a positive number, or a pair [low, high]; default: no limit.
+        input_rate: largest change of each input, per second if dt = 0, and otherwise per step; default: no limit.
 
     Returns:
         The plant.
@@ -128,7 +130,7 @@ def from_control(
             f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
             "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
         )
-    return plant_from(system, W, V, mean, covariance, input_limit)
+    return plant_from(system, W, V, mean, covariance, input_limit, input_rate)
 
 
 def _system(

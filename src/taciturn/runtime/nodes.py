@@ -7,18 +7,19 @@ therefore a pure function: its result is the same if the step is repeated or exe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count, instance
+from taciturn.errors import ProblemError
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy, Received
-from taciturn.program.controller import lower_policy
+from taciturn.program.controller import copies_of_inputs, lower_policy
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
-from taciturn.program.lower import link_state
+from taciturn.program.lower import APPLIED, link_state
 from taciturn.program.names import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.runtime.node import Values
@@ -109,25 +110,49 @@ class Nodes:
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
         self._memory = self.turns.start
+        self._copies = copies_of_inputs(policy)
+        self._held: dict[str, Array] = {}
 
-    def step(self, measurement: ArrayLike) -> Array:
+    def step(self, measurement: ArrayLike, applied: ArrayLike | None = None) -> Array:
         """Execute one step, and set ``sent`` and ``arrived``, which state for each link whether a packet was sent and
         arrived.
 
         Args:
             measurement: measurement y, (p,).
+            applied: input that the actuators really applied in the step before, (m,), if limits that the plant does not
+                state changed it. The filter, and a given controller that uses its input, take it in place of their
+                copy; default: the input that was returned.
 
         Returns:
             Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
             integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
-            ProblemError: the measurement has the wrong size, or is not finite.
+            ProblemError: the measurement or the applied input has the wrong size, or is not finite; or an applied input
+                is given in the first step, or for a policy whose nodes do not use it.
         """
         y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
+        if applied is not None:
+            self._tell(array("applied", applied, (self.policy.model.inputs,), "(inputs,)"))
         self._memory, values = self.turns.turn(self.tick, self._memory, y.tolist())
         self.tick += 1
         places = self.turns.outputs.items()
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
         self.arrived = {name.link: values[i] > 0 for name, i in places if isinstance(name, Received)}
-        return np.array([values[i] for name, i in places if is_entry(name, "applied")])
+        self._held = {copy.held: _values(values, places, copy.held) for copy in self._copies}
+        return _values(values, places, APPLIED)
+
+    def _tell(self, applied: Array) -> None:
+        """Replace the controller's copy of the last input by the input that was applied."""
+        if not self._copies or not self.tick:
+            got = f"and no filter of {self.policy.kind} has a copy of the input"
+            raise ProblemError(f"applied is given, {'in the first step' if self._copies else got}; expected no applied")
+        memory = dict(zip(self.turns.states, self._memory, strict=True))
+        for copy in self._copies:
+            change = copy.effect @ (applied[list(copy.inputs)] - copy.rest - self._held[copy.held])
+            memory |= {f"{copy.signal}[{i}]": memory[f"{copy.signal}[{i}]"] + d for i, d in enumerate(change.tolist())}
+        self._memory = tuple(memory.values())
+
+
+def _values(values: Values, places: Iterable[tuple[Name, int]], signal: str) -> Array:
+    return np.array([values[i] for name, i in places if is_entry(name, signal)])

@@ -63,8 +63,8 @@ def find_doubts(
     """
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
     notes: tuple[str, ...] = ()
-    limit = loop.problem.plant.input_limit
-    if limit is not None and np.isfinite(limit).all() and _fastest(loop) > 1 + NEARLY:
+    limits = loop.problem.plant.saturation
+    if limits is not None and limits.bounded and _fastest(loop) > 1 + NEARLY:
         notes += (
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
             "which no input returns it, so no average exists; this one is over the time before",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from taciturn.model.display import matrix_lines, vector_text
 from taciturn.model.kept import pids_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Evaluate, Policy
+from taciturn.model.saturation import limit_entries
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
@@ -252,7 +253,8 @@ def _gains(policy: Policy) -> dict[str, Matrix]:
 
 def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
     (unmoved, unseen), e = _lost(plant), plant.exosystem
-    keys = ("A", "B", "C", "W", "V", "mean", "covariance", "input_limit")
+    keys = ("A", "B", "C", "W", "V", "mean", "covariance")
+    limit, rate = plant.input_limit, plant.input_rate
     return {
         "states": plant.states,
         "inputs": plant.inputs,
@@ -264,6 +266,8 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
         "controllable": not len(unmoved),
         "observable": not len(unseen),
         **{key: _plain(getattr(plant, key)) for key in keys},
+        "input_limit": None if limit is None else _plain(limit_entries(limit)),
+        **({} if rate is None else {"input_rate": _plain(rate)}),
         **({} if e is None else {"exosystem": {field.name: _plain(getattr(e, field.name)) for field in fields(e)}}),
     }
 
@@ -285,7 +289,7 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     for name in ("W", "V"):
         value = rows[name]
         lines += matrix_lines(f"noise {name}", value) if isinstance(value, np.ndarray) else []
-    lines += [] if plant.input_limit is None else [("input limit", vector_text(plant.input_limit))]
+    lines += [(name, text) for name in ("input limit", "input rate") if isinstance(text := rows[name], str)]
     if (e := plant.exosystem) is not None:
         moves = "dd/dt = S d + noise" if plant.continuous else "d⁺ = S d + noise"
         lines.append(("disturbances", f"and set-points, {len(e.S)} states d: {moves}; C_z x + F d is to be zero"))
@@ -374,9 +378,11 @@ def _form_document(form: Form) -> dict[str, Any]:
 
 
 def _plain(value: object) -> Any:
-    """Return a value in a form that JSON supports: a table as its index and entries, infinity as the word "inf"."""
+    """Return a value in a form that JSON supports: a table as its index and entries, infinity as "inf" or "-inf"."""
     if isinstance(value, Scheduled):
         return {"by": value.by, "values": value.values.tolist()}
     if isinstance(value, np.ndarray):
-        return value.tolist()
-    return "inf" if value == np.inf else value
+        value = value.tolist()
+    if isinstance(value, list):
+        return [_plain(one) for one in cast("list[object]", value)]
+    return f"{value}" if value in (np.inf, -np.inf) else value

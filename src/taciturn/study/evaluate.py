@@ -26,6 +26,7 @@ from taciturn.study.disturbed import averages_after_step
 from taciturn.study.effects import forgotten_start, without_effect
 from taciturn.study.evaluation import Consistency, Evaluation
 from taciturn.study.fair import periodic_at
+from taciturn.study.limited import compare_without_limits
 from taciturn.study.lower import bounded, contradicted, expect_bound
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
 from taciturn.study.units import cost_unit, rate_unit
@@ -34,6 +35,7 @@ Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
 SURE = 4.0  # standard errors
 AFTER_STEP = 0.3  # share of the progress for the averages after a step
+LIMITED = 0.3  # share of the time for the loop without limits of its inputs
 
 
 def evaluate(
@@ -134,6 +136,8 @@ def _evaluated(
             raise ProblemError(f"precision is {precision!r}; expected 'float64' for {policy.kind} without a period")
         return _events(problem, policy, request, told)
     share = AFTER_STEP if after_step and isinstance(policy, Policy) and policy.disturbance is not None else 0.0
+    spare = LIMITED if (problem.actual or problem.plant).saturation is not None else 0.0
+    share += spare
     first = told.stage(0.0, 1.0 - share if confidence is None else 0.5)
     if isinstance(policy, OptimalPolicy):
         loop = problem.close(policy.looked_at)
@@ -163,11 +167,16 @@ def _evaluated(
     fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
     sharper = None if guarantee is None else guarantee.at_rates(found.rates, policy.scheduled[0])
     stepped = None
-    if share:
+    if share > spare:
         try:
-            stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0))
+            stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0 - spare))
         except OutOfTime:
             notes += (f"no averages after a step: the time limit of {request.time_limit:g} s passed",)
+    without = None
+    try:
+        without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
+    except OutOfTime:
+        notes += (f"no cost without limits: the time limit of {request.time_limit:g} s passed",)
     compared = loop.nominal and per_tick.value > 0 and _predicts(policy)
     return Evaluation(
         policy=policy.kind,
@@ -199,6 +208,7 @@ def _evaluated(
         method=measured.method,
         reason=measured.reason,
         after_step=stepped,
+        without_limits=without,
         cost_lqg=policy.theory.cost_lqg if loop.nominal else None,
     )
 

@@ -14,6 +14,7 @@ from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
 from taciturn.study.clock import ClockMix
 from taciturn.study.disturbed import AfterStep
+from taciturn.study.limited import WithoutLimits
 from taciturn.study.lines import MOST_DECIMALS, bound_text, decimals_of, outward, percent_above, proved, rounded
 from taciturn.study.measure import CONDITIONAL
 from taciturn.study.units import TimeUnit, Unit, rate_unit
@@ -72,6 +73,7 @@ class Evaluation(Tabular):
         life: seconds until the battery of each link's sender is empty, where it is given.
         prices: prices of a packet on the links with a rate.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
+        without_limits: how often a limit of the inputs binds, and the loop without limits; None if no input has one.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
@@ -109,6 +111,7 @@ class Evaluation(Tabular):
     life: Mapping[str, Estimate] = field(default_factory=lambda: {})
     prices: Mapping[str, float] = field(default_factory=lambda: {})
     cost_lqg: float | None = None
+    without_limits: WithoutLimits | None = None
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -182,22 +185,21 @@ class Evaluation(Tabular):
             result["consistency"] = self.consistency
         result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
         result["clock"] = None if self.clock is None else self.clock.document()
-        if self.no_clock:
-            result["clock_reason"] = self.no_clock
+        result |= {"clock_reason": self.no_clock} if self.no_clock else {}
         if self.mean_interval is not None:
             result["mean_interval"] = _estimate(self.mean_interval)
         if self.linearisation is not None:
             result["linearisation"] = asdict(self.linearisation)
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
-        if self.cost_lqg is not None:
-            result["cost_lqg"] = self.cost_lqg
+        result |= {} if self.cost_lqg is None else {"cost_lqg": self.cost_lqg}
         for name, found, unit in (("power", self.power, 1.0), ("battery_days", self.life, DAY)):
             if found:
                 scaled = {link: one.scaled(1 / unit) for link, one in found.items()}
                 result[name] = {link: one.document("value", "standard_error") for link, one in scaled.items()}
         if self.after_step is not None:
             result["after_step"] = self.after_step.document()
+        result |= {} if self.without_limits is None else self.without_limits.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
 
 
@@ -283,8 +285,8 @@ def _details(found: Evaluation) -> Lines:
         life = found.life.get(link)
         lasting = "" if life is None else f"; the battery lasts {life.scaled(1 / DAY)} days"
         lines.append((f"power, {link}", f"{power.scaled(1e3)} mW for packets{lasting}"))
-    if found.after_step is not None:
-        lines.append(("after a step", found.after_step.text(f"per {found.rate_unit}")))
+    for name, part in (("after a step", found.after_step), ("limits", found.without_limits)):
+        lines += [] if part is None else [(name, part.text(f"per {found.rate_unit}"))]
     lines += [("verdict", text) for text in _verdict(found)]
     return [*lines, *(("note", note) for note in found.notes)]
 

@@ -8,6 +8,7 @@ from math import sqrt
 
 from taciturn._arrays import choice, flag, instance
 from taciturn.analyse.outcomes import MOST_LINKS, outcomes
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import shares_of, threshold_of
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps
@@ -119,7 +120,8 @@ def _with_every_attempt(
     prediction: Actuation,
     actuation: Actuation,
 ) -> float:
-    """Return the cost per step of an attempt on every link in every step."""
+    """Return the cost per step of an attempt on every link in every step, without limits of the inputs."""
+    plant = plant.unlimited
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     thresholds = _thresholds(network, 0.0, None, False)
     policy = _policy(certainty, network, prediction, actuation, thresholds, certainty.cost_all_time)
@@ -144,7 +146,7 @@ def _policy(
     told = all(network.acknowledges(link) for link in lossy)
     covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
     sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
-    return Policy(
+    policy = Policy(
         kind="distributed",
         steps=(*sensors.measure(), *sensors.add(), *inputs.decide(), *sensors.predict(inputs.held)),
         model=problem.plant,
@@ -168,6 +170,7 @@ def _policy(
         if lossy
         else (),
     )
+    return within_limits(policy)
 
 
 def _lossy(network: Network) -> list[str]:

@@ -6,8 +6,9 @@ import numpy as np
 
 from taciturn._arrays import instance, number
 from taciturn._modes import lost_modes, radius
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
-from taciturn.design.estimation import ESTIMATE
+from taciturn.design.estimation import ESTIMATE, HELD
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
@@ -27,7 +28,7 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.network import Network
 from taciturn.model.placement import placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Policy, Received, Send, Step
+from taciturn.model.policy import ONE, Acknowledged, Assign, Condition, Decide, Policy, Received, Send, Step, Terms
 from taciturn.model.reference import Reference, Tracking
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -125,7 +126,7 @@ def lossy_lqg(
     refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
     silent = Form((ESTIMATE if reference is None else OFF_REFERENCE,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
-    return Policy(
+    policy = Policy(
         kind="lossy-lqg",
         steps=_steps(plant, network, by_clock(gains.L), trigger, reference),
         model=plant,
@@ -148,6 +149,7 @@ def lossy_lqg(
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )
+    return within_limits(policy)
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
@@ -227,7 +229,38 @@ def _steps(
     else:
         order = (*watch, Assign("controller", ESTIMATE, {"seen": n}), *act)
     known = Acknowledged("actuator") if acknowledged else SEND
+    if plant.saturation is not None:
+        return (*order, *_limited(plant, network, reference, "seen" if network.delay else ESTIMATE, known))
     return (*order, Assign("controller", "prior", (silent, sent), known))
+
+
+def _limited(
+    plant: Plant, network: Network, reference: Reference | None, start: str, known: Condition
+) -> tuple[Step, ...]:
+    """Return the prediction from ``start`` if inputs have limits: it uses the input with and without the packet.
+
+    Raises:
+        ProblemError: changes of the input are limited, and the controller does not know which packets arrive.
+    """
+    m, loss = np.eye(plant.inputs), 0.0 if network.acknowledges("actuator") else network.loss("actuator")
+    if plant.input_rate is not None and loss:
+        raise ProblemError(
+            f"plant.input_rate is given, and {network.lost('actuator')} is {loss:g} without acknowledgement, so that "
+            "the controller does not know how far the input has moved; expected protocol = 'tcp', or no input_rate"
+        )
+    silent: Terms = {"command": 0.0 * m}
+    sent: Terms = {"command": m}
+    if reference is not None:
+        silent = {ONE: Scheduled(CLOCK, reference.inputs[:, :, None])}
+        sent = {**silent, **sent}
+    told = {start: plant.A, HELD: plant.B}
+    arrives = {start: plant.A, HELD: (1 - loss) * plant.B, "candidate": loss * plant.B}
+    moved = Assign("controller", "prior", (told, arrives), known) if loss else Assign("controller", "prior", told)
+    return (
+        Assign("controller", "candidate", silent),
+        Assign("controller", HELD, ({"candidate": m}, sent), known),
+        moved,
+    )
 
 
 KIND = Kind(

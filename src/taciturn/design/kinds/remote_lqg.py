@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number, symmetrised
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     CLOCK,
@@ -107,7 +108,7 @@ def remote_lqg(
     closed_form = None
     if controller == "actuator" and watch.schedule is not None:  # no decision depends on the state
         closed_form = ClosedForm(cost_of_watch, {"sensor": watch.schedule.rate})
-    return Policy(
+    policy = Policy(
         kind="remote-lqg",
         steps=steps,
         model=problem.plant,
@@ -133,6 +134,7 @@ def remote_lqg(
         tick=problem.tick,
         schedule=watch.schedule,
     )
+    return within_limits(policy)
 
 
 @dataclass(frozen=True, eq=False)

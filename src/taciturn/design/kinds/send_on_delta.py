@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from taciturn._arrays import instance, number
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.certainty import SEND, design_certainty, expect_average
@@ -121,7 +122,7 @@ def _filter(
     alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
     base = actuator_base(problem.among(unknown), alone.controller)
     errors = bands.errors(base)
-    return Policy(
+    policy = Policy(
         kind="send-on-delta",
         steps=bands.steps(filtered),
         model=plant,
@@ -139,6 +140,7 @@ def _filter(
         tick=problem.tick,
         network=network,
     )
+    return within_limits(policy)
 
 
 def _keep(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taciturn._arrays import Array, instance, number
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, steps_at_the_actuator
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -91,7 +92,7 @@ def variance(
         "threshold, or noise V on the measurement",
     )
     estimation = _measured(plant, network, measured, schedule, corrections)
-    return Policy(
+    policy = Policy(
         kind="variance",
         steps=steps_at_the_actuator(plant, estimation, certainty.regulator.L, network),
         model=plant,
@@ -111,6 +112,7 @@ def variance(
         network=network,
         schedule=schedule,
     )
+    return within_limits(policy)
 
 
 def _wired(network: Network) -> tuple[frozenset[str], ...]:

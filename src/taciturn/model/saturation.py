@@ -1,0 +1,147 @@
+"""The limits of actuators: the input that an actuator applies for a command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, frozen, quoted
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Saturation(Displayed):
+    """The limits of each input, and of its change per step.
+
+    An actuator moves its input towards the command, by at most ``rate``, and stays between ``low`` and ``high``.
+
+    Args:
+        low: lower limit of each input, (m,); −∞ for none.
+        high: upper limit of each input, (m,); ∞ for none.
+        rate: largest change of each input in a step, (m,), ∞ for none; or None.
+
+    Example:
+        >>> limits = Saturation(np.array([0.0]), np.array([10.0]), np.array([3.0]))
+        >>> limits(np.array([20.0]), np.array([5.0])), limits(np.array([-1.0]), np.array([2.0]))
+        (array([8.]), array([0.]))
+    """
+
+    low: Array
+    high: Array
+    rate: Array | None = None
+
+    def __call__(self, wanted: Any, before: Any = None) -> Any:
+        """Return the input that is applied, given the command and the input of the step before."""
+        return np.stack([self._one(i, wanted[i], before) for i in range(len(self.low))])
+
+    def _one(self, i: int, value: Any, before: Any) -> Any:
+        if self.rate is not None and np.isfinite(self.rate[i]):
+            value = _within(value, before[i] - float(self.rate[i]), before[i] + float(self.rate[i]))
+        low, high = (float(limit) if np.isfinite(limit) else None for limit in (self.low[i], self.high[i]))
+        return _within(value, low, high)
+
+    @property
+    def moves(self) -> Saturation | None:
+        """The limits with that of the change, or None if the change of no input is limited."""
+        return self if self.rate is not None and np.isfinite(self.rate).any() else None
+
+    @property
+    def bounded(self) -> bool:
+        """True if every input is limited from both sides."""
+        return bool(np.isfinite(self.low).all() and np.isfinite(self.high).all())
+
+    def of(self, inputs: Sequence[int]) -> Saturation:
+        """Return the limits of some of the inputs."""
+        rows = [*inputs]
+        return replace(
+            self, low=self.low[rows], high=self.high[rows], rate=None if self.rate is None else self.rate[rows]
+        )
+
+    def around(self, rest: Array) -> Saturation:
+        """Return the limits of the deviations from an input, (m,)."""
+        return replace(self, low=self.low - rest, high=self.high - rest)
+
+    def begun(self, before: Array) -> Array:
+        """Return the input before the first step, within the limits."""
+        return np.minimum(np.maximum(before, self.low), self.high)
+
+
+def saturation(limit: Array | None, rate: Array | None) -> Saturation | None:
+    """Return the limits of a plant with ``input_limit`` and ``input_rate``, or None if it has neither."""
+    if limit is None and rate is None:
+        return None
+    sides = limit if limit is not None else np.full((len(cast("Array", rate)), 2), (-np.inf, np.inf))
+    return Saturation(sides[:, 0], sides[:, 1], rate)
+
+
+def limits_from(value: ArrayLike, inputs: int) -> Array:
+    """Return the lower and the upper limit of each input, (m, 2).
+
+    Args:
+        value: one entry per input: a positive number for symmetric limits, or a pair [low, high]; ∞ for an open side.
+        inputs: number of inputs m.
+
+    Raises:
+        ProblemError: there is another number of entries, a number is not positive, or low is not below high.
+    """
+    entries = _entries(value)
+    if not any(np.ndim(entry) for entry in entries):
+        if len(entries) == 2 > inputs:
+            raise ProblemError(
+                "input_limit has shape (2,); expected (1,) = (inputs,), or a pair of limits of the only input: "
+                f"[{quoted(entries)}]"
+            )
+        high = positive("input_limit", value, inputs)
+        return frozen(np.stack([-high, high], axis=1))
+    if len(entries) != inputs:
+        raise ProblemError(f"input_limit has {len(entries)} entries; expected {inputs}, one per input")
+    return frozen(np.array([_pair(f"input_limit[{i}]", entry) for i, entry in enumerate(entries)]))
+
+
+def positive(name: str, value: ArrayLike, inputs: int) -> Array:
+    """Return one positive number per input, (m,), ∞ for no limit.
+
+    Raises:
+        ProblemError: there is another number of entries, or a number is not positive.
+    """
+    entries = _entries(value)
+    limited = [not (isinstance(entry, float) and entry == np.inf) for entry in entries]
+    finite = [entry if kept else 1.0 for entry, kept in zip(entries, limited, strict=True)]
+    found = array(name, finite if np.ndim(cast("Any", value)) else value, (inputs,), "(inputs,)")
+    if (found <= 0).any():
+        raise ProblemError(f"{name} is {found.min():g}; expected positive limits (omit it for no limit)")
+    return frozen(np.where(limited, found, np.inf))
+
+
+def limit_entries(limit: Array) -> list[float | list[float]]:
+    """Return limits, (m, 2), as one entry per input: a number if they are symmetric, or else a pair."""
+    return [float(high) if low == -high else [float(low), float(high)] for low, high in limit]
+
+
+def _entries(value: ArrayLike) -> list[Any]:
+    try:
+        return list(cast("Sequence[Any]", value))
+    except TypeError:  # a number alone
+        return [value]
+
+
+def _pair(name: str, entry: Any) -> tuple[float, float]:
+    """Return the limits of an input from a positive number, or from a pair."""
+    try:
+        low, high = (float(side) for side in (entry if np.ndim(entry) else (-entry, entry)))
+    except (TypeError, ValueError):
+        low, high = np.nan, np.nan
+    if not (low < high and low < np.inf and high > -np.inf):
+        raise ProblemError(f"{name} is {quoted(entry)}; expected a positive number, or [low, high] with low < high")
+    return low, high
+
+
+def _within(value: Any, low: Any, high: Any) -> Any:
+    """Return a number brought between two limits, each of which may be None."""
+    if high is not None:
+        return _within(np.where(value > high, high, value), low, None)
+    return value if low is None else cast("Any", np.where(low > value, low, value))
