@@ -34,6 +34,7 @@ def lower_policy(policy: Policy, network: Network) -> Program:
         policy: the policy.
         network: the links between its nodes.
     """
+    policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
     plant = policy.model
     tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)})
@@ -133,3 +134,9 @@ def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
         return by, Scheduled(matrix.by, matrix.values @ factor) if isinstance(matrix, Scheduled) else matrix @ factor
 
     return replace(step, branches=tuple(dict(term(*one) for one in terms.items()) for terms in step.branches))
+
+
+def add_values(tick: TimeStep, values: Operands, more: Operands) -> Operands:
+    """Return the sum of two vectors."""
+    return [tick.builder.emit("add", value, other) for value, other in zip(values, more, strict=True)]
+
