@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
 STILL = 1e-10  # drift that is a rounding error, relative to its terms
-ESTIMATE = "estimate"
+ESTIMATE, HELD = "estimate", "held"  # names of signals of all designs
 
 
 def counted_from(plant: AnyPlant, point: OperatingPoint | None) -> AnyPlant:
@@ -87,6 +87,8 @@ def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
     """Return what is added to each signal: the point to measurements, inputs and the estimate, and to their copies."""
     y, sizes = policy.model.C @ point.x, policy.sizes
     found = {name: point.u[[*inputs]] for name, (_, inputs) in policy.applied.items()}
+    held = {f"{HELD}_{node}": point.u[[*inputs]] for node, inputs in policy.applied.values()} | {HELD: point.u}
+    found |= {name: value for name, value in held.items() if sizes.get(name) == len(value)}
     found |= {name: y[[*outputs]] for name, (_, outputs) in policy.measured.items()}
     if sizes.get(ESTIMATE) == len(point.x):
         found[ESTIMATE] = point.x

@@ -11,7 +11,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import ONE, Assign, Policy, Step
+from taciturn.model.policy import Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
@@ -59,14 +59,12 @@ class CopiedInput:
         held: the copy.
         effect: its matrix.
         inputs: indices of the inputs.
-        rest: the inputs from which the copy deviates.
     """
 
     signal: str
     held: str
     effect: Array
     inputs: tuple[int, ...]
-    rest: Array
 
 
 def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
@@ -74,16 +72,13 @@ def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
     names = {HELD: tuple(range(policy.model.inputs))} | {
         f"{HELD}_{node}": rows for node, rows in policy.applied.values()
     }
-    rest, found = np.zeros(policy.model.inputs), list[CopiedInput]()
-    for step in (step for step in policy.steps if isinstance(step, Assign)):
-        if step.signal in policy.applied and isinstance(given := step.branches[-1].get(ONE), np.ndarray):
-            rest[[*policy.applied[step.signal][1]]] = given[:, 0]
+    found = list[CopiedInput]()
     for step in (step for step in policy.steps if isinstance(step, Assign) and step.on is None):
         told = step.signal == FILTER or (step.signal in REGISTERS and step.at in policy.site(policy.network.controller))
         for held in (name for name in step.branches[0] if told and name in names):
             effect = step.branches[0][held]
             if isinstance(effect, np.ndarray):
-                found.append(CopiedInput(step.signal, held, effect, names[held], rest[[*names[held]]]))
+                found.append(CopiedInput(step.signal, held, effect, names[held]))
     return tuple(found)
 
 
