@@ -20,7 +20,7 @@ from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.steps import ONE, Apply, Assign, Decide, Evaluate, Received, Step, Terms, assigned, read
 from taciturn.model.theory import Theory
-from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.model.trigger import Form, Matrix, Scheduled, shape_of
 
 if TYPE_CHECKING:
     from taciturn.model.policy import Policy
@@ -71,14 +71,15 @@ def in_units(policy: Policy) -> Policy:
     point = policy.model.operating_point
     if point is None:
         return policy
-    moves = _moves(policy, point)
+    moves, theory = _moves(policy, point), policy.theory
+    sums = {name: _moved_terms(terms, moves.get(name), moves) for name, terms in theory.sums.items()}
     assigns = {name for step in policy.steps for name in assigned(step)}
     initial = {name: moves[name] + policy.initial.get(name, 0.0) for name in moves if name in assigns}
     return replace(
         policy,
         steps=tuple(found for step in policy.steps for found in _moved(step, moves)),
         model=about(policy.model, None),
-        theory=Theory(cost=policy.theory.cost, cost_all_time=policy.theory.cost_all_time),
+        theory=Theory(cost=theory.cost, cost_all_time=theory.cost_all_time, sums=sums),
         initial={**policy.initial, **initial},
     )
 
@@ -90,7 +91,7 @@ def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
     held = {f"{HELD}_{node}": point.u[[*inputs]] for node, inputs in policy.applied.values()} | {HELD: point.u}
     found |= {name: value for name, value in held.items() if sizes.get(name) == len(value)}
     found |= {name: y[[*outputs]] for name, (_, outputs) in policy.measured.items()}
-    if sizes.get(ESTIMATE) == len(point.x):
+    if sizes.get(ESTIMATE, len(point.x)) == len(point.x):  # it may be a sum of signals of several nodes
         found[ESTIMATE] = point.x
     copies = list[tuple[str, str]]()
     for step in (step for step in policy.steps if isinstance(step, Assign)):
@@ -143,17 +144,18 @@ def _moved_sum(step: Assign, moves: Mapping[str, Array]) -> tuple[Step, ...]:
     ]
     branches = list[Terms]()
     for terms in step.branches:
-        constant, found = moves.get(step.signal, np.zeros(step.size)), dict[str, Matrix]()
-        for name, matrix in terms.items():
-            if name in moves and not isinstance(matrix, Scheduled) and name not in tables:
-                constant = constant - matrix @ moves[name]
-            found[_deviation(name) if name in tables else name] = matrix
-        branches.append(_with_constant(found, constant))
+        renamed = {_deviation(name) if name in tables else name: matrix for name, matrix in terms.items()}
+        branches.append(_moved_terms(renamed, moves.get(step.signal), moves))
     before = _deviations(step, tables, moves)
     return *before, Assign(step.at, step.signal, tuple(branches) if step.on else branches[0], step.on)
 
 
-def _with_constant(terms: dict[str, Matrix], constant: Array) -> Terms:
+def _moved_terms(terms: Terms, move: Array | None, moves: Mapping[str, Array]) -> Terms:
+    """Return the terms of a sum with the constant by which it and its signals are moved."""
+    constant = np.zeros(shape_of(next(iter(terms.values())))[0]) if move is None else move
+    for name, matrix in terms.items():
+        if name in moves and not isinstance(matrix, Scheduled):
+            constant = constant - matrix @ moves[name]
     if not constant.any():
         return terms
     stated = terms.get(ONE)

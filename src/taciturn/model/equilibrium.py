@@ -8,7 +8,7 @@ from taciturn._arrays import Array, ArrayLike, array, quoted
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 
-NEWTON, REST = 50, 1e-13  # most steps of Newton's method, and its largest relative residual
+NEWTON, REST = 50, 1e-13  # most steps of Newton's method, and its largest residual relative to the first state
 
 
 def equilibrium(function: Map, x: ArrayLike, u: ArrayLike) -> Array:
@@ -35,12 +35,12 @@ def equilibrium(function: Map, x: ArrayLike, u: ArrayLike) -> Array:
     if not callable(function):
         raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
     found, input = array("x", x, (None,), "(states,)"), array("u", u, (None,), "(inputs,)")
-    f, n = Dynamics(function), len(found)
+    f, n, size = Dynamics(function), len(found), max(1.0, float(np.abs(found).max()))
     for _ in range(NEWTON):
         off = f(found, input, np.zeros(n)) - found
         if not np.isfinite(off).all():
             break
-        if np.abs(off).max() <= REST * max(1.0, float(np.abs(found).max())):
+        if np.abs(off).max() <= REST * size:
             return found
         slope = f.derivatives(found, input)[0] - np.eye(n)
         found = found - np.linalg.lstsq(slope, off, rcond=None)[0]
