@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import resting_states
-from taciturn.model.coverage import BURSTS, FUNCTION, JUMPS, LIMIT, ROUNDING
+from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, ROUNDING
 from taciturn.model.information import unheard_acknowledgements
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
@@ -46,7 +46,8 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
 
     found = {
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
-        "the plant is not the one of the design": not plant.same_as(model),
+        "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
+        "the plant does not rest at the operating point of the design": lacks(DRIFT),
         "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
         "inputs are clipped (input_limit)": "plant.input_limit" in missing,
         "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
@@ -57,5 +58,5 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
-    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING]
+    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT]
     return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.model.coordinates import about
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED, uncovered
 from taciturn.model.disturbance import padded
@@ -21,10 +23,10 @@ from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.set_points import SampledChanges
-from taciturn.model.steps import assigned
+from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
-from taciturn.program.controller import Begin, begin_time_step, gather_input, measure, replaced
+from taciturn.program.controller import Begin, add_values, begin_time_step, gather_input, measure, replaced
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
@@ -90,6 +92,16 @@ class Loop(Displayed):
     def nominal(self) -> bool:
         """True if plant, network and cost are those of the policy's design, so that its theory applies."""
         return not self.violated_assumptions
+
+    @cached_property
+    def in_units(self) -> Loop:
+        """The loop in the units of the plant, as nodes run it; a loop counts from the policy's operating point."""
+        point = self.problem.plant.operating_point
+        if point is None:
+            return self
+        problem = replace(self.problem, plant=about(self.problem.plant, None), rest=point)
+        told = self.violated_assumptions or ("states and inputs are in the units of the plant",)
+        return replace(self, problem=problem, policy=self.policy.in_units, violated_assumptions=told)
 
     @property
     def departures(self) -> tuple[str, ...]:
@@ -182,7 +194,7 @@ class Loop(Displayed):
         tick.draw_losses(self.policy, self.network)
         if innovations.signal is None:
             expected = tick.combine(innovations.predicted, len(spread))
-            tick.signals["y"] = _add(tick, expected, tick.combine({INNOVATION_DRAWS: spread}, len(spread)))
+            tick.signals["y"] = add_values(tick, expected, tick.combine({INNOVATION_DRAWS: spread}, len(spread)))
             measure(tick, self.policy, tick.signals["y"])
         for step in self.policy.steps:
             if innovations.signal is None:
@@ -232,6 +244,7 @@ class Loop(Displayed):
             return None
         x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == "x"])
         x -= 0.0 if tracking is None else tracking.final[:, None]
+        x -= 0.0 if self.problem.rest is None else self.problem.rest.x[:, None]
         return np.einsum("ip,ij,jp->p", x, terminal, x)
 
     def ticks(self, ticks: object) -> int:
@@ -279,8 +292,8 @@ class Loop(Displayed):
         plant = self.problem.plant
         y = tick.combine({"x": plant.C}, plant.outputs)
         if supplied:
-            return _add(tick, y, tick.supplied("v", plant.outputs))
-        return _add(tick, y, draw_noise(tick, factor(plant.V))) if plant.V.any() else y
+            return add_values(tick, y, tick.supplied("v", plant.outputs))
+        return add_values(tick, y, draw_noise(tick, factor(plant.V))) if plant.V.any() else y
 
     def _moved(self, tick: TimeStep, supplied: bool = False) -> list[int]:
         plant = self.problem.plant
@@ -288,9 +301,10 @@ class Loop(Displayed):
             noise = self._disturbance(tick, supplied) or [tick.builder.constant(0.0)] * plant.states
             given = {"x": tick.read("x"), "u": tick.read("applied"), "w": noise}
             return trace(tick.builder, plant.function.function, given, {"x": plant.states})["x"]
-        moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
+        drift = {} if plant.drift is None else {ONE: plant.drift[:, None]}
+        moved = tick.combine({"x": plant.A, "applied": plant.B, **drift}, plant.states)
         noise = self._disturbance(tick, supplied)
-        return _add(tick, moved, noise) if noise else moved
+        return add_values(tick, moved, noise) if noise else moved
 
     def _disturbance(self, tick: TimeStep, supplied: bool) -> list[int]:
         """Return the process noise w, as an input or drawn; an empty list if it is 0."""
@@ -304,13 +318,18 @@ class Loop(Displayed):
         return draw_noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
 
     def _deviate(self, tick: TimeStep) -> tuple[str, str]:
-        """Return the signals that the cost weights: state and input, or their deviations from a reference."""
-        tracking, plant = self.policy.tracking, self.problem.plant
-        if tracking is None:
+        """Return the signals that the cost weights: state and input, or their deviations from a reference or point."""
+        tracking, rest, plant = self.policy.tracking, self.problem.rest, self.problem.plant
+        if tracking is None and rest is None:
             return "x", "applied"
-        n, m = np.eye(plant.states), np.eye(plant.inputs)
-        tick.signals["x off"] = tick.combine({"x": n, tracking.state: -n}, plant.states)
-        tick.signals["applied off"] = tick.combine({"applied": m, tracking.input: -m}, plant.inputs)
+        for name, size, followed, value in (
+            ("x", plant.states, tracking and tracking.state, rest and rest.x),
+            ("applied", plant.inputs, tracking and tracking.input, rest and rest.u),
+        ):
+            terms = {name: np.eye(size)}
+            terms |= {} if followed is None else {followed: -np.eye(size)}
+            terms |= {} if value is None else {ONE: -value[:, None]}
+            tick.signals[f"{name} off"] = tick.combine(terms, size)
         return "x off", "applied off"
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
@@ -380,6 +399,7 @@ def close(
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
+    problem = replace(problem, plant=about(problem.plant, policy.model.operating_point))
     SIMULATED.check(network, policy.parts, policy.designed_for)
     check_network(policy, network)
     check_plants(problem, policy)
@@ -388,8 +408,5 @@ def close(
             f"cost.horizon is {cost.horizon}, but the reference has {policy.cost.horizon} steps; expected equal lengths"
         )
     missing = uncovered(policy.theory.covers, plant, problem.plant, cost, network, policy.parts)
-    return Loop(problem, policy, network, list_violations(problem, policy, network, missing))
-
-
-def _add(tick: TimeStep, values: list[int], noise: list[int]) -> list[int]:
-    return [tick.builder.emit("add", value, drawn) for value, drawn in zip(values, noise, strict=True)]
+    loop = Loop(problem, policy, network, list_violations(problem, policy, network, missing))
+    return loop.in_units if network.rounded else loop  # the rounding depends on the units

@@ -59,11 +59,11 @@ def test_a_step_of_the_set_point_is_that_of_a_textbook(of: tuple[str, dict[str, 
     plant = Plant(TANK.A, TANK.B, noise, TANK.C, [[QUIET]], STEP, input_limit=limits)
     pid = replace(KEPT, setpoint=2.0, **changes)
     policy = sends_every_sample(design.excess(plant, WEIGHTS, delta=0.0, controller=pid, link=link))
-    loop = taciturn.close(plant, policy)
+    loop = taciturn.close(plant, policy).in_units
     program = loop.program()
     found = run(program, loop.start(program, 1, 0), 300).outputs[Entry("y", 0)][:, 0]
     assert found == pytest.approx(by_hand(pid, limit, 300), abs=1e-6)
-    assert loop.nominal == np.isinf(limit)
+    assert taciturn.close(plant, policy).nominal == np.isinf(limit)
 
 
 @pytest.mark.evidence
@@ -84,7 +84,7 @@ def test_costs_are_those_of_the_deviations() -> None:
         design.event_pid_saturated(TANK, WEIGHTS, delta=0.04, controller=pid),
         design.symmetric_send_on_delta(TANK, WEIGHTS, delta=0.04, controller=pid),
     ):
-        loop = taciturn.close(TANK, policy)
+        loop = taciturn.close(TANK, policy).in_units
         program = loop.program()
         late = run(program, loop.start(program, 100, 0), 900).outputs[Entry("y", 0)][600:]
         assert late.mean() == pytest.approx(2.0, abs=0.03)

@@ -35,6 +35,7 @@ def open_program(loop: Loop) -> Program:
 
 def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True) -> tuple[Records, np.ndarray]:
     """Return what a loop shows, (steps, paths) by name, and the draws of its policy, (steps, draws, paths)."""
+    loop = loop.in_units
     program = open_program(loop)
     draws = np.random.default_rng(seed)
     normal = [is_entry(name, NORMAL) for name in program.inputs]

@@ -33,12 +33,11 @@ NAMES = ("command", "candidate", "silent", HELD)  # inputs as a node computes th
 COMPARED = ("error", "moved")  # differences of commands
 
 
-def within_limits(policy: Policy, rest: Array | None = None) -> Policy:
+def within_limits(policy: Policy) -> Policy:
     """Return a policy with anti-windup for the limits of its model; without limits, it is the same.
 
     Args:
         policy: the policy, in which ``held`` is a node's copy of the input.
-        rest: input u* from which the commands deviate, (m,); default: 0. ``input`` is the whole input.
 
     Raises:
         ProblemError: the actuator applies 0 in silence, and 0 is beyond a limit.
@@ -46,15 +45,15 @@ def within_limits(policy: Policy, rest: Array | None = None) -> Policy:
     limits = policy.model.saturation
     if limits is None:
         return policy
-    return _Limited(policy, limits, np.zeros(policy.model.inputs) if rest is None else rest).policy()
+    return _Limited(policy, limits).policy()
 
 
 class _Limited:
     """The steps of a policy, and the inputs that its signals contain."""
 
-    def __init__(self, policy: Policy, limits: Saturation, rest: Array) -> None:
+    def __init__(self, policy: Policy, limits: Saturation) -> None:
         """Find the signals that contain inputs: those that a node applies or holds, and those copied to them."""
-        self._policy, self._limits, self._rest = policy, limits, rest
+        self._policy, self._limits = policy, limits
         self._inputs = {signal: [*rows] for signal, (_, rows) in policy.applied.items()}
         sums = [step for step in policy.steps if isinstance(step, Assign)]
         rows: dict[str, list[int]] = {HELD: [*range(policy.model.inputs)]}
@@ -96,9 +95,7 @@ class _Limited:
 
     def _of(self, signal: str) -> Saturation:
         """Return the limits of the inputs that a signal contains."""
-        rows = self._rows[signal]
-        limits = self._limits.of(rows)
-        return limits if signal in self._inputs else limits.around(self._rest[rows])
+        return self._limits.of(self._rows[signal])
 
     def _steps(self, step: Step) -> Iterator[Step]:
         if not isinstance(step, Assign):

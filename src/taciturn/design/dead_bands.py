@@ -51,7 +51,7 @@ def keep_at_nodes(
     """
     loop = KeptLoop.of(plant, cost, period, kept)
     plant = loop.problem.plant
-    if plant.saturation is not None or loop.point.moved or loop.point.before.any() or loop.point.start.any():
+    if plant.saturation is not None or loop.point.moved:
         limit = "input_rate" if plant.input_limit is None else "input_limit"
         got = "the controller has a set-point" if plant.saturation is None else f"plant.{limit} is given"
         raise ProblemError(

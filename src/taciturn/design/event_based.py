@@ -21,7 +21,6 @@ from taciturn._display import Displayed
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, expect_average
 from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.operating_point import OperatingPoint
 from taciturn.design.routes import sensor_base
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
@@ -107,6 +106,7 @@ def design_event_pid(
         )
     expect_average(kind, cost)
     loop = KeptLoop.of(plant, cost, period, kept)
+    (own,) = pids_of(loop.kept)
     plant, step = loop.problem.plant, loop.problem.plant.dt
     if plant.inputs != 1 or plant.outputs != 1:
         raise ProblemError(
@@ -129,10 +129,10 @@ def design_event_pid(
     compute: tuple[Step, ...] = (
         Assign("controller", HEARD, ({HEARD: one}, {"y": one}), Received("sensor")),
         Assign("controller", FRESH, ({ONE: 0.0 * one}, {ONE: one}), Received("sensor")),
-        Apply("controller", dict.fromkeys(STATE, 1), EventPID(kept, step, area), (HEARD, FRESH, *STATE)),
+        Apply("controller", dict.fromkeys(STATE, 1), EventPID(own, step, area), (HEARD, FRESH, *STATE)),
         Assign("actuator", "input", {"command": one}),
     )
-    initial = {"elapsed": np.ones(1), **_begun(kept, loop.point), **({"age": np.full(1, 1e6)} if late else {})}
+    initial = {"elapsed": np.ones(1), **_begun(own, loop), **({"age": np.full(1, 1e6)} if late else {})}
     return loop.policy(
         kind,
         sensor_base(loop.problem, loop.controller),
@@ -142,10 +142,11 @@ def design_event_pid(
     )
 
 
-def _begun(pid: PID, point: OperatingPoint) -> dict[str, Array]:
+def _begun(pid: PID, loop: KeptLoop) -> dict[str, Array]:
     """Return the integral part of the command at the start, and the measurement before it, relative to the rest."""
-    before = point.plant.C @ point.plant.mean - point.output
-    integral = point.input + pid.kp * (1 - pid.b) * pid.setpoint
+    plant, steady = loop.problem.plant, loop.point.input
+    before = plant.C @ plant.mean
+    integral = steady + pid.kp * (1 - pid.b) * pid.setpoint
     if pid.start_input is not None:
-        integral = point.input - pid.start_input - pid.kp * before
+        integral = steady - pid.start_input - pid.kp * before
     return {"area": integral, "before": before}

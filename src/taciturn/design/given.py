@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import Array, choice
+from taciturn._arrays import choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
@@ -107,7 +107,7 @@ def keep_controller(
     watch = () if watched is None else watch_innovations(INNOVATION, watched, at)
     if watch:
         watch, rule = _unless(WATCH, watch, rule, forbidden)
-    clipped = _at_limits(plant, controller, loop.point.input, at)
+    clipped = _at_limits(plant, controller, at)
     if clipped:  # the cost of silence assumes inputs without limits
         clipped, rule = _unless(LIMIT, clipped, rule, forbidden)
     again, follow = _retried(link, at) if retry else ((), ())
@@ -156,7 +156,7 @@ def keep_controller(
         notes=(*([] if lossy else loop.beside_lqg(all_time)), *loop.notes),
         disturbance=loop.disturbance,
     )
-    return loop.point.applied_to(policy)
+    return loop.carried_out(policy)
 
 
 def drops(network: Network, link: str) -> bool:
@@ -205,11 +205,11 @@ def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: fl
     return (*before, Evaluate(made.at, name, (silent, *others), decision)), Form(plus={name: 1.0})
 
 
-def _at_limits(plant: Plant, controller: Controller, steady: Array, at: str) -> tuple[Step, ...]:
+def _at_limits(plant: Plant, controller: Controller, at: str) -> tuple[Step, ...]:
     """Return the steps that decide whether an actuator cannot apply the command that a packet causes."""
     if plant.saturation is None:
         return ()
-    limits, m = plant.saturation.around(steady), plant.inputs
+    limits, m = plant.saturation, plant.inputs
     beyond = {f"input {i + 1} limited": Form((BEYOND,), -np.diag(row)) for i, row in enumerate(np.eye(m))}
     return (
         Assign(at, WOULD, nonempty({REGISTER: controller.C, MEASURED: controller.D})),

@@ -8,19 +8,20 @@ from functools import cached_property
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn.design.anti_windup import within_limits
 from taciturn.design.base import Base, advantage
 from taciturn.design.bounds import bound_by_errors
 from taciturn.design.certainty import design_certainty
 from taciturn.design.kept import disturbed, note_disturbance, recovery, remedy_of
-from taciturn.design.operating_point import OperatingPoint, operating_point
 from taciturn.design.routes import actuator_base
 from taciturn.design.same_control import SameControl
+from taciturn.design.set_point import Rest, rest_of
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
-from taciturn.model.kept import Kept
+from taciturn.model.kept import Kept, relative_to
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy, Step
@@ -32,7 +33,7 @@ class KeptLoop(Displayed):
     """A given controller and its plant in deviations from the point at which they rest.
 
     Args:
-        kept: the controller, which may depend on the step.
+        kept: the controller, which may depend on the step, its set-points relative to the plant's operating point.
         controller: the controller at the step.
         problem: the discrete-time problem of the deviations, with the slow disturbance.
         point: the point at which the loop rests.
@@ -42,7 +43,7 @@ class KeptLoop(Displayed):
     kept: Kept
     controller: Controller
     problem: Discrete
-    point: OperatingPoint
+    point: Rest
     disturbance: Disturbance | None
 
     @staticmethod
@@ -54,9 +55,14 @@ class KeptLoop(Displayed):
                 "use; expected LQG with link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links, or "
                 "the keys setpoint and disturbance of the controller"
             )
+        kept = relative_to(kept, plant)
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
-        point = operating_point(problem, controller)
+        point = rest_of(problem, controller)
         return KeptLoop(kept, controller, point.deviations(problem), point, disturbance)
+
+    def carried_out(self, policy: Policy) -> Policy:
+        """Return a policy with the start of the controller and with the limits of the inputs."""
+        return within_limits(self.point.begun(policy))
 
     @cached_property
     def remedy(self) -> str:
@@ -135,7 +141,7 @@ class KeptLoop(Displayed):
             recovery=recovery(base, problem.plant, self.disturbance),
             periodic=SameControl(problem, self.kept, base),
         )
-        return self.point.applied_to(
+        return self.carried_out(
             Policy(
                 kind=kind,
                 steps=steps,

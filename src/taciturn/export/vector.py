@@ -63,6 +63,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     Raises:
         ProblemError: the loop is so unstable that it leaves the range of numbers.
     """
+    loop = loop.in_units
     program, plant = loop.open_program(), loop.problem.plant
     generator = np.random.default_rng(seed)
     noise = {"w": factor(plant.W), "v": factor(plant.V)}

@@ -18,9 +18,11 @@ from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._followed import followed
 from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
+from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.exosystem import Exosystem
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 from taciturn.model.saturation import limit_entries
 
@@ -41,6 +43,7 @@ class Discrete(Displayed):
         sampled: whether the plant is continuous in time, so that rates are per second.
         prediction: the model of an actuator that predicts, or None; the input of ``plant`` is the state of this model.
         source: the plant before it was sampled.
+        rest: the state and input from which the cost counts deviations; None for zero.
     """
 
     plant: Plant
@@ -54,11 +57,12 @@ class Discrete(Displayed):
     sampled: bool = False
     prediction: Prediction | None = None
     source: Plant | ContinuousPlant | None = None
+    rest: OperatingPoint | None = None
 
     def summary(self) -> Mapping[str, object]:
         """Return the fields by name, with the number of inputs of the plant before it was sampled."""
         shown = {**super().summary(), "plant": self.short()}
-        return {name: value for name, value in shown.items() if name != "source"}
+        return {name: value for name, value in shown.items() if name not in ("source", "rest")}
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
@@ -95,6 +99,8 @@ class Discrete(Displayed):
             p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
             p.input_limit, input_rate=p.input_rate,
         )  # fmt: skip
+        point = p.operating_point
+        plant = counted_from(plant, None if point is None else OperatingPoint(point.x[states], point.u))
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states])
 
     @property
@@ -189,6 +195,10 @@ def discretise(
     discrete = Plant(
         sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit, input_rate=rate
     )
+    point = plant.operating_point
+    if point is not None and prediction is not None:  # the input is the state of the actuator's model
+        point = OperatingPoint(point.x, point.x)
+    discrete = counted_from(discrete, point)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return Discrete(
         discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction, plant

@@ -11,7 +11,9 @@ from taciturn._modes import lost_modes, reach
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.sampling import sample
+from taciturn.model.coordinates import counted_from
 from taciturn.model.exosystem import Exosystem
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant
 
 SOLVED = 1e-9  # relative residual of the equations
@@ -114,6 +116,11 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         plant.input_limit, plant.function, input_rate=plant.input_rate,
     )  # fmt: skip
     object.__setattr__(with_all, "changes", changes)
+    point = plant.operating_point
+    if point is not None:  # set-points are the states that act on nothing but z, in its units
+        free = np.where(np.vstack([e.E, e.G]).any(axis=0), 0.0, e.F)
+        at_rest = np.linalg.lstsq(free, -e.outputs @ point.x, rcond=None)[0] if free.any() else np.zeros(q)
+        with_all = counted_from(with_all, OperatingPoint(np.concatenate([point.x, at_rest]), point.u))
     if isinstance(source, Plant):
         object.__setattr__(with_all, "alone", source)
     return replace(

@@ -25,7 +25,11 @@ from taciturn.model.losses import LossLaw
 MODEL = "taciturn.model."
 _PREFIXES = {"Plant": "plant", "ContinuousPlant": "plant"}
 _OWN = ("Cost", "Network", "Jumps", "Reference", "Tracking", "Controller", "Disturbance", "Exosystem")
-_PREFIXES |= {name: name.lower() for name in _OWN} | {"NodeRole": "nodes", "LinkLaw": "links"}
+_PREFIXES |= {name: name.lower() for name in _OWN} | {
+    "NodeRole": "nodes",
+    "LinkLaw": "links",
+    "OperatingPoint": "operating_point",
+}
 _NEUTRAL: Mapping[str, object] = {"cost.discount": 1.0}  # neutral values other than the default of a field, or zero
 _ABSENT = {"Trigger.limit"}  # fields whose zero is not neutral
 _OPAQUE = ("plant.function", "Apply.function")  # callables
@@ -38,7 +42,10 @@ def names(owner: str, properties: str) -> frozenset[str]:
     return frozenset({owner, *(f"{owner}.{name}" for name in properties.split())})
 
 
-LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state")
+# states and inputs are deviations from an operating point, so all that holds for a plant around 0 holds there
+POINT = names("operating_point", "x u") | {"plant.operating_point"}
+LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state") | POINT
+DRIFT = frozenset({"plant.drift"})
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit", "plant.input_rate"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
 EXOSYSTEM = names("exosystem", "S E G W start outputs F changes") | {"plant.exosystem", "plant.alone"}
@@ -78,7 +85,7 @@ FUNCTIONS = names("Apply", "at signals function reads")
 
 LINEAR_LOOP = LINEAR_PLANT | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
-PLANTS = LINEAR_PLANT | EXOSYSTEM | CHANGES | FUNCTION | LIMIT | JUMPS
+PLANTS = LINEAR_PLANT | EXOSYSTEM | CHANGES | FUNCTION | LIMIT | JUMPS | DRIFT
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself

@@ -11,6 +11,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.saturation import Saturation, saturation
 from taciturn.model.trigger import Matrix, Scheduled
 
@@ -36,6 +37,7 @@ class DisplayedPlant(Displayed):
     input_limit: Array | None
     input_rate: Array | None
     full_state: bool
+    operating_point: OperatingPoint | None
     continuous: ClassVar[bool] = True
 
     @property
@@ -62,6 +64,17 @@ class DisplayedPlant(Displayed):
         return found
 
     @property
+    def stated_mean(self) -> Array:
+        """The mean of the initial state in the units of the plant, (n,)."""
+        return self.mean if self.operating_point is None else self.mean + self.operating_point.x
+
+    @property
+    def stated_limit(self) -> Array | None:
+        """The limits of the inputs in the units of the plant, (m, 2), or None."""
+        limit, point = self.input_limit, self.operating_point
+        return limit if limit is None or point is None else limit + point.u[:, None]
+
+    @property
     def time(self) -> str:
         """Description of the time base."""
         return "continuous in time"
@@ -84,9 +97,10 @@ class DisplayedPlant(Displayed):
             "C": None if self.full_state else self.C,
             "W": self.W,
             "V": None if self.full_state else self.V,
-            "mean": self.mean if self.mean.any() else None,
+            "operating point": None if self.operating_point is None else self.operating_point.short(),
+            "mean": self.stated_mean if self.mean.any() else None,
             "covariance": self.covariance if self.covariance.any() else None,
-            "input limit": None if self.input_limit is None else limits_text(self.input_limit),
+            "input limit": None if self.stated_limit is None else limits_text(self.stated_limit),
             "input rate": None if self.input_rate is None else rates_text(self.input_rate, self.continuous),
         }
 

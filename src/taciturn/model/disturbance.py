@@ -14,8 +14,10 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, block_diagonal, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.dynamics import Dynamics
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant
 
 USUAL_STEPS = 1000.0  # default time constant in steps
@@ -116,10 +118,12 @@ class Disturbance(Displayed):
         """Return the plant with the state x, the inverse of ``added_to``."""
         n = plant.states - plant.inputs
         function = None if plant.function is None else cast("_Disturbed", plant.function.function).function
-        return Plant(
+        point = plant.operating_point
+        alone = Plant(
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
             plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate,
         )  # fmt: skip
+        return counted_from(alone, None if point is None else OperatingPoint(point.x[:n], point.u))
 
 
 def padded(cost: Cost, inputs: int) -> Cost:
@@ -141,15 +145,19 @@ def _with(plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array) -
     B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, np.zeros((p, m))])
     noise, mean, rate = block_diagonal(plant.W, W * np.eye(m)), np.concatenate([plant.mean, start]), plant.input_rate
     covariance = block_diagonal(plant.covariance, np.zeros((m, m)))
+    here = plant.operating_point
+    point = None if here is None else OperatingPoint(np.concatenate([here.x, np.zeros(m)]), here.u)
     if isinstance(plant, ContinuousPlant):
         if plant.jumps is not None:
             raise ProblemError(
                 "the plant has jumps, and a slow disturbance needs Gaussian noise; expected W instead of jumps, or no "
                 "disturbance"
             )
-        return ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate)
+        found = ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate)
+        return counted_from(found, point)
     function = None if plant.function is None else _Disturbed(plant.function, n, kept)
-    return Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate)
+    found = Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate)
+    return counted_from(found, point)
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,7 +23,7 @@ Map: TypeAlias = Callable[[Any, Any, Any], Any]
 LARGEST_STEP, STEPS = 0.05, 24  # first step of a difference quotient; number of times that it is halved
 SETTLED = 1e-12  # relative difference between two extrapolations at which the iteration stops
 TOLERANCE = 1e-6  # of a given A or B, relative to its largest entry
-AT_REST = 1e-9  # largest entry of f(0, 0, 0) at an equilibrium
+AT_REST = 1e-9  # largest entry of f(x, u, 0) − x at an equilibrium, relative to x above 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,33 +69,38 @@ class Dynamics(Displayed):
             )
         return result
 
-    def check(self, A: Array, B: Array, W: Array) -> None:
-        """Reject a function whose linearisation at 0 differs from the given matrices A and B.
+    def check(self, A: Array, B: Array, W: Array, at: tuple[Array, Array] | None = None) -> None:
+        """Reject a function whose linearisation at an operating point differs from the given matrices A and B.
 
         The noise must enter as in A x + B u + w: wherever W is not zero, the derivative with respect to w must be the
         identity.
 
+        Args:
+            A: stated derivative with respect to x, (n, n).
+            B: stated derivative with respect to u, (n, m).
+            W: covariance of the noise, (n, n).
+            at: the operating point (x, u); default 0.
+
         Raises:
-            ProblemError: if the function fails, 0 is not an equilibrium, or a derivative differs from its given value.
+            ProblemError: if the function fails, the point is not an equilibrium, or a derivative differs from its given
+                value.
         """
         n, m = B.shape
-        rest = self(np.zeros(n), np.zeros(m), np.zeros(n))
-        _expect_finite(rest, "function", "at x = 0, u = 0, w = 0")
-        if np.abs(rest).max() > AT_REST:
-            i = int(np.abs(rest).argmax())
-            raise ProblemError(
-                f"function gives {rest[i]:.6g} as state {i + 1} at x = 0, u = 0, w = 0; expected 0, the equilibrium "
-                "about which A and B are its linearisation: define states and inputs relative to the equilibrium"
-            )
-        derivatives = self.derivatives(n, m)
-        remedy = f": use A, B = taciturn.linearise(function, {n}, {m})"
+        x, u = (np.zeros(n), np.zeros(m)) if at is None else at
+        point = "0" if at is None else "the operating point"
+        rest = self(x, u, np.zeros(n))
+        _expect_finite(rest, "function", f"at {'x = 0, u = 0' if at is None else point}, w = 0")
+        _expect_rest(x, rest, at is not None)
+        derivatives = self.derivatives(x, u)
+        where = "" if at is None else ", at=(x, u)"
+        remedy = f": use A, B = taciturn.linearise(function, {n}, {m}{where})"
         for name, by, found, stated in (("A", "x", derivatives[0], A), ("B", "u", derivatives[1], B)):
             wrong = _first_apart(found, stated)
             if wrong is not None:
                 i, j = wrong
                 raise ProblemError(
                     f"{name} has {stated[i, j]:.10g} in row {i + 1}, column {j + 1}, and the derivative of function "
-                    f"with respect to {by} at 0 has {found[i, j]:.10g} there; expected the linearisation of the "
+                    f"with respect to {by} at {point} has {found[i, j]:.10g} there; expected the linearisation of the "
                     f"function{remedy}"
                 )
         wrong = _first_apart(derivatives[2] @ W, W)
@@ -103,27 +108,27 @@ class Dynamics(Displayed):
             i = wrong[0]
             row = ", ".join(f"{value:.6g}" for value in derivatives[2][i])
             raise ProblemError(
-                f"the derivative of function with respect to w at 0 has the row [{row}] for state {i + 1}; "
+                f"the derivative of function with respect to w at {point} has the row [{row}] for state {i + 1}; "
                 "expected the identity wherever W is not 0, as in A x + B u + w: define W as the covariance of the "
                 "noise that is added to the next state"
             )
-        probe = np.full(n, 1e-3), np.full(m, 1e-3), np.zeros(n)
+        probe = x + 1e-3, u + 1e-3, np.zeros(n)
         if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
             raise ProblemError(
                 "function gives two different results for the same x, u and w; expected a deterministic function, "
                 "with noise from w only"
             )
 
-    def derivatives(self, states: int, inputs: int) -> tuple[Array, Array, Array]:
-        """Return the derivatives with respect to x, u and w at 0, computed once: (n, n), (n, m), (n, n)."""
-        sizes = (states, inputs, states)
-        if sizes not in self._derivatives:
-            self._derivatives[sizes] = _derivatives(self, [np.zeros(size) for size in sizes])
-        A, B, G = self._derivatives[sizes]
+    def derivatives(self, x: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return the derivatives with respect to x, u and w at a point, computed once: (n, n), (n, m), (n, n)."""
+        key = (x.tobytes(), u.tobytes())
+        if key not in self._derivatives:
+            self._derivatives[key] = _derivatives(self, [x, u, np.zeros(len(x))])
+        A, B, G = self._derivatives[key]
         return A, B, G
 
     @cached_property
-    def _derivatives(self) -> dict[tuple[int, ...], list[Array]]:
+    def _derivatives(self) -> dict[tuple[bytes, bytes], list[Array]]:
         return {}
 
     def __reduce__(self) -> tuple[Callable[..., Dynamics], tuple[Any, ...]]:
@@ -343,6 +348,29 @@ def _expect_finite(values: Array, name: str, where: str) -> None:
         raise ProblemError(
             f"{name} gives {values[lost[0]]} as state {int(lost[0]) + 1} {where}; expected finite numbers"
         )
+
+
+def _expect_rest(x: Array, found: Array, located: bool) -> None:
+    """Raise an error if a function does not rest at a point.
+
+    Args:
+        x: the state, (n,).
+        found: the next state, (n,).
+        located: whether the point is an operating point, or else 0.
+    """
+    apart = np.abs(found - x)
+    if apart.max() <= AT_REST * max(1.0, float(np.abs(x).max())):
+        return
+    i = int(apart.argmax())
+    if not located:
+        raise ProblemError(
+            f"function gives {found[i]:.6g} as state {i + 1} at x = 0, u = 0, w = 0; expected 0, the equilibrium about "
+            "which A and B are its linearisation: give plant.operating_point, the equilibrium"
+        )
+    raise ProblemError(
+        f"function gives {found[i]:.12g} as state {i + 1} at the operating point with w = 0; expected {x[i]:.12g}, the "
+        "same state: use operating_point.x = taciturn.model.equilibrium.equilibrium(function, x, u), with all digits"
+    )
 
 
 def _first_apart(found: Array, stated: Array) -> tuple[int, int] | None:

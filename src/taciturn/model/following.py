@@ -28,7 +28,8 @@ def follow(
         plant: the plant.
         outputs: C_z of the outputs z = C_z x that are to be at their set-points in spite of the disturbances, (z, n);
             default: the measured outputs C x.
-        value: the set-points, (z,); default 0. With steps at random times, those at the start.
+        value: the set-points, (z,), in the units of the plant; default: z at its operating point. With steps at random
+            times, those at the start.
         disturbances: the disturbances.
         changes: how the set-points change while the loop runs; None for constant set-points.
 
@@ -52,6 +53,9 @@ def follow(
     target = SetPoint(plant.C if outputs is None else outputs, value, changes)
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(f"outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state")
+    point = plant.operating_point
+    if point is not None and value is not None:
+        target = SetPoint(target.outputs, target.value - target.outputs @ point.x)
     found = copy(plant)
     object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
     return found

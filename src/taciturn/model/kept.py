@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -12,6 +13,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.controller import ContinuousController, Controller, Method
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.pid import PID, PIDLoops
+from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.state_space import state_space_of
 
 Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
@@ -20,6 +22,36 @@ Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
 def pids_of(kept: object) -> tuple[PID, ...]:
     """Return the PID controllers of a given controller; none if it is another one."""
     return kept.loops if isinstance(kept, PIDLoops) else (kept,) if isinstance(kept, PID) else ()
+
+
+def relative_to(kept: Kept, plant: Plant | ContinuousPlant) -> Kept:
+    """Return a controller whose set-points and inputs are relative to the operating point of a plant.
+
+    A set-point of 0 is the one at the operating point.
+    """
+    point = plant.operating_point
+    if point is None:
+        return kept
+    y = plant.C @ point.x
+    if isinstance(kept, PID | PIDLoops):
+        first, found = set[int](), list[PID]()
+        for one in pids_of(kept):
+            r = one.setpoint and one.setpoint - (float(y[one.output - 1]) if one.output <= len(y) else 0.0)
+            u = one.start_input
+            if u is not None and one.input <= len(point.u) and one.input not in first:
+                first.add(one.input)
+                u -= float(point.u[one.input - 1])
+            weights = {"b": one.b, "c": one.c} if r else {"b": 1.0, "c": 0.0}
+            found.append(replace(one, setpoint=r, start_input=u, **weights))
+        return found[0] if isinstance(kept, PID) else PIDLoops(tuple(found))
+    if kept.setpoint is None:
+        return kept
+    r = np.asarray(kept.setpoint, dtype=np.float64)
+    moved = np.where(r != 0.0, r - y, 0.0) if np.shape(r) == np.shape(y) else r
+    if isinstance(kept, ContinuousController):
+        return replace(kept, setpoint=moved)
+    u = None if kept.start_input is None else kept.start_input - point.u
+    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, kept.disturbance, moved, kept.rest, u)
 
 
 def controller_from(

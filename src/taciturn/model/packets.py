@@ -60,6 +60,7 @@ def fingerprint(policy: Policy, network: Network) -> int:
     Two machines whose linear algebra rounds differently compute the same fingerprint. A function is identified by its
     values at a few points, not by its source code.
     """
+    policy = policy.in_units
     steps = [_sampled(policy, step) if isinstance(step, Apply) else step for step in policy.steps]
     data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
     data = data if network.triangle else (*data, network.nodes)

@@ -14,6 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.exosystem import Exosystem
+from taciturn.model.operating_point import OperatingPoint, dynamics_at, locate
 from taciturn.model.saturation import limits_from, positive
 from taciturn.model.set_points import RandomSteps, SampledChanges
 
@@ -38,14 +39,18 @@ class Plant(DisplayedPlant):
         exosystem: disturbances and set-points, or None.
         function: step x⁺ = f(x, u, w) of a nonlinear plant, with arrays (n,), (m,), (n,) and w ~ N(0, W) drawn at
             every step. Policies are designed for A and B, which must be the derivatives of f with respect to x and u
-            at the equilibrium 0. The derivative with respect to w must be the identity wherever W is not 0. If
+            at the operating point. The derivative with respect to w must be the identity wherever W is not 0. If
             ``function`` is omitted, the step is A x + B u + w.
         input_rate: largest change of each input per step, (m,), ∞ for no limit; default no limit. The input before the
             start is 0.
+        operating_point: state and input around which A and B are given; default 0. Then the arguments mean, input_limit
+            and function, the measurements and the inputs are in the units of the plant; the attributes of the plant and
+            the cost count deviations from the point.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
-            controllable or not observable; or if ``function`` fails, is not at rest at 0, or is not linearised by A, B.
+            controllable or not observable; or if ``function`` fails, does not rest at the operating point, or is not
+            linearised by A, B.
 
     Example:
         >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
@@ -65,8 +70,10 @@ class Plant(DisplayedPlant):
     function: Dynamics | None
     full_state: bool
     exosystem: Exosystem | None
+    operating_point: OperatingPoint | None
     alone: Plant | None = None  # the plant without its disturbances and set-points, if these are states of this one
     changes: RandomSteps | SampledChanges | None = None  # of set-points, the last states, which are also outputs
+    drift: Array | None = None  # what the state moves by at the point that states and inputs are relative to
     continuous: ClassVar[bool] = False
 
     def __init__(
@@ -83,12 +90,14 @@ class Plant(DisplayedPlant):
         function: Map | Dynamics | None = None,
         exosystem: Exosystem | None = None,
         input_rate: ArrayLike | None = None,
+        operating_point: OperatingPoint | None = None,
     ) -> None:
         """Validate and store the arguments."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
+        locate(self, operating_point, mean is not None)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
-        object.__setattr__(self, "function", None if function is None else _checked(function, self))
+        object.__setattr__(self, "function", None if function is None else _checked(function, self, operating_point))
         _refuse_lost_modes(self, continuous=False)
 
     @property
@@ -109,7 +118,7 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem", "alone", "changes"}
+        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem", "operating_point", "alone", "changes"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -196,6 +205,7 @@ class ContinuousPlant(DisplayedPlant):
         exosystem: disturbances and set-points, or None.
         input_rate: largest change of each input per second, (m,), ∞ for no limit; default no limit. The input before
             the start is 0. Between the samples the input is held, and changes only at them.
+        operating_point: as for ``Plant``.
 
     Raises:
         ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
@@ -218,6 +228,7 @@ class ContinuousPlant(DisplayedPlant):
     input_rate: Array | None
     full_state: bool
     exosystem: Exosystem | None
+    operating_point: OperatingPoint | None
 
     def __init__(
         self,
@@ -232,9 +243,11 @@ class ContinuousPlant(DisplayedPlant):
         input_limit: ArrayLike | None = None,
         exosystem: Exosystem | None = None,
         input_rate: ArrayLike | None = None,
+        operating_point: OperatingPoint | None = None,
     ) -> None:
         """Validate and store the arguments."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
+        locate(self, operating_point, mean is not None)
         if W is None and jumps is None:
             raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
         if jumps is not None:
@@ -300,13 +313,11 @@ def _set_linear(
     object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())
 
 
-def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
-    """Return the function as ``Dynamics``, after checking that A and B of the plant are its linearisation."""
+def _checked(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:
+    """Return the function in deviations from the operating point, after checking that A and B are its linearisation."""
     if not callable(function):
         raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
-    found = function if isinstance(function, Dynamics) else Dynamics(function)
-    found.check(plant.A, plant.B, plant.W)
-    return found
+    return dynamics_at(function, plant, point)
 
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from taciturn._arrays import Array, array, number
@@ -54,7 +55,8 @@ class Policy(Displayed):
 
     Args:
         kind: name of the policy kind in the catalogue.
-        steps: policy steps within a sampling step, in order.
+        steps: policy steps within a sampling step, in order; they compute deviations from the operating point of the
+            model, if it has one.
         model: the discrete-time plant for which the policy was designed.
         theory: what is known about the policy, such as a bound on its cost; default: nothing.
         sites: groups of nodes at the same site, which have access to the same signals.
@@ -217,6 +219,17 @@ class Policy(Displayed):
     def cycle(self) -> int:
         """Number of steps after which all locations that are independent of data, such as step counters, repeat."""
         return joint_cycle(self.locations, self.decisions)
+
+    @cached_property
+    def in_units(self) -> Policy:
+        """The policy in the units of the plant, as nodes carry it out.
+
+        The steps of a policy compute deviations from the operating point of its model. Here measurements, inputs,
+        estimates and their copies, also in packets, include the point.
+        """
+        from taciturn.model.coordinates import in_units
+
+        return in_units(self)
 
     def outcomes(self, condition: Condition) -> int:
         """Return the number of outcomes of a condition."""

@@ -20,8 +20,8 @@ class Reference(Displayed):
     """A reference trajectory of states r_0 … r_N and inputs f_0 … f_{N−1}, stored at both ends of the network.
 
     Args:
-        states: reference states r_k, (steps + 1, n).
-        inputs: feedforward inputs f_k, (steps, m), with r_{k+1} = A r_k + B f_k.
+        states: reference states r_k, (steps + 1, n), in the units of the plant.
+        inputs: feedforward inputs f_k, (steps, m), with r_{k+1} = A r_k + B f_k in deviations from the operating point.
 
     Raises:
         ProblemError: if the lengths of states and inputs do not match.
@@ -35,6 +35,12 @@ class Reference(Displayed):
         object.__setattr__(self, "inputs", array("reference.inputs", inputs, (None, None), "(steps, inputs)"))
         shape, meaning = (len(self.inputs) + 1, None), "(steps + 1, states)"
         object.__setattr__(self, "states", array("reference.states", states, shape, meaning))
+
+    def relative_to(self, plant: Plant) -> Reference:
+        """Return the trajectory of the deviations from the operating point of a plant."""
+        point = plant.operating_point
+        fits = (self.states.shape[1], self.inputs.shape[1]) == (plant.states, plant.inputs)  # otherwise check raises
+        return self if point is None or not fits else Reference(self.states - point.x, self.inputs - point.u)
 
     def check(self, plant: Plant, horizon: int) -> None:
         """Check that the reference satisfies r_{k+1} = A r_k + B f_k of the plant over ``horizon`` steps.

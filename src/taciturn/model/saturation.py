@@ -61,10 +61,6 @@ class Saturation(Displayed):
             self, low=self.low[rows], high=self.high[rows], rate=None if self.rate is None else self.rate[rows]
         )
 
-    def around(self, rest: Array) -> Saturation:
-        """Return the limits of the deviations from an input, (m,)."""
-        return replace(self, low=self.low - rest, high=self.high - rest)
-
     def begun(self, before: Array) -> Array:
         """Return the input before the first step, within the limits."""
         return np.minimum(np.maximum(before, self.low), self.high)

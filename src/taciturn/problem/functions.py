@@ -10,6 +10,7 @@ from taciturn._arrays import quoted
 from taciturn._files import check_regular, read_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, dynamics_of
+from taciturn.model.operating_point import stated_function
 from taciturn.model.plant import ContinuousPlant, Plant
 
 KEY = "function"
@@ -100,5 +101,5 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
     """Return the functions of plants that were read from files, by their specification ``file.py:name``."""
-    found = [plant.function for plant in plants if isinstance(plant, Plant) and plant.function is not None]
-    return {f"{one.path}:{one.name}": one for one in found if one.text is not None}
+    found = [stated_function(plant) for plant in plants if isinstance(plant, Plant)]
+    return {f"{one.path}:{one.name}": one for one in found if one is not None and one.text is not None}

@@ -23,6 +23,7 @@ from taciturn.model.kept import Kept
 from taciturn.model.link import LinkLaw
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network, NodeRole
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.problem.functions import read_function
@@ -52,9 +53,12 @@ def takes_losses(kind: Kind) -> bool:
     return "network" in kind.tables and not kind.ideal_links
 
 
-def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:
-    """Return the plant of a table."""
-    initial = table.initial or InitialTable()
+def plant_of(
+    table: PlantTable, known: Mapping[str, Dynamics], usual: OperatingPoint | None = None
+) -> Plant | ContinuousPlant:
+    """Return the plant of a table, with the ``usual`` operating point if it states none."""
+    initial, at = table.initial or InitialTable(), table.operating_point
+    point = usual if at is None else OperatingPoint(at.x, at.u)
     if table.dt is None:
         if table.function is not None:
             raise ProblemError(
@@ -64,7 +68,7 @@ def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | Contin
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
             table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
-            input_rate=table.input_rate,
+            input_rate=table.input_rate, operating_point=point,
         )  # fmt: skip
     if table.jumps is not None:
         raise ProblemError(
@@ -75,7 +79,7 @@ def plant_of(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | Contin
     function = None if table.function is None else read_function(table.function, known)
     return Plant(
         table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
-        function, input_rate=table.input_rate,
+        function, input_rate=table.input_rate, operating_point=point,
     )  # fmt: skip
 
 
@@ -84,7 +88,7 @@ def actual_of(
 ) -> Plant | ContinuousPlant:
     """Return the simulated plant, which must have the time base and the sizes of the design plant."""
     try:
-        plant = plant_of(table, known)
+        plant = plant_of(table, known, design.operating_point)
     except ProblemError as error:
         raise ProblemError(f"[plant.actual]: {error}") from None
     if table.dt != dt:

@@ -33,6 +33,14 @@ class JumpsTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class OperatingPointTable(Displayed):
+    """The keys of the table ``[plant.operating_point]``."""
+
+    x: list[float]
+    u: list[float]
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class PlantTable(Displayed):
     """The keys of the table ``[plant.actual]``, all of which ``[plant]`` also has."""
 
@@ -47,6 +55,7 @@ class PlantTable(Displayed):
     function: str | None = None
     initial: InitialTable | None = None
     jumps: JumpsTable | None = None
+    operating_point: OperatingPointTable | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -11,7 +11,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import ONE, Assign, Policy, Step
+from taciturn.model.policy import Assign, Policy, Step
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
@@ -34,6 +34,7 @@ def lower_policy(policy: Policy, network: Network) -> Program:
         policy: the policy.
         network: the links between its nodes.
     """
+    policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
     plant = policy.model
     tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)})
@@ -57,14 +58,12 @@ class CopiedInput:
         held: the copy.
         effect: its matrix.
         inputs: indices of the inputs.
-        rest: the inputs from which the copy deviates.
     """
 
     signal: str
     held: str
     effect: Array
     inputs: tuple[int, ...]
-    rest: Array
 
 
 def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
@@ -72,16 +71,13 @@ def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
     names = {HELD: tuple(range(policy.model.inputs))} | {
         f"{HELD}_{node}": rows for node, rows in policy.applied.values()
     }
-    rest, found = np.zeros(policy.model.inputs), list[CopiedInput]()
-    for step in (step for step in policy.steps if isinstance(step, Assign)):
-        if step.signal in policy.applied and isinstance(given := step.branches[-1].get(ONE), np.ndarray):
-            rest[[*policy.applied[step.signal][1]]] = given[:, 0]
+    found = list[CopiedInput]()
     for step in (step for step in policy.steps if isinstance(step, Assign) and step.on is None):
         told = step.signal == FILTER or (step.signal in REGISTERS and step.at in policy.site(policy.network.controller))
         for held in (name for name in step.branches[0] if told and name in names):
             effect = step.branches[0][held]
             if isinstance(effect, np.ndarray):
-                found.append(CopiedInput(step.signal, held, effect, names[held], rest[[*names[held]]]))
+                found.append(CopiedInput(step.signal, held, effect, names[held]))
     return tuple(found)
 
 
@@ -132,3 +128,9 @@ def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
         return by, Scheduled(matrix.by, matrix.values @ factor) if isinstance(matrix, Scheduled) else matrix @ factor
 
     return replace(step, branches=tuple(dict(term(*one) for one in terms.items()) for terms in step.branches))
+
+
+def add_values(tick: TimeStep, values: Operands, more: Operands) -> Operands:
+    """Return the sum of two vectors."""
+    return [tick.builder.emit("add", value, other) for value, other in zip(values, more, strict=True)]
+

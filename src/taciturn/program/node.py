@@ -80,6 +80,7 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
             of its packet and its use, both ends of a link are at one site, a packet is read both before and after it is
             sent, or a node needs an acknowledgement before its last output.
     """
+    policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
     check_separable(policy)
     expect_order(policy)

@@ -12,7 +12,7 @@ from taciturn._arrays import Array, ArrayLike, instance
 from taciturn._control import is_linear, nonlinear_system, state_space
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import PLANTS, Coverage
+from taciturn.model.coverage import PLANTS, POINT, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -21,7 +21,7 @@ from taciturn.model.state_space import plant_from
 from taciturn.program.names import Entry, Sent
 from taciturn.runtime.nodes import Nodes, StepFunction, Values
 
-CONVERTED = Coverage(PLANTS, "systems of python-control do not model")
+CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
 
 
 def to_control(
@@ -85,6 +85,7 @@ def to_control(
     if isinstance(thing, Policy):
         plant, (turns, links) = thing.model, (Nodes(thing, network, seed).turns, thing.scheduled)
         return _system(turns, {"y": plant.outputs}, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
+    thing = thing.in_units
     plant, links = thing.problem.plant, thing.policy.scheduled
     taken, shown = {"w": plant.states, "v": plant.outputs}, {"y": plant.outputs, "applied": plant.inputs}
     turns = StepFunction(replace(thing, precision="float64").open_program(), taken, thing.network, seed)

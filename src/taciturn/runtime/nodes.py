@@ -149,7 +149,7 @@ class Nodes:
             raise ProblemError(f"applied is given, {'in the first step' if self._copies else got}; expected no applied")
         memory = dict(zip(self.turns.states, self._memory, strict=True))
         for copy in self._copies:
-            change = copy.effect @ (applied[list(copy.inputs)] - copy.rest - self._held[copy.held])
+            change = copy.effect @ (applied[list(copy.inputs)] - self._held[copy.held])
             memory |= {f"{copy.signal}[{i}]": memory[f"{copy.signal}[{i}]"] + d for i, d in enumerate(change.tolist())}
         self._memory = tuple(memory.values())
 

@@ -42,6 +42,7 @@ class SimulatedPlant:
         """Draw the initial state from its distribution."""
         instance("loop", loop, Loop)
         PLANT_SERVER.check(loop.parts)
+        loop = loop.in_units
         self.loop, self.tick = loop, 0
         count("seed", seed, 0)
         program, self._turn = _compile(loop)
@@ -110,7 +111,8 @@ class SimulatedPlant:
         terminal, tracking = self.loop.problem.cost.terminal, self.loop.policy.tracking
         if terminal is None:
             return 0.0
-        off = self.state - (0.0 if tracking is None else tracking.final)
+        off, rest = self.state - (0.0 if tracking is None else tracking.final), self.loop.problem.rest
+        off = off if rest is None else off - rest.x
         return float(off @ terminal @ off)
 
 

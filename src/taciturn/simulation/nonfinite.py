@@ -71,6 +71,9 @@ def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | N
     """Return the error that names the non-finite entry of the state and the previous state."""
     place = int(np.flatnonzero(~np.isfinite(found))[0])
     entry = place if entries is None else entries[place]
+    point = loop.problem.plant.operating_point
+    if last is not None and point is not None:
+        last = last + (point.x if entries is None else point.x[entries])
     whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
     return UnstableError(
         f"the plant's function gives {found[place]} as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "

@@ -170,6 +170,7 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
         plant, cost, network = own_problem(loop)
         loop = close(plant, loop, network, cost)
     instance("loop", loop, Loop)
+    point, loop = loop.problem.plant.operating_point, loop.in_units
     ticks = loop.ticks(ticks)
     count("seed", seed, 0)
     program = loop.program()
@@ -190,7 +191,9 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     estimate, applied, measured = map(stacked, ("estimate", "applied", "y"))
     model = loop.policy.prediction
     if model is not None:  # the sampled plant takes the state of the actuator's model as its input
-        estimate, applied = applied, applied @ model.L.T
+        estimate, applied = applied, (applied if point is None else applied - point.x) @ model.L.T
+        own = None if loop.problem.source is None else loop.problem.source.operating_point
+        applied = applied if own is None else applied + own.u
     return Trajectory(time, unit, states, estimate, applied, silent, others, sends, measured, model is not None)
 
 

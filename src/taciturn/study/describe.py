@@ -253,8 +253,8 @@ def _gains(policy: Policy) -> dict[str, Matrix]:
 
 def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
     (unmoved, unseen), e = _lost(plant), plant.exosystem
-    keys = ("A", "B", "C", "W", "V", "mean", "covariance")
-    limit, rate = plant.input_limit, plant.input_rate
+    keys, point = ("A", "B", "C", "W", "V", "covariance"), plant.operating_point
+    limit, rate = plant.stated_limit, plant.input_rate
     return {
         "states": plant.states,
         "inputs": plant.inputs,
@@ -266,6 +266,8 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
         "controllable": not len(unmoved),
         "observable": not len(unseen),
         **{key: _plain(getattr(plant, key)) for key in keys},
+        "mean": _plain(plant.stated_mean),
+        **({} if point is None else {"operating_point": {"x": _plain(point.x), "u": _plain(point.u)}}),
         "input_limit": None if limit is None else _plain(limit_entries(limit)),
         **({} if rate is None else {"input_rate": _plain(rate)}),
         **({} if e is None else {"exosystem": {field.name: _plain(getattr(e, field.name)) for field in fields(e)}}),
@@ -286,6 +288,8 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
         modes = ", ".join(mode_text(mode) for mode in lost)
         lines.append((name, f"except for the mode {modes}, which no {what} {verb}" if lost else "yes"))
     lines += [(name, text) for name in ("measured", "noise") if isinstance(text := rows[name], str)]
+    point = plant.operating_point
+    lines += [] if point is None else [("operating point", point.short())]
     for name in ("W", "V"):
         value = rows[name]
         lines += matrix_lines(f"noise {name}", value) if isinstance(value, np.ndarray) else []

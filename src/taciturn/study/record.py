@@ -25,6 +25,7 @@ from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
 
 KIND = "kind of data"  # key for the class of the data in a mapping
+LATER = ("operating_point", "drift", "input_rate")  # of plants, in no digest of an earlier version
 RECORDED = {
     known.__name__: known
     for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint, AfterStep)
@@ -93,12 +94,11 @@ def _operations(plant: Plant, function: Dynamics) -> Program:
 
 def _plain(value: object) -> object:
     if isinstance(value, Plant):
-        held = {field.name: _plain(getattr(value, field.name)) for field in fields(value) if field.name != "function"}
+        held = _fields(value, "function")
         moved = {} if value.function is None else {"function": _plain(_operations(value, value.function))}
         return held | moved | {KIND: "Plant"}
     if is_dataclass(value) and not isinstance(value, type):
-        held = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-        return held | {KIND: type(value).__name__}
+        return _fields(value) | {KIND: type(value).__name__}
     if isinstance(value, np.ndarray):
         array = cast("np.ndarray[Any, Any]", value)
         return {KIND: "array", "type": array.dtype.str, "shape": array.shape, "values": array.ravel().tolist()}
@@ -109,6 +109,12 @@ def _plain(value: object) -> object:
     if isinstance(value, list | tuple):
         return [_plain(one) for one in cast("Iterable[object]", value)]
     return value
+
+
+def _fields(value: Any, *apart: str) -> dict[str, object]:
+    """Return the fields of a dataclass, without later ones that digests of earlier versions do not contain, if None."""
+    held = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in apart}
+    return {name: _plain(one) for name, one in held.items() if one is not None or name not in LATER}
 
 
 def _restored(value: object) -> Any:

@@ -96,6 +96,7 @@ def lossy_lqg(
     if reference is not None:
         instance("reference", reference, Reference)
     plant = refuse_what_is_not_covered(plant, cost)
+    reference = None if reference is None else reference.relative_to(plant)
     if given.delay > 1:
         raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
     if reference is not None and cost.horizon is None:

@@ -1,0 +1,293 @@
+"""Operating points: what is given and what is measured is in the units of the plant, and costs count from the point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from counts import few
+from runtime.loops import differing_ticks, record
+from used import COST, KINDS, SEEN
+
+import taciturn
+from taciturn import Cost, Plant, Policy, Problem, ProblemError, Reference, design, linearise
+from taciturn.export.vector import record_loop
+from taciturn.model.equilibrium import equilibrium
+from taciturn.model.following import follow
+from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.plant import ContinuousPlant
+from taciturn.runtime.plant import SimulatedPlant
+
+QUICK = ("all-time", "lqg", "excess", "remote-lqg", "lossy-lqg", "distributed", "mixed", "consistent", "event-pid")
+TANK = {"plant.operating_point.x": [12.4, 12.7, 1.8, 1.4], "plant.operating_point.u": [3.0, 3.0]}
+
+
+def located(plant: Plant | ContinuousPlant, point: OperatingPoint, limit: Any = None) -> Any:
+    """Return a plant around an operating point, with limits that are given in deviations."""
+    limits = None if limit is None else np.array(limit) + point.u[:, None]
+    others = {
+        "C": plant.C, "V": plant.V, "mean": plant.mean + point.x, "covariance": plant.covariance,
+        "input_limit": limits, "operating_point": point,
+    }  # fmt: skip
+    if isinstance(plant, Plant):
+        return Plant(plant.A, plant.B, plant.W, dt=plant.dt, **others)
+    return ContinuousPlant(plant.A, plant.B, None if plant.jumps else plant.W, plant.jumps, **others)
+
+
+def somewhere(plant: Plant | ContinuousPlant) -> OperatingPoint:
+    """Return an operating point without zeros."""
+    return OperatingPoint(3.0 + np.arange(plant.states), -2.0 + 4.0 * np.arange(plant.inputs))
+
+
+@pytest.mark.parametrize("kind", few(QUICK, 6, 1) + few(sorted(set(KINDS) - set(QUICK)), 0))
+def test_a_point_moves_what_is_seen_and_nothing_else(kind: str) -> None:
+    """Same seeds, same sends; states, inputs and measurements are moved by the point; costs and bounds are equal."""
+    problem = KINDS[kind]
+    point = somewhere(problem.plant)
+    moved = replace(problem, plant=located(problem.plant, point))
+    usual, there = problem.designed(), moved.designed()
+    assert there.cost_all_time == usual.cost_all_time
+    steps = None if kind == "optimal" else 2_000
+    costs = [taciturn.evaluate(one, steps=steps) for one in (problem, moved)]
+    assert costs[0].cost == costs[1].cost
+    assert costs[0].cost_bound == costs[1].cost_bound
+    if not isinstance(usual, Policy) or not isinstance(there, Policy):
+        return
+    loop = moved.close(there)
+    one, other = taciturn.simulate(problem.close(usual), 120, seed=1), taciturn.simulate(loop, 120, seed=1)
+    n = len(point.x)
+    assert other.state[:, :n] - point.x == pytest.approx(one.state[:, :n], abs=1e-11)
+    assert other.state[:, n:] == pytest.approx(one.state[:, n:], abs=1e-11)
+    assert other.input - point.u == pytest.approx(one.input, abs=1e-11)
+    assert other.measurement - problem.plant.C @ point.x == pytest.approx(one.measurement, abs=1e-11)
+    if one.estimate.size:
+        assert other.estimate[:, :n] - point.x == pytest.approx(one.estimate[:, :n], abs=1e-11)
+    for link, sent in one.sends.items():
+        assert np.array_equal(other.sends[link], sent)
+    if there.prediction is None:
+        records, draws = record(loop, 60, 2)
+        assert differing_ticks(loop, records, draws)[0] == []
+
+
+@pytest.mark.parametrize("kind", few(["lqg", "excess", "remote-lqg", "send-on-delta", "distributed", "event-pid"], 3))
+def test_limits_are_in_the_units_of_the_plant(kind: str) -> None:
+    """Nodes and filters use the input that is applied; the limits bind at their own values."""
+    problem = KINDS[kind]
+    point, limit = somewhere(problem.plant), [[-0.3, 0.2]] * problem.plant.inputs
+    none = OperatingPoint(np.zeros(problem.plant.states), np.zeros(problem.plant.inputs))
+    paths = []
+    for at in (none, point):
+        moved = replace(problem, plant=located(problem.plant, at, limit))
+        loop = moved.close(moved.design())
+        paths.append(taciturn.simulate(loop, 200, seed=1))
+        low, high = at.u - 0.3, at.u + 0.2
+        assert (paths[-1].input >= low - 1e-15).all()
+        assert (paths[-1].input <= high + 1e-15).all()
+        records, draws = record(loop, 80, 2)
+        assert differing_ticks(loop, records, draws)[0] == []
+    assert paths[1].input - point.u == pytest.approx(paths[0].input, abs=1e-10)
+    assert np.ptp(paths[0].input) == pytest.approx(0.5 if kind != "event-pid" else np.ptp(paths[0].input))
+
+
+def test_set_points_and_disturbances_are_in_the_units_of_the_outputs() -> None:
+    """The tanks' levels are at their set-points in centimetres, and the pumps at volts."""
+    tank = taciturn.load("quadruple-tank").changed({**TANK, "reference.value": [13.4, 12.2]})
+    assert tank.plant.exosystem is not None
+    assert tank.plant.exosystem.start == pytest.approx([1.0, -0.5])
+    loop = tank.close(tank.design())
+    assert loop.nominal
+    path = taciturn.simulate(loop, 3_000, seed=1)
+    assert path.measurement[500:].mean(axis=0) == pytest.approx([13.4, 12.2], abs=0.1)
+    A, B, C = tank.plant.A, tank.plant.B, tank.plant.C
+    volts = np.linalg.solve(C @ np.linalg.solve(-A, B), [1.0, -0.5])
+    assert path.input[500:].mean(axis=0) == pytest.approx(3.0 + volts, abs=0.1)
+    assert path.state[0, 4:] == pytest.approx([13.4, 12.2])
+    records, draws = record(loop, 60, 2)
+    assert differing_ticks(loop, records, draws)[0] == []
+
+
+def test_a_set_point_of_a_controller_is_one_of_the_plant() -> None:
+    """A PID controller around an operating point follows a set-point in the units of the output."""
+    usual, point = KINDS["event-pid"], somewhere(KINDS["event-pid"].plant)
+    plant = located(usual.plant, point)
+    pid: Any = usual.controller
+    r = float((plant.C @ point.x)[0])
+    paths = []
+    for one, at in ((usual.plant, 0.0), (plant, r)):
+        kept = replace(pid, setpoint=at + 0.5, start_input=None if at == 0.0 else float(point.u[0]))
+        kept = kept if at else replace(kept, start_input=0.0)
+        policy = design.event_pid(one, usual.cost, controller=kept, **dict(usual.parameters))
+        paths.append(taciturn.simulate(taciturn.close(one, policy), 200, seed=3))
+    assert paths[1].measurement - r == pytest.approx(paths[0].measurement, abs=1e-10)
+    assert paths[1].input - point.u == pytest.approx(paths[0].input, abs=1e-10)
+
+
+def test_a_trajectory_is_one_of_the_plant() -> None:
+    """A reference in the units of the plant is that of the deviations, moved by the point."""
+    rover = taciturn.load("rover")
+    assert rover.reference is None
+    lossy, horizon = KINDS["lossy-lqg"], 8
+    plant, cost = lossy.plant, Cost(np.eye(2), [[0.5]], horizon=horizon, terminal=np.eye(2))
+    inputs = np.linspace(0.3, -0.2, horizon)[:, None]
+    states = [np.array([1.0, 0.5])]
+    for u in inputs:
+        states.append(plant.A @ states[-1] + plant.B @ u)
+    point = somewhere(plant)
+    there = replace(lossy, plant=located(plant, point), cost=cost)
+    usual = replace(lossy, cost=cost, reference=Reference(states, inputs))
+    there = replace(there, reference=Reference(np.array(states) + point.x, inputs + point.u))
+    one, other = (taciturn.simulate(p.close(p.design()), horizon, seed=5) for p in (usual, there))
+    assert other.state - point.x == pytest.approx(one.state, abs=1e-12)
+    assert other.input - point.u == pytest.approx(one.input, abs=1e-12)
+    costs = [taciturn.evaluate(p, steps=4_000).cost.value for p in (usual, there)]
+    assert costs[1] == pytest.approx(costs[0], rel=1e-12)
+    worlds = [SimulatedPlant(p.close(p.design()), 3) for p in (usual, there)]
+    stages = [
+        [world.move(u + (at if i else 0.0)) for u in inputs[:3]]
+        for i, (world, at) in enumerate(zip(worlds, (0, point.u), strict=True))
+    ]
+    assert stages[1] == pytest.approx(stages[0])
+    assert worlds[1].final_cost() == pytest.approx(worlds[0].final_cost())
+
+
+def tank_slopes(x: Any, u: Any) -> list[Any]:
+    """Return the rates of the levels of two tanks in a row, by Torricelli's law."""
+    return [u[0] - 0.5 * np.sqrt(x[0]), 0.5 * np.sqrt(x[0]) - 0.4 * np.sqrt(x[1])]
+
+
+STEP = taciturn.integrate(tank_slopes, dt=0.5)
+
+
+def nonlinear(**changes: Any) -> Plant:
+    """Return the tanks at 16 and 25."""
+    point = OperatingPoint([16.0, 25.0], [2.0])
+    A, B = linearise(STEP, 2, 1, at=(point.x, point.u))
+    given = {"dt": 0.5, "function": STEP, "operating_point": point, "mean": [17.0, 25.0], "input_limit": [[0.0, 5.0]]}
+    return Plant(A, B, 1e-3 * np.eye(2), [[0.0, 1.0]], [[0.01]], **{**given, **changes})
+
+
+def test_a_nonlinear_plant_is_a_function_of_its_own_states() -> None:
+    """Real levels enter the function; the same loop with a function of deviations gives the same path and cost."""
+    plant, cost = nonlinear(), Cost(np.diag([0.0, 1.0]), [[1.0]])
+    x, u = np.array([16.0, 25.0]), np.array([2.0])
+
+    def moved(z: Any, v: Any, w: Any) -> Any:
+        return STEP(z + x, v + u, w) - x
+
+    around = nonlinear(function=moved, operating_point=None, mean=[1.0, 0.0], input_limit=[[-2.0, 3.0]])
+    policies = [design.excess(one, cost, theta=0.1) for one in (around, plant)]
+    loops = [taciturn.close(one, policy) for one, policy in zip((around, plant), policies, strict=True)]
+    one, other = (taciturn.simulate(loop, 200, seed=1) for loop in loops)
+    assert other.state == pytest.approx(one.state + x, abs=1e-8)
+    assert other.input == pytest.approx(one.input + u, abs=1e-8)
+    assert other.state[0] == pytest.approx([17.0, 25.0])
+    records = record_loop(loops[1], 80, 3)
+    nodes = taciturn.Nodes(policies[1])
+    assert np.array_equal([nodes.step(y) for y in records.measured], records.applied)
+    costs = [taciturn.evaluate(policy, steps=3_000).cost.value for policy in policies]
+    assert costs[1] == pytest.approx(costs[0], rel=1e-6)
+
+
+def test_an_equilibrium_is_found_from_rounded_digits() -> None:
+    """Newton's method needs a state nearby."""
+    assert equilibrium(STEP, [15.2, 24.0], [2.0]) == pytest.approx([16.0, 25.0], abs=1e-10)
+    with pytest.raises(ProblemError, match="no equilibrium of function is found"):
+        equilibrium(lambda x, u, w: x + 1.0, [0.0], [0.0])
+
+
+def test_a_simulated_plant_elsewhere_takes_the_claims_away() -> None:
+    """A plant that does not rest at the design's point is simulated in its own units, without a guarantee."""
+    tank = taciturn.load("quadruple-tank").changed(TANK)
+    actual = {**tank.source["plant"], "operating_point": {"x": [13.0, 13.0, 1.8, 1.4], "u": [3.0, 3.0]}}
+    found = tank.changed({"plant.actual": actual})
+    loop = found.close(found.design())
+    assert loop.violated_assumptions == ("the plant does not rest at the operating point of the design",)
+    path = taciturn.simulate(loop, 1_500, seed=1)
+    assert path.measurement[300:].mean(axis=0) == pytest.approx([12.4, 12.7], abs=0.15)
+    same = tank.changed({"plant.actual": {key: rows for key, rows in actual.items() if key != "operating_point"}})
+    assert same.close(same.design()).nominal
+    lqg = replace(tank, plant=located(SEEN, somewhere(SEEN)), cost=COST, network=taciturn.Network(), kind="lqg")
+    lqg = replace(lqg, parameters={"theta": 0.1}, actual=located(SEEN, OperatingPoint([0.0, 1.0], [1.0])))
+    with pytest.raises(ProblemError, match=r"plant\.drift is given, which certificates"):
+        taciturn.certify(lqg)
+
+
+@pytest.mark.evidence
+def test_certificates_hold_around_the_point() -> None:
+    """They are those of the deviations."""
+    problem = KINDS["lqg"]
+    moved = replace(problem, plant=located(problem.plant, somewhere(problem.plant)))
+    one, other = taciturn.certify(problem), taciturn.certify(moved)
+    told = [{key: value for key, value in found.document().items() if key != "seconds"} for found in (one, other)]
+    assert told[0] == told[1]
+
+
+@pytest.mark.parametrize("payload", ["float32", "int16"])
+def test_packets_are_rounded_in_the_units_of_the_plant(payload: str) -> None:
+    """A range is that of the numbers in the packets, so it includes the point."""
+    full = 128.0 if payload == "int16" else None
+    moved = Problem(
+        located(SEEN, OperatingPoint([300.0, 20.0], [100.0])), COST,
+        taciturn.Network(payload=payload, actuator_range=full), "excess", {"theta": 0.3},
+    )  # fmt: skip
+    policy = moved.design()
+    loop = moved.close(policy)
+    path = taciturn.simulate(loop, 60, seed=1)
+    assert path.input.mean() == pytest.approx(100.0, abs=3.0)
+    changed = path.input[1:][np.diff(path.input[:, 0]) != 0]
+    rounded = changed.astype(np.float32) if payload == "float32" else np.rint(changed / 128 * 32767) / 32767 * 128
+    assert changed == pytest.approx(rounded, abs=1e-11)
+    records, draws = record(loop, 60, 2)
+    assert differing_ticks(loop, records, draws)[0] == []
+
+
+def test_what_has_no_point_is_as_before() -> None:
+    """Without an operating point, the policy in the units of the plant is the policy itself."""
+    for name in ("lqg", "distributed", "event-pid"):
+        policy = KINDS[name].design()
+        assert policy.in_units is policy
+        assert KINDS[name].close(policy).in_units.policy is policy
+
+
+def test_a_set_point_at_the_operating_point_is_none() -> None:
+    """The levels of the point are no set-points to be followed."""
+    plant = follow(located(SEEN, somewhere(SEEN)), value=[3.0])
+    assert plant.exosystem is not None
+    assert not plant.exosystem.start.size
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"operating_point.x": [12.4, 12.7, 1.8, 1.4]}, "the key plant.operating_point.u is missing; expected it in"),
+        (
+            {"operating_point.x": [12.4], "operating_point.u": [3.0, 3.0]},
+            r"point.x has shape \(1,\); expected",
+        ),
+        ({"operating_point": {**{"x": [0.0] * 4}, "u": [3.0]}}, r"operating_point.u has shape \(1,\); expected \(2,\)"),
+        (
+            {"operating_point.x": ["a"] * 4, "operating_point.u": [3.0, 3.0]},
+            "point.x.0. is 'a'; expected a num",
+        ),
+        ({"operating_point": {"x": [0.0] * 4, "u": [3.0, 3.0], "y": [1.0]}}, "operating_point.y is not a known key"),
+        (
+            {"operating_point": {"x": [0.0] * 4, "u": [12.0, 3.0]}, "input_limit": [[0.0, 10.0], 10.0]},
+            r"operating_point.u is 12 for input 1, beyond its input_limit \[0, 10\]; expected an input within",
+        ),
+    ],
+)
+def test_bad_points_are_refused_in_a_sentence(changes: dict[str, Any], message: str) -> None:
+    """Sizes, numbers, keys and limits."""
+    with pytest.raises(ProblemError, match=message):
+        taciturn.load("quadruple-tank").changed({f"plant.{key}": value for key, value in changes.items()})
+
+
+def test_a_function_that_does_not_rest_is_refused() -> None:
+    """The message has the state that is reached, and how to find one that stays."""
+    with pytest.raises(ProblemError, match=r"function gives 20.1\d* as state 2 at the operating point.*equilibrium\("):
+        nonlinear(operating_point=OperatingPoint([16.0, 20.0], [2.0]))
+    plant = nonlinear()
+    with pytest.raises(ProblemError, match=r"with respect to u at the operating point has .*at=\(x, u\)"):
+        Plant(plant.A, 2 * plant.B, plant.W, dt=0.5, function=STEP, operating_point=plant.operating_point)
