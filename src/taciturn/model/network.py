@@ -283,7 +283,7 @@ class Network(Displayed):
 
     def key(self, link: str, name: str) -> str:
         """Return the key of a problem file that states a property of a link."""
-        if self.triangle and name not in ("acknowledged", "price"):
+        if self.triangle and name not in ("acknowledged", "price", "min_interval", "max_interval"):
             return "network.payload" if name == "payload" else f"network.{link}_{name}"
         return f"links.{link}.{name}"
 
@@ -364,8 +364,15 @@ class Network(Displayed):
 
     @property
     def delivery(self) -> Network:
-        """The network that delivers the same packets, without rounding, prices and energies."""
-        return self.with_laws({"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None})
+        """The network that delivers the same packets, without rounding, prices, energies and limits of intervals."""
+        usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}
+        return self.with_laws(usual).with_intervals(None)
+
+    def with_intervals(self, other: Network | None) -> Network:
+        """Return the network with another network's limits on the intervals between sends, or with none."""
+        laws = {name: IDEAL_LINK if other is None else other.links[name] for name in self.links}
+        changed = {name: one.intervals for name, one in laws.items() if one.intervals != self.links[name].intervals}
+        return self.changed(changed) if changed else self
 
 
 def _two_links(
