@@ -14,6 +14,7 @@ from taciturn._version import __version__
 from taciturn.analyse.limits import LowerBound
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.estimate import Estimate
+from taciturn.model.link import IDEAL_LINK
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import Linearisation
@@ -57,8 +58,12 @@ def fingerprint(problem: Problem) -> str:
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [] if problem.controller is None else [problem.controller]
-    paid = {link: [law.price, law.energy, law.battery] for link, law in problem.network.links.items() if law.spending()}
-    own += [paid] if paid and short is not None else []  # the short form has no prices and energies
+    links = {} if short is None else problem.network.links  # the short form has no prices, energies and intervals
+    paid = {link: [law.price, law.energy, law.battery] for link, law in links.items()}
+    paid = {link: one for link, one in paid.items() if one != [1.0, None, None]}
+    own += [paid] if paid else []
+    limits = {link: law.intervals for link, law in links.items() if law.intervals != IDEAL_LINK.intervals}
+    own += [limits] if limits else []
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 
