@@ -19,6 +19,8 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.steps import Terms
 from taciturn.model.trigger import Form
 
+INNOVATION = "innovation"  # name of the signal y − (prediction of y) in the filters of the designs
+
 
 @dataclass(frozen=True, repr=False)
 class Guarantee(Displayed):

@@ -8,20 +8,24 @@ therefore a pure function: its result is the same if the step is repeated or exe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, count, instance
+from taciturn._arrays import Array, ArrayLike, array, count, flag, instance, quoted
+from taciturn.errors import ProblemError
 from taciturn.model.information import check_network
 from taciturn.model.network import Network
-from taciturn.model.policy import Policy, Received
-from taciturn.program.controller import lower_policy
+from taciturn.model.placement import with_intervals
+from taciturn.model.policy import Policy, Received, Send
+from taciturn.program.controller import MEASURED, Informed, fate_of, lower_policy, predicted_outputs
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.lower import link_state
 from taciturn.program.names import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.runtime.node import Values
+from taciturn.runtime.starts import started
 
 BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 
@@ -86,10 +90,16 @@ class Nodes:
         policy: policy of the nodes.
         network: network between the nodes; default: the network of the design.
         seed: seed of packet drops and of the policy's random draws; the draws of a step depend only on seed and step.
+        estimate: estimate of the state before the first measurement, (n,); default: the mean of the problem. What other
+            nodes predict starts at this mean, until the first packet.
+        start_input: input before the first step, (m,), from which the loop takes over without a jump: inputs that are
+            held start with it, and if the model has constant disturbances, their estimate is that for which the first
+            command is this input, if the first measurement is as predicted. If not, ``notes`` states this.
 
     Raises:
         InformationError: a node uses a value that is not available to it over the network.
-        ProblemError: ``policy`` is not a policy, or the network has another delay than the design.
+        ProblemError: ``policy`` is not a policy, or the network has another delay than the design, or the policy has no
+            estimate that could start at the given one.
 
     Example:
         >>> from taciturn import load
@@ -99,35 +109,87 @@ class Nodes:
         ((1,), {'actuator': True}, 1)
     """
 
-    def __init__(self, policy: Policy, network: Network | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        network: Network | None = None,
+        seed: int = 0,
+        *,
+        estimate: ArrayLike | None = None,
+        start_input: ArrayLike | None = None,
+    ) -> None:
         """Set the state before the first step."""
         instance("policy", policy, Policy)
-        self.policy, self.network = policy, policy.network if network is None else network
-        check_network(policy, self.network)
-        self.turns = StepFunction(lower_policy(policy, self.network), {"y": policy.model.outputs}, self.network, seed)
+        self.network = policy.network if network is None else network
+        instance("network", self.network, Network)
+        self.policy = with_intervals(policy, self.network)
+        check_network(self.policy, self.network)
+        begun, self.notes = started(self.policy, self.network, estimate, start_input)
+        self.links = tuple(step.link for step in policy.steps if isinstance(step, Send))
+        self._predicts = predicted_outputs(policy) is not None
+        taken = {"y": policy.model.sensed, **dict.fromkeys(map(fate_of, self.links), 1)}
+        taken |= {MEASURED: policy.model.sensed} if self._predicts else {}
+        self.turns = StepFunction(lower_policy(begun, self.network, Informed), taken, self.network, seed)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the state before the first step; the same draws follow."""
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
         self._memory = self.turns.start
 
-    def step(self, measurement: ArrayLike) -> Array:
+    def step(
+        self, measurement: ArrayLike | Sequence[float | None] | None, *, fates: Mapping[str, bool] | None = None
+    ) -> Array:
         """Execute one step, and set ``sent`` and ``arrived``, which state for each link whether a packet was sent and
         arrived.
 
         Args:
-            measurement: measurement y, (p,).
+            measurement: measurement y, (p,). None in place of an output, or of all, states that it is not measured: the
+                filter then uses its prediction.
+            fates: whether the packet of this step arrives, by link, if one is sent; packets of other links are dropped
+                at random, as the network states.
 
         Returns:
             Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
             integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
-            ProblemError: the measurement has the wrong size, or is not finite.
+            ProblemError: the measurement has the wrong size, or is not finite, an output is not measured and no filter
+                predicts it, or a fate is that of another link.
         """
-        y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
-        self._memory, values = self.turns.turn(self.tick, self._memory, y.tolist())
+        y, known = self._completed(measurement)
+        inputs = [*y, *self._told(fates or {}), *(known if self._predicts else ())]
+        self._memory, values = self.turns.turn(self.tick, self._memory, inputs)
         self.tick += 1
         places = self.turns.outputs.items()
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
         self.arrived = {name.link: values[i] > 0 for name, i in places if isinstance(name, Received)}
         return np.array([values[i] for name, i in places if is_entry(name, "applied")])
+
+    def _completed(self, measurement: ArrayLike | Sequence[float | None] | None) -> tuple[list[float], list[float]]:
+        """Return the outputs, with 0 in place of those that are not measured, and 1 for each that is measured, or 0."""
+        p = self.policy.model.sensed
+        listed: object = [None] * p if measurement is None else measurement
+        entries = cast("list[object]", listed) if isinstance(listed, list | tuple) else []
+        missing = [value is None for value in entries] or [False] * p
+        if any(missing) and not self._predicts:
+            raise ProblemError(
+                f"an output is not measured, and no filter of this {self.policy.kind} predicts it; expected a number "
+                "for each output, or a policy whose controller filters measurements with noise"
+            )
+        given: object = [0.0 if value is None else value for value in entries] if any(missing) else listed
+        y = array("measurement", cast("ArrayLike", given), (p,), "(outputs,)")
+        return y.tolist(), [float(not absent) for absent in missing]
+
+    def _told(self, fates: Mapping[str, bool]) -> list[float]:
+        """Return for each link 1 if its packet arrives, −1 if it is dropped, and 0 if that is drawn."""
+        instance("fates", fates, Mapping)
+        for link in (link for link in fates if link not in self.links):
+            raise ProblemError(
+                f"fates contains {quoted(link)}; expected links on which this {self.policy.kind} sends: "
+                f"{', '.join(self.links)}"
+            )
+        arrives = {link: 1.0 if flag(f"fates[{link!r}]", arrived) else -1.0 for link, arrived in fates.items()}
+        return [arrives.get(link, 0.0) for link in self.links]

@@ -58,12 +58,11 @@ def fingerprint(problem: Problem) -> str:
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [] if problem.controller is None else [problem.controller]
-    links = {} if short is None else problem.network.links  # the short form has no prices, energies and intervals
-    paid = {link: [law.price, law.energy, law.battery] for link, law in links.items()}
-    paid = {link: one for link, one in paid.items() if one != [1.0, None, None]}
-    own += [paid] if paid else []
-    limits = {link: law.intervals for link, law in links.items() if law.intervals != IDEAL_LINK.intervals}
-    own += [limits] if limits else []
+    if short is not None:  # it has no prices, energies and limits of intervals
+        laws = problem.network.links.items()
+        paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
+        limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
+        own += [found for found in (paid, limits) if found]
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 
