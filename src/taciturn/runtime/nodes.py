@@ -168,18 +168,18 @@ class Nodes:
         self.arrived = {name.link: values[i] > 0 for name, i in places if isinstance(name, Received)}
         return np.array([values[i] for name, i in places if is_entry(name, "applied")])
 
-    def _completed(self, measurement: ArrayLike | Sequence[float | None] | None) -> tuple[list[float], list[float]]:
+    def _completed(self, measurement: object) -> tuple[list[float], list[float]]:
         """Return the outputs, with 0 in place of those that are not measured, and 1 for each that is measured, or 0."""
         p = self.policy.model.sensed
-        listed: object = [None] * p if measurement is None else measurement
-        entries = cast("list[object]", listed) if isinstance(listed, list | tuple) else []
+        listed = [None] * p if measurement is None else measurement
+        entries = list[object](cast("Sequence[object]", listed)) if isinstance(listed, list | tuple) else []
         missing = [value is None for value in entries] or [False] * p
         if any(missing) and not self._predicts:
             raise ProblemError(
                 f"an output is not measured, and no filter of this {self.policy.kind} predicts it; expected a number "
                 "for each output, or a policy whose controller filters measurements with noise"
             )
-        given: object = [0.0 if value is None else value for value in entries] if any(missing) else listed
+        given: object = [0.0 if value is None else value for value in entries] or measurement
         y = array("measurement", cast("ArrayLike", given), (p,), "(outputs,)")
         return y.tolist(), [float(not absent) for absent in missing]
 
