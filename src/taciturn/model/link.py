@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, Literal, cast
 
 from taciturn._arrays import choice, count, flag, instance, number
 from taciturn._display import Displayed
@@ -14,6 +14,8 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.losses import LossLaw
 from taciturn.model.wire import CODES, EncodingName
 
+ProtocolName = Literal["udp", "tcp", "ideal"]
+ACKNOWLEDGED: Mapping[str, bool | None] = {"udp": False, "tcp": True, "ideal": None}  # by protocol
 LONGEST = 1_000_000  # steps of an interval between sends
 MOST = 1e100  # largest price, energy and battery, and inverse of the least
 
@@ -147,3 +149,29 @@ class LinkLaw(Displayed):
 
 
 IDEAL_LINK = LinkLaw()
+
+
+def two_links(
+    protocol: ProtocolName, payload: EncodingName, stated: Mapping[str, Mapping[str, Any]]
+) -> dict[str, LinkLaw]:
+    """Return the links of a sensor and an actuator, with messages in the words of ``[network]``."""
+    if protocol not in ACKNOWLEDGED:
+        raise ProblemError(f"network.protocol is {protocol!r}; expected 'udp', 'tcp' or 'ideal'")
+    choice("network.payload", payload, ("float64", "float32", "int16"))
+    found: dict[str, LinkLaw] = {}
+    for link, law in reversed(tuple(stated.items())):
+        loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
+        if law["burst"] is not None:
+            instance(f"network.{link}_burst", law["burst"], LossLaw)
+        if law["burst"] is not None and loss > 0:
+            raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
+        if protocol == "ideal" and (loss > 0 or law["burst"] is not None):
+            raise ProblemError(
+                f"network.{link}_{'loss' if law['burst'] is None else 'burst'} is given for an ideal network; "
+                "expected protocol = 'udp' or 'tcp' for a network with packet losses"
+            )
+        try:
+            found[link] = LinkLaw(loss, law["burst"], ACKNOWLEDGED[protocol], payload, law["range"])
+        except ProblemError as error:
+            raise ProblemError(f"network.{link}_{error}") from None
+    return {link: found[link] for link in stated}
