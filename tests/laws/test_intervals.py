@@ -242,6 +242,11 @@ def test_limits_of_another_design_and_of_a_link_without_packets_are_refused() ->
         ProblemError, match=r"sensor\.max_interval is given, but no node of excess receives a packet on"
     ):
         taciturn.load("two-mass").changed({"links.sensor.max_interval": 5}).design()
+    without = {"kind": "integral", "slope": 0.1, "period": None, "delta": None, "links.sensor.max_interval": 5}
+    with pytest.raises(
+        ProblemError, match="min_interval or max_interval is given, which integral without a period does"
+    ):
+        taciturn.load("double-integrator").changed(without).designed()
     plant = Plant(np.eye(2), np.eye(2), np.eye(2))
     nodes = {"plc": NodeRole(controls=True), "s": NodeRole(measures=True, site="plc")}
     nodes |= {name: NodeRole(applies=(i,)) for i, name in enumerate("ab")}

@@ -363,6 +363,11 @@ class Network(Displayed):
         return any(law.payload != "float64" for law in self.links.values())
 
     @property
+    def limited(self) -> bool:
+        """True if a link limits the intervals between its sends."""
+        return self.with_intervals(None) is not self
+
+    @property
     def delivery(self) -> Network:
         """The network that delivers the same packets, without rounding, prices, energies and limits of intervals."""
         usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}

@@ -57,7 +57,7 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
 
 
 class Informed(TimeStep):
-    """A time step whose program is told which outputs are measured, and what became of the packets.
+    """A time step whose program has inputs for outputs that are not measured, and for the fates of packets.
 
     Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter predicts
     the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn.
