@@ -20,6 +20,7 @@ from taciturn.model.coverage import SIMULATED, uncovered
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
+from taciturn.model.placement import with_intervals
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.set_points import SampledChanges
@@ -401,6 +402,7 @@ def close(
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
     problem = replace(problem, plant=about(problem.plant, policy.model.operating_point))
     SIMULATED.check(network, policy.parts, policy.designed_for)
+    policy = with_intervals(policy, network)
     check_network(policy, network)
     check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:

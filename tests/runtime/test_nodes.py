@@ -59,6 +59,10 @@ TANKS = {
         **{"kind": "variance", "theta": None, "prediction": None, "actuation": None, "threshold": 0.12},
         **{"nodes.pump-1.site": "plc", "nodes.pump-2.site": "plc"},
     },
+    "tank, limits of intervals": {
+        **{f"links.{link}.max_interval": 4 for link in ("level-1", "level-2", "pump-1")},
+        **{f"links.{link}.min_interval": 2 for link in ("level-1", "pump-2")},
+    },
     "tank, crossed": {f"nodes.{n}.{does}": [i] for does, n, i in CROSSED},
 }
 STRING = "vehicle-string"

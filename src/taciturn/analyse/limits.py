@@ -13,13 +13,13 @@ from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import LINEAR_LOOP, STEPS, Coverage
+from taciturn.model.coverage import INTERVALS, LINEAR_LOOP, STEPS, Coverage
 from taciturn.model.theory import Reset
 
 if TYPE_CHECKING:
     from taciturn.renewal.optimal import Optimum
 
-BOUNDED = Coverage(LINEAR_LOOP | STEPS, "lower bounds and optimal schedules do not support")
+BOUNDED = Coverage(LINEAR_LOOP | STEPS | INTERVALS, "lower bounds and optimal schedules do not support")
 LEVEL = 0.999  # default confidence level of a bound
 CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8

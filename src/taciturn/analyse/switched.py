@@ -22,6 +22,7 @@ from taciturn.model.coverage import (
     FIRST,
     FUNCTION,
     FUNCTIONS,
+    INTERVALS,
     JUMPS,
     LIMIT,
     LINEAR_LOOP,
@@ -223,11 +224,11 @@ class _FixedStep(TimeStep):
             self._option = self._case.taken[step.decision]
         super().take(step)
 
-    def least(self, values: Sequence[int]) -> list[Truth]:
+    def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
         return [i == self._option for i in range(len(values) - 1)]
 
-    def first_within(self, values: Sequence[int], limit: float) -> list[Truth]:
-        return self.least(values)
+    def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
+        return self.least(values, allowed)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
         return sent and link not in self._case.lost
@@ -280,6 +281,7 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
     constants = any(ONE in read(step) for step in policy.steps)
     links = [link for link in loop.network.links if loop.network.loss(link) > 0]
     known = {
+        "limits of the intervals between sends (min_interval, max_interval) are given": INTERVALS,
         "the plant is not linear": FUNCTION,
         "inputs are clipped (input_limit)": LIMIT & {"plant.input_limit"},
         "the changes of the inputs are limited (input_rate)": LIMIT & {"plant.input_rate"},

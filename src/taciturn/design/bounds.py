@@ -85,6 +85,7 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
         source,
         problem.per_unit(all_time),
         per_silence / problem.tick,
+        more_sends=True,
     )
 
 
@@ -128,6 +129,7 @@ def bound_by_state(
         source,
         problem.per_unit(base),
         per_silence / problem.tick,
+        more_sends=True,
     )
     return guarantee, ()
 
@@ -147,6 +149,7 @@ def bound_by_errors(problem: Discrete, base: float, errors: Mapping[str, ErrorGa
         "this controller with every sample, γ_l the gain from the error of link l, Δ_l its largest error; a "
         "conservative certificate for any noise, not an estimate",
         "miskowicz2006",
+        more_sends=True,
     )
 
 
@@ -166,13 +169,13 @@ def bound_by_attempts(problem: Discrete, base: float, price: float, every: int, 
     if cost.discount < 1:
         power = "α" if every == 1 else f"α^{every}"
         most = price / (1 - cost.discount**every)
-        return Guarantee(
-            problem.per_unit(base + most), f"J ≤ {name} + δ/(1 − {power}), {base_of}", "antunes2014rollout"
-        )
+        statement = f"J ≤ {name} + δ/(1 − {power}), {base_of}"
+        return Guarantee(problem.per_unit(base + most), statement, "antunes2014rollout", more_sends=every == 1)
     share, ticks, times = 1.0 / every, problem.ticks, ""
     if cost.horizon is not None:
         share, times = -(-cost.horizon // every) / cost.horizon, f"·{cost.horizon}"
     whole = "1" if every == 1 else "1/q" if cost.horizon is None else f"{share:.4g}"
     statement = f"J ≤ {name} + δ{times}({whole} − rate), {base_of}, δ the most that silence adds on average"
     low, high = (problem.per_unit(base + price * ticks * part) for part in (share - 1, share))
-    return Guarantee(high, statement, "antunes2014rollout", low, price * ticks / problem.unit)
+    # a base that is silent in some steps may profit from silence in them
+    return Guarantee(high, statement, "antunes2014rollout", low, price * ticks / problem.unit, more_sends=every == 1)

@@ -61,7 +61,7 @@ def keep_at_nodes(
     bands, control = DeadBands(network, plant, delta, shares), Given(loop.controller)
     initial, base = bands.begun(plant.C @ plant.mean), loop.every_sample()
     policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, network, bands.errors(base))
-    return replace(policy, theory=replace(policy.theory, covers=THEORY, periodic=None))
+    return replace(policy, theory=replace(policy.theory, covers=policy.theory.covers | THEORY, periodic=None))
 
 
 class Control(Protocol):

@@ -14,10 +14,10 @@ from taciturn.lqg.queries import Predictor, follow_every_query
 from taciturn.model.network import REFERENCE
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Step
-from taciturn.model.theory import Innovations
+from taciturn.model.theory import INNOVATION, Innovations
 from taciturn.model.trigger import Matrix
 
-ESTIMATE, HELD, INNOVATION = "estimate", "held", "innovation"
+ESTIMATE, HELD = "estimate", "held"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -19,7 +19,7 @@ from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND
-from taciturn.design.estimation import ESTIMATE, HELD, INNOVATION, estimate_state
+from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
@@ -37,7 +37,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, Policy, Step
 from taciturn.model.saturation import Saturation
-from taciturn.model.theory import Identity, Theory
+from taciturn.model.theory import INNOVATION, Identity, Theory
 from taciturn.model.trigger import Form, Trigger
 
 MISSING, WOULD, BEYOND, LIMIT = "missing", "command of a packet", "beyond limits", "limit"

@@ -17,6 +17,7 @@ Read the modules in this order:
 1. ``plant``, ``dynamics``, ``cost``, ``network``, ``reference``: the problem.
 2. ``trigger``: quadratic forms, and tables that a discrete state selects (``Scheduled``).
 3. ``steps`` and ``location``: the policy steps, and discrete states with their cycle. ``diagram``: nodes and links.
+   ``intervals``: limits of links on the intervals between sends, as part of the decisions.
 4. ``theory`` and ``policy``: proven properties of a policy, such as its guarantee, and the policy itself.
 5. ``information`` and ``places``: the check that a node reads only available signals, and nodes that share a site.
 6. ``packets`` and ``wire``: the packets of a policy, its fingerprint, and the layout of a datagram.

@@ -74,12 +74,16 @@ def in_units(policy: Policy) -> Policy:
     moves, theory = _moves(policy, point), policy.theory
     sums = {name: _moved_terms(terms, moves.get(name), moves) for name, terms in theory.sums.items()}
     assigns = {name for step in policy.steps for name in assigned(step)}
+    told = theory.innovations
+    if told is not None:
+        y = policy.model.C @ point.x
+        told = replace(told, predicted=_moved_terms(told.predicted, y, moves)) if told.signal is None else None
     initial = {name: moves[name] + policy.initial.get(name, 0.0) for name in moves if name in assigns}
     return replace(
         policy,
         steps=tuple(found for step in policy.steps for found in _moved(step, moves)),
         model=about(policy.model, None),
-        theory=Theory(cost=theory.cost, cost_all_time=theory.cost_all_time, sums=sums),
+        theory=Theory(cost=theory.cost, cost_all_time=theory.cost_all_time, sums=sums, innovations=told),
         initial={**policy.initial, **initial},
     )
 

@@ -82,12 +82,13 @@ BELLS = names("GaussianTerm", "height Pi") | {"Form.bell"}
 DRAWS = names("Draw", "at signal")
 FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
+INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
 LINEAR_LOOP = LINEAR_PLANT | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
 PLANTS = LINEAR_PLANT | EXOSYSTEM | CHANGES | FUNCTION | LIMIT | JUMPS | DRIFT
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
-LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS
+LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS | INTERVALS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself
 GAUSSIAN_THEORY = LINEAR_LOOP | ENDING | LOSSES | TRACKING | STEPS
 THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise

@@ -250,7 +250,7 @@ def _link(policy: Policy, step: Send) -> Link:
     trigger = next(other.trigger for other in steps if isinstance(other, Decide) and other.decision == step.on)
     labels = step.labels or trigger.labels[1:]
     decided = (step.on, labels, tuple(label for label in trigger.labels if label not in labels))
-    read_by = {by for form in trigger.options.values() for by in _tables(form)}
+    read_by = {by for form in trigger.forms for by in _tables(form)}
     tables = [location for location in locations if location.name in read_by]
     turning = tuple(location.name for location in tables if len(location.table) > 1)
     if trigger.reads or any(location.on is not None for location in tables):

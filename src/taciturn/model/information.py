@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
-from taciturn.model.coverage import STEPS, TRACKING, Coverage
+from taciturn.model.coverage import INTERVALS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import (
@@ -27,7 +27,7 @@ from taciturn.model.policy import (
 from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
 
-INFORMED = Coverage(STEPS | TRACKING, "the check of the information pattern does not know")
+INFORMED = Coverage(STEPS | TRACKING | INTERVALS, "the check of the information pattern does not know")
 Site: TypeAlias = frozenset[str]
 
 
@@ -51,6 +51,13 @@ def check_network(policy: Policy, network: Network) -> None:
             f"network.delay is {network.delay}, but {policy.kind} was designed for {policy.network.delay}; "
             "expected the delay of the design"
         )
+    for link, law in network.links.items():
+        kept = policy.network.links[link].intervals
+        for name in (name for name, limit in law.intervals.items() if limit != kept[name]):
+            raise ProblemError(
+                f"{network.key(link, name)} is {law.intervals[name]}, but the decisions of this {policy.kind} keep "
+                f"{kept[name]}; expected the limits of the design, or the loop of `close`, whose policy keeps these"
+            )
     packet_shapes(policy, network)
     carrying = links_of(policy)
     if network.rounded and not any(told_by(policy, link) for link in carrying):
@@ -59,8 +66,9 @@ def check_network(policy: Policy, network: Network) -> None:
             "its packets, so rounding has no effect; expected payload = 'float64', the default"
         )
     for link in network.links:
-        stated = [] if link in carrying else network.stated(link)
-        if stated:
+        limited = [name for name, limit in network.links[link].intervals.items() if limit not in (None, 1)]
+        stated = [*network.stated(link), *(network.key(link, name) for name in limited)]
+        if stated and link not in carrying:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
                 f"{stated[0]} is given, but no node of {policy.kind} receives a packet on the {link} link; "
@@ -196,5 +204,5 @@ def _reads(step: Assign | Evaluate | Apply | Decide | Send) -> list[tuple[Sequen
         return [(tuple(terms), tuple(terms.values())) for terms in step.branches]
     if isinstance(step, Apply | Send):
         return [(tuple(read(step)), ())]
-    forms: Sequence[Form] = step.forms if isinstance(step, Evaluate) else tuple(step.trigger.options.values())
+    forms: Sequence[Form] = step.forms if isinstance(step, Evaluate) else step.trigger.forms
     return [(form.reads, (form.Psi, form.constant)) for form in forms]

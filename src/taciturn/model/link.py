@@ -1,12 +1,12 @@
-"""The law of a link: dropouts, acknowledgements, the rounding of numbers, and the price and energy of a packet."""
+"""The law of a link: dropouts, acknowledgements, rounding, price and energy of a packet, and limits of the traffic."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, Literal, cast
 
-from taciturn._arrays import choice, flag, instance, number
+from taciturn._arrays import choice, count, flag, instance, number
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
@@ -14,6 +14,9 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.losses import LossLaw
 from taciturn.model.wire import CODES, EncodingName
 
+ProtocolName = Literal["udp", "tcp", "ideal"]
+ACKNOWLEDGED: Mapping[str, bool | None] = {"udp": False, "tcp": True, "ideal": None}  # by protocol
+LONGEST = 1_000_000  # steps of an interval between sends
 MOST = 1e100  # largest price, energy and battery, and inverse of the least
 
 
@@ -33,10 +36,12 @@ class LinkLaw(Displayed):
         price: price of a packet relative to the packets of other links.
         energy: joules that the sender spends on a packet, or None.
         battery: joules in the battery of the sender, or None.
+        min_interval: least number of steps from one send to the next.
+        max_interval: largest number of steps from one send to the next, or None.
 
     Raises:
         ProblemError: if a probability is outside [0, 1], loss and burst are both given, a range, price or energy is not
-            positive, or a battery is given without the energy of a packet.
+            positive, a battery is given without the energy of a packet, or no interval is within the limits.
 
     Example:
         >>> LinkLaw(loss=0.1).protocol, LinkLaw().protocol
@@ -51,6 +56,8 @@ class LinkLaw(Displayed):
     price: float = 1.0
     energy: float | None = None
     battery: float | None = None
+    min_interval: int = 1
+    max_interval: int | None = None
 
     def __post_init__(self) -> None:
         """Check the arguments."""
@@ -83,17 +90,33 @@ class LinkLaw(Displayed):
             object.__setattr__(self, "acknowledged", flag("acknowledged", self.acknowledged))
         if self.battery is not None and self.energy is None:
             raise ProblemError("battery is given without energy; expected the joules per packet")
+        for name in ("min_interval", "max_interval"):
+            steps = getattr(self, name)
+            if steps is not None and count(name, steps) > LONGEST:
+                raise ProblemError(f"{name} is {steps}; expected at most {LONGEST} steps")
+        if self.max_interval is not None and self.max_interval < self.min_interval:
+            raise ProblemError(
+                f"max_interval is {self.max_interval}, and min_interval is {self.min_interval}; expected max_interval "
+                "of at least min_interval"
+            )
 
     @property
     def protocol(self) -> str:
         """``"ideal"`` if every packet arrives, ``"tcp"`` with acknowledgements and ``"udp"`` without them."""
         return "ideal" if self.acknowledged is None else "tcp" if self.acknowledged else "udp"
 
+    @property
+    def intervals(self) -> dict[str, int | None]:
+        """The limits on the number of steps from one send to the next, by name."""
+        return {"min_interval": self.min_interval, "max_interval": self.max_interval}
+
     def spending(self) -> str:
-        """Return price, energy and battery as text, if they are given."""
+        """Return price, energy, battery and the limits of intervals as text, if they are given."""
         parts = [f"price {self.price:g}"] if self.price != 1.0 else []
         parts += [] if self.energy is None else [f"{self.energy:g} J per packet"]
         parts += [] if self.battery is None else [f"battery of {self.battery:g} J"]
+        parts += [f"at least {self.min_interval} steps between sends"] if self.min_interval > 1 else []
+        parts += [] if self.max_interval is None else [f"at most {self.max_interval} steps between sends"]
         return "".join(f"; {part}" for part in parts)
 
     @property
@@ -126,3 +149,29 @@ class LinkLaw(Displayed):
 
 
 IDEAL_LINK = LinkLaw()
+
+
+def two_links(
+    protocol: ProtocolName, payload: EncodingName, stated: Mapping[str, Mapping[str, Any]]
+) -> dict[str, LinkLaw]:
+    """Return the links of a sensor and an actuator, with messages in the words of ``[network]``."""
+    if protocol not in ACKNOWLEDGED:
+        raise ProblemError(f"network.protocol is {protocol!r}; expected 'udp', 'tcp' or 'ideal'")
+    choice("network.payload", payload, ("float64", "float32", "int16"))
+    found: dict[str, LinkLaw] = {}
+    for link, law in reversed(tuple(stated.items())):
+        loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
+        if law["burst"] is not None:
+            instance(f"network.{link}_burst", law["burst"], LossLaw)
+        if law["burst"] is not None and loss > 0:
+            raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
+        if protocol == "ideal" and (loss > 0 or law["burst"] is not None):
+            raise ProblemError(
+                f"network.{link}_{'loss' if law['burst'] is None else 'burst'} is given for an ideal network; "
+                "expected protocol = 'udp' or 'tcp' for a network with packet losses"
+            )
+        try:
+            found[link] = LinkLaw(loss, law["burst"], ACKNOWLEDGED[protocol], payload, law["range"])
+        except ProblemError as error:
+            raise ProblemError(f"network.{link}_{error}") from None
+    return {link: found[link] for link in stated}

@@ -106,13 +106,41 @@ def _deciders(location: Location, named: Mapping[str, Location], triggers: Mappi
     return found
 
 
+def fixed_choices(decision: str, locations: Iterable[Location], triggers: Mapping[str, Trigger]) -> list[str] | None:
+    """Return the labels that a decision selects until they repeat, twice, or None if they depend on data.
+
+    Args:
+        decision: name of the decision.
+        locations: the locations of a policy.
+        triggers: the trigger of each decision, by name.
+    """
+    trigger, named = triggers[decision], {location.name: location for location in locations}
+    if trigger.reads or trigger.limit is not None:
+        return None
+    by = {form.constant.by for form in trigger.options.values() if isinstance(form.constant, Scheduled)}
+    deciding = list(dict.fromkeys(one for name in sorted(by) for one in _deciders(named[name], named, triggers)))
+    places, found, start = {one.name: one.initial for one in deciding}, list[str](), -1
+    visited: dict[tuple[int, ...], int] = {}
+    while start < 0 or len(found) < 2 * len(visited) - start:
+        here = tuple(places.values())
+        start = visited[here] if start < 0 and here in visited else start
+        visited.setdefault(here, len(visited))
+        values = [_constant(form, places) for form in trigger.options.values()]
+        found.append(trigger.labels[values.index(min(values))])
+        following = {one.name: _next(one, places, triggers) for one in deciding}
+        if None in following.values() or len(visited) > LONGEST:
+            return None
+        places = {name: place for name, place in following.items() if place is not None}
+    return found
+
+
 def _next(location: Location, places: Mapping[str, int], triggers: Mapping[str, Trigger]) -> int | None:
     """Return the next index of a location, or None if it depends on data."""
     row = np.atleast_1d(location.table[places[location.name]])
     if (row == row[0]).all():
         return int(row[0])
     trigger = triggers.get(location.on) if isinstance(location.on, str) else None
-    if trigger is None or any(form.reads for form in trigger.options.values()):
+    if trigger is None or trigger.reads:
         return None
     values = [_constant(form, places) for form in trigger.options.values()]
     return int(row[values.index(min(values))])

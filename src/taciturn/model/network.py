@@ -5,24 +5,24 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, choice, count, instance, number
+from taciturn._arrays import Array, count, instance
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
+from taciturn.model.link import ProtocolName as ProtocolName
+from taciturn.model.link import two_links
 from taciturn.model.losses import LossLaw
 from taciturn.model.roles import TRIANGLE, RoleName
 from taciturn.model.roles import NodeRole as NodeRole
 from taciturn.model.wire import PLANT, Encoding, EncodingName
 
-ProtocolName = Literal["udp", "tcp", "ideal"]
 TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
-ACKNOWLEDGED: Mapping[str, bool | None] = {"udp": False, "tcp": True, "ideal": None}  # by protocol
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
 REFERENCE = "reference"  # signal of the set-points that the controller is given
 
@@ -86,7 +86,7 @@ class Network(Displayed):
         }
         if nodes is None and links is None:
             object.__setattr__(self, "nodes", TRIANGLE)
-            object.__setattr__(self, "links", _two_links(protocol, payload, stated))
+            object.__setattr__(self, "links", two_links(protocol, payload, stated))
             return
         if protocol != "ideal" or payload != "float64" or any(any(law.values()) for law in stated.values()):
             raise ProblemError(
@@ -283,7 +283,7 @@ class Network(Displayed):
 
     def key(self, link: str, name: str) -> str:
         """Return the key of a problem file that states a property of a link."""
-        if self.triangle and name not in ("acknowledged", "price"):
+        if self.triangle and name not in ("acknowledged", "price", "min_interval", "max_interval"):
             return "network.payload" if name == "payload" else f"network.{link}_{name}"
         return f"links.{link}.{name}"
 
@@ -363,35 +363,21 @@ class Network(Displayed):
         return any(law.payload != "float64" for law in self.links.values())
 
     @property
+    def limited(self) -> bool:
+        """True if a link limits the intervals between its sends."""
+        return self.with_intervals(None) is not self
+
+    @property
     def delivery(self) -> Network:
-        """The network that delivers the same packets, without rounding, prices and energies."""
-        return self.with_laws({"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None})
+        """The network that delivers the same packets, without rounding, prices, energies and limits of intervals."""
+        usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}
+        return self.with_laws(usual).with_intervals(None)
 
-
-def _two_links(
-    protocol: ProtocolName, payload: EncodingName, stated: Mapping[str, Mapping[str, Any]]
-) -> dict[str, LinkLaw]:
-    """Return the links of a sensor and an actuator, with messages in the words of ``[network]``."""
-    if protocol not in ACKNOWLEDGED:
-        raise ProblemError(f"network.protocol is {protocol!r}; expected 'udp', 'tcp' or 'ideal'")
-    choice("network.payload", payload, ("float64", "float32", "int16"))
-    found: dict[str, LinkLaw] = {}
-    for link, law in reversed(tuple(stated.items())):
-        loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
-        if law["burst"] is not None:
-            instance(f"network.{link}_burst", law["burst"], LossLaw)
-        if law["burst"] is not None and loss > 0:
-            raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
-        if protocol == "ideal" and (loss > 0 or law["burst"] is not None):
-            raise ProblemError(
-                f"network.{link}_{'loss' if law['burst'] is None else 'burst'} is given for an ideal network; "
-                "expected protocol = 'udp' or 'tcp' for a network with packet losses"
-            )
-        try:
-            found[link] = LinkLaw(loss, law["burst"], ACKNOWLEDGED[protocol], payload, law["range"])
-        except ProblemError as error:
-            raise ProblemError(f"network.{link}_{error}") from None
-    return {link: found[link] for link in stated}
+    def with_intervals(self, other: Network | None) -> Network:
+        """Return the network with another network's limits on the intervals between sends, or with none."""
+        laws = {name: IDEAL_LINK if other is None else other.links[name] for name in self.links}
+        changed = {name: one.intervals for name, one in laws.items() if one.intervals != self.links[name].intervals}
+        return self.changed(changed) if changed else self
 
 
 IDEAL = Network()

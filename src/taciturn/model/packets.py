@@ -18,7 +18,10 @@ from taciturn.model.steps import assigned
 from taciturn.model.wire import PERSON, Encoding, PacketKind
 
 POINTS = 3  # number of points at which a function is evaluated for the fingerprint
-LATER = {"Trigger.limit"}  # fields that fingerprints of earlier versions do not contain, if they are None
+LATER: Mapping[str, object] = {
+    "Trigger.limit": None,
+    "Trigger.excluded": {},
+}  # fields of later versions, which fingerprints omit if so
 DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which designs on different machines agree
 
 
@@ -102,7 +105,7 @@ def _plain(value: object) -> object:
     """Return data as nested tuples of strings and integers."""
     if is_dataclass(value) and not isinstance(value, type):
         named = {f"{type(value).__name__}.{field.name}": getattr(value, field.name) for field in fields(value)}
-        held = [_plain(one) for name, one in named.items() if one is not None or name not in LATER]
+        held = [_plain(one) for name, one in named.items() if name not in LATER or one != LATER[name]]
         return (type(value).__name__, *held)
     if isinstance(value, np.ndarray | float):
         return _whole(np.asarray(value, dtype=np.float64))

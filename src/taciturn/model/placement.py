@@ -28,6 +28,8 @@ Value = TypeVar("Value")
 def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
 
+    The limits on the intervals between sends are left out; ``placed`` adds them to the policy.
+
     Args:
         network: the given network.
         kind: name of the policy kind, for messages.
@@ -37,7 +39,7 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         PlacementError: sensors or actuators are at several places, or several of them share a place with several links.
     """
     if network.triangle:
-        return network
+        return network.with_intervals(None)
     links = dict[str, LinkLaw]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
@@ -50,7 +52,7 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
             )
         if at:
             links[name] = network.links[at[0]]
-    return Network(delay=network.delay, nodes=TRIANGLE, links=links)
+    return Network(delay=network.delay, nodes=TRIANGLE, links=links).with_intervals(None)
 
 
 @contextmanager
@@ -89,13 +91,15 @@ def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
 def placed(policy: Policy, network: Network) -> Policy:
     """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
 
+    The decisions keep the network's limits on the intervals between sends.
+
     Raises:
         PlacementError: the network does not correspond to three nodes, or places them elsewhere than the policy.
     """
     instance("policy", policy, Policy)
     instance("network", network, Network)
     if network.nodes == policy.network.nodes or not policy.network.triangle:
-        return policy
+        return with_intervals(policy, network)
     joint = _apart(network)
     three_nodes(network, policy.kind, joint)
     sets = JointSets(policy, network) if joint else None
@@ -136,6 +140,14 @@ def placed(policy: Policy, network: Network) -> Policy:
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
         notes=tuple(_with_keys(note, network) for note in policy.notes),
     )
+
+
+def with_intervals(policy: Policy, network: Network) -> Policy:
+    """Return a policy whose decisions keep the limits of a network on the intervals between sends."""
+    designed = policy.network
+    if network.nodes != designed.nodes or network.with_intervals(designed) is network:
+        return policy
+    return replace(policy, network=designed.with_intervals(network))
 
 
 def expect_ideal_links(kind: str, network: Network) -> None:

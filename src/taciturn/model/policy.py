@@ -20,6 +20,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import uncovered
 from taciturn.model.diagram import DRAWN, Diagram, draw_diagram
 from taciturn.model.disturbance import Disturbance
+from taciturn.model.intervals import keep_intervals
 from taciturn.model.location import Location as Location
 from taciturn.model.location import joint_cycle
 from taciturn.model.network import Network
@@ -52,6 +53,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False, repr=False)
 class Policy(Displayed):
     """A control policy as data: the policy steps that its nodes execute, in order, within each sampling step.
+
+    If the network limits the intervals between sends, the decisions of the policy keep these limits
+    (``taciturn.model.intervals``).
 
     Args:
         kind: name of the policy kind in the catalogue.
@@ -94,6 +98,8 @@ class Policy(Displayed):
     def __post_init__(self) -> None:
         """Check that all parts of the policy are consistent."""
         number("tick", self.tick, 0.0)
+        for name, value in keep_intervals(self).items():
+            object.__setattr__(self, name, value)
         computed = [name for step in self.steps if isinstance(step, Apply) for name in step.signals]
         self.theory.check(self.kind, computed)
         sizes = {ONE: 1, **{signal: len(entries) for signal, (_, entries) in self.measured.items()}}
@@ -286,7 +292,7 @@ class Policy(Displayed):
             for form in step.forms:
                 self._check_form(form)
         elif isinstance(step, Decide):
-            for form in step.trigger.options.values():
+            for form in step.trigger.forms:
                 self._check_form(form)
         elif isinstance(step, Apply):
             for name in step.reads:

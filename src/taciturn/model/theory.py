@@ -19,6 +19,8 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.steps import Terms
 from taciturn.model.trigger import Form
 
+INNOVATION = "innovation"  # name of the signal y − (prediction of y) in the filters of the designs
+
 
 @dataclass(frozen=True, repr=False)
 class Guarantee(Displayed):
@@ -33,6 +35,8 @@ class Guarantee(Displayed):
         deciders: the largest cost δ of silence by group of links that are decided together, in a bound
             base + (Σ√(δ(1 − r)))² with the rate r at which all links of a group send.
         weights: share of each link in the rate of a bound that depends on one rate; default: one link has it all.
+        more_sends: whether the bound also holds if packets are sent in further steps, since it limits the cost of each
+            silent step and a packet ends silence.
     """
 
     cost: float
@@ -42,6 +46,7 @@ class Guarantee(Displayed):
     per_silence: float = 0.0
     deciders: Mapping[tuple[str, ...], float] = field(default_factory=lambda: {})
     weights: Mapping[str, float] = field(default_factory=lambda: {})
+    more_sends: bool = False
 
     def at_rates(self, rates: Mapping[str, Estimate], link: str) -> Estimate | None:
         """Return the bound that depends on the rates, with the error that the errors of the rates cause.

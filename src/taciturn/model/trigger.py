@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -161,14 +161,15 @@ class Trigger(Displayed):
     """A decision for the action argmin_j (η'Ψ_j η + c_j); among equal values, the first listed action is selected.
 
     Silence is therefore listed first. With a limit, the trigger selects the first listed action whose form is at most
-    the limit, and the last action if there is none.
+    the limit, and the last action if there is none. An action is excluded while one of certain forms is positive.
 
     Args:
         options: the form of each action, by label.
         limit: the limit of the forms; None for the smallest form.
+        excluded: the forms that exclude an action while one of them is positive, by label.
 
     Raises:
-        ProblemError: if there are fewer than two options.
+        ProblemError: if there are fewer than two options, or another action is excluded.
 
     Example: send when e'e exceeds 2.
 
@@ -178,6 +179,7 @@ class Trigger(Displayed):
 
     options: Mapping[str, Form]
     limit: float | None = None
+    excluded: Mapping[str, tuple[Form, ...]] = field(default_factory=lambda: {})
 
     def __post_init__(self) -> None:
         """Validate and store the arguments."""
@@ -185,6 +187,8 @@ class Trigger(Displayed):
             object.__setattr__(self, "limit", number("the limit of a trigger", self.limit))
         if len(self.options) < 2:
             raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two options")
+        for label in (label for label in self.excluded if label not in self.options):
+            raise ProblemError(f"a trigger excludes {label!r}; expected one of its actions {list(self.options)}")
         object.__setattr__(self, "options", dict(self.options))
 
     @property
@@ -195,7 +199,12 @@ class Trigger(Displayed):
     @property
     def reads(self) -> tuple[str, ...]:
         """Names of all signals that are read."""
-        return tuple(dict.fromkeys(name for form in self.options.values() for name in form.reads))
+        return tuple(dict.fromkeys(name for form in self.forms for name in form.reads))
+
+    @property
+    def forms(self) -> tuple[Form, ...]:
+        """All forms: those of the actions, and those that exclude actions."""
+        return (*self.options.values(), *(form for forms in self.excluded.values() for form in forms))
 
 
 def _constant(value: float | Scheduled) -> float | Scheduled:

@@ -218,7 +218,8 @@ class Problem(Displayed):
         if isinstance(policy, Policy):
             check_network(policy, self.network)
         else:
-            policy.refuse({"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded})
+            given = {"[plant.actual]": self.actual is not None, "network.payload": self.network.rounded}
+            policy.refuse(given | {"min_interval or max_interval": self.network.limited})
         return policy
 
     def close(self, policy: Policy) -> Loop:

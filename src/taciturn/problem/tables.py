@@ -121,6 +121,8 @@ class LinkTable(Displayed):
     price: float = 1.0
     energy: float | None = None
     battery: float | None = None
+    min_interval: int = 1
+    max_interval: int | None = None
     delay: float | list[float] | None = field(default=None, metadata=REFUSED)
     buffer: int | None = field(default=None, metadata=REFUSED)
 

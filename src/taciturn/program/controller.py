@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -11,9 +11,10 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import Assign, Policy, Step
+from taciturn.model.policy import Assign, Policy, Step, Terms
+from taciturn.model.theory import INNOVATION
 from taciturn.model.trigger import Matrix, Scheduled
-from taciturn.program.ir import Builder, Program
+from taciturn.program.ir import Builder, Program, Truth
 from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
 from taciturn.program.names import named
 from taciturn.program.node import NODES
@@ -22,9 +23,10 @@ from taciturn.program.ops import Precision
 FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
+MEASURED, COMMAND = "measured", "command"
 
 
-def lower_policy(policy: Policy, network: Network) -> Program:
+def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
     """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
 
     Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, within the limits of the model's
@@ -33,16 +35,13 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     Args:
         policy: the policy.
         network: the links between its nodes.
+        begin: the class that translates the steps; with ``Informed``, the program has further inputs.
     """
     policy = policy.in_units
-    NODES.check(policy.parts, policy.designed_for, network)
-    plant = policy.model
-    tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)})
-    tick.draw_losses(policy, network)
-    measure(tick, policy, [*tick.supplied("y", plant.sensed), *tick.supplied(REFERENCE, plant.outputs - plant.sensed)])
+    tick = _measured(policy, network, begin)
     for step in policy.steps:
         tick.take(step)
-    applied = tick.limited(gather_input(tick, policy), plant.saturation, APPLIED)
+    applied = tick.limited(gather_input(tick, policy), policy.model.saturation, APPLIED)
     copies = {
         name: i for copy in copies_of_inputs(policy) for name, i in named(copy.held, tick.read(copy.held)).items()
     }
@@ -79,6 +78,93 @@ def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
             if isinstance(effect, np.ndarray):
                 found.append(CopiedInput(step.signal, held, effect, names[held]))
     return tuple(found)
+
+
+def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
+    """Return a time step after the measurement."""
+    NODES.check(policy.parts, policy.designed_for, network)
+    plant = policy.model
+    tick = begin_time_step(policy, network, {APPLIED: plant.inputs}, {APPLIED: first_input(policy, plant)}, begin=begin)
+    tick.draw_losses(policy, network)
+    p, outputs = plant.sensed, plant.outputs
+    y, given = tick.supplied("y", p), tick.supplied(REFERENCE, outputs - p)
+    predicted = predicted_outputs(policy)
+    if isinstance(tick, Informed) and predicted is not None:
+        y = tick.completed(y, tick.combine(predicted, outputs)[:p])
+    measure(tick, policy, [*y, *given])
+    return tick
+
+
+class Informed(TimeStep):
+    """A time step whose program has inputs for outputs that are not measured, and for the fates of packets.
+
+    Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter predicts
+    the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn.
+    """
+
+    def arrives(self, link: str, sent: Truth) -> Truth:
+        """Return whether a packet is sent and arrives, by its fate or else at random."""
+        (fate,), none = self.supplied(fate_of(link), 1), self.builder.constant(0.0)
+        told = self.builder.emit("greater", fate, none)
+        dropped = self.builder.emit("greater", none, fate)
+        return self.both(self.negated(dropped), self.either(super().arrives(link, sent), self.both(sent, told)))
+
+    def completed(self, y: Operands, predicted: Operands) -> Operands:
+        """Return the outputs, with the predicted ones in place of those that are not measured."""
+        flags, none = self.supplied(MEASURED, len(y)), self.builder.constant(0.0)
+        known = [self.builder.emit("greater", flag, none) for flag in flags]
+        return [self.choose(*one) for one in zip(known, y, predicted, strict=True)]
+
+
+def fate_of(link: str) -> str:
+    """Return the name of the input of a program that tells what becomes of a packet."""
+    return f"fate of a packet on {link}"
+
+
+def predicted_outputs(policy: Policy) -> Terms | None:
+    """Return the outputs that the filter of a policy predicts before a step, as a sum of signals, or None."""
+    innovations, model = policy.theory.innovations, policy.model
+    if innovations is not None and innovations.signal is None:
+        return innovations.predicted
+    name = INNOVATION if innovations is None else innovations.signal
+    found = [step for step in policy.steps if isinstance(step, Assign) and step.signal == name and step.on is None]
+    if not found:
+        return None
+    places = {signal: outputs for signal, (_, outputs) in policy.measured.items()} | {"y": range(model.sensed)}
+    measured, predicted = np.zeros((model.outputs, model.outputs)), dict[str, Array]()
+    for signal, weight in found[0].branches[0].items():
+        if isinstance(weight, Scheduled):
+            return None
+        if signal in places:
+            measured[:, [*places[signal]]] += weight
+        else:
+            predicted[signal] = -weight
+    return predicted if np.array_equal(measured, np.eye(model.outputs)) else None
+
+
+def lower_command(policy: Policy, network: Network) -> Program | None:
+    """Return the program that computes the command of the controller in a step; None if no signal is a command.
+
+    Its inputs and outputs are those of ``lower_policy``, apart from packets, with the command in place of ``applied``.
+    """
+    names = {index: (name, i) for name, rows in _commands(policy).items() for i, index in enumerate(rows)}
+    tick = _measured(policy, network, Informed)
+    for step in policy.steps:
+        tick.take(step)
+        if all(name in tick.signals and name not in tick.memories for name, _ in names.values()):
+            break
+    if len(names) < policy.model.inputs or not all(name in tick.signals for name, _ in names.values()):
+        return None
+    places = [names[index] for index in range(policy.model.inputs)]
+    return tick.finish({}, named("command", [tick.signals[name][i] for name, i in places]))
+
+
+def _commands(policy: Policy) -> Mapping[str, Sequence[int]]:
+    """Return the signals of the controller that are the commands for some inputs, and these inputs."""
+    if COMMAND in policy.sizes:
+        return {COMMAND: range(policy.model.inputs)}
+    found = {f"{COMMAND}_{node}": rows for node, rows in policy.applied.values()}
+    return {name: rows for name, rows in found.items() if name in policy.sizes}
 
 
 def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:

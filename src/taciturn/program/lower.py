@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.model.coverage import NETWORKS, STEPS, TRACKING, Coverage
+from taciturn.model.coverage import INTERVALS, NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import (
@@ -42,12 +42,13 @@ from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.names import Entry, Name, Named, Option, Sent
 from taciturn.program.ops import State
 from taciturn.program.trace import trace
+from taciturn.program.truths import Truths
 
 Operands = list[int]
 APPLIED = "applied"  # the input that the actuators apply
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
 
-LOWERED = Coverage(STEPS | TRACKING | NETWORKS, "programs do not carry out")
+LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
 
 
 def first_input(policy: Policy, plant: Plant) -> Array:
@@ -58,7 +59,7 @@ def first_input(policy: Policy, plant: Plant) -> Array:
     return found if plant.saturation is None else plant.saturation.begun(found)
 
 
-class TimeStep:
+class TimeStep(Truths):
     """Translation of one time step: the operations that give the value of each signal after each policy step.
 
     A signal that is read before it is assigned becomes a memory, which is a state of the program.
@@ -82,7 +83,8 @@ class TimeStep:
         """Start before the first policy step."""
         self.payloads = payloads or {}
         self.listening: Mapping[str, Encoding] = {}  # encodings of the packet that the current policy step reads
-        self.builder, self.sizes, self.initial = builder, sizes, initial
+        super().__init__(builder)
+        self.sizes, self.initial = sizes, initial
         self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Operands] = {}
         self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
@@ -207,21 +209,11 @@ class TimeStep:
                 chosen = self.choose(truth, option, chosen)
         return chosen
 
-    def choose(self, truth: Truth, yes: int, no: int) -> int:
-        """Return the number ``yes`` if the truth value is true, and ``no`` otherwise."""
-        if isinstance(truth, bool):
-            return yes if truth else no
-        return self.builder.choose(truth, yes, no)
-
-    def as_number(self, truth: Truth) -> int:
-        """Return a truth value as a number: 1 for true and 0 for false."""
-        return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
-
     def happened(self, condition: Condition) -> list[Truth]:
         """Return truth values for all outcomes of a condition but the last; for a packet, whether it did not arrive."""
         if isinstance(condition, str):
             return self.outcomes[condition]
-        return [self._not(self._arrived(condition.link))]
+        return [self.negated(self._arrived(condition.link))]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
         """Return the entries of a matrix; a scheduled matrix depends on a location (a finite-state variable)."""
@@ -298,34 +290,20 @@ class TimeStep:
 
     def _decide(self, step: Decide) -> None:
         """Translate a decision for the first label of the least form, or of a form that is at most the limit."""
-        values = [self.form(form) for form in step.trigger.options.values()]
-        self.options[step.decision] = dict(zip(step.trigger.labels, values, strict=True))
-        limit = step.trigger.limit
-        self.outcomes[step.decision] = self.least(values) if limit is None else self.first_within(values, limit)
+        trigger = step.trigger
+        values = [self.form(form) for form in trigger.options.values()]
+        self.options[step.decision] = dict(zip(trigger.labels, values, strict=True))
+        allowed = [self._allowed(trigger.excluded.get(label, ())) for label in trigger.labels]
+        self.outcomes[step.decision] = (
+            self.least(values, allowed) if trigger.limit is None else self.first_within(values, trigger.limit, allowed)
+        )
 
-    def least(self, values: Sequence[int]) -> list[Truth]:
-        """Return for each value but the last whether it is the first of the least values."""
-        # label i is chosen if V_i ≤ V_j for every later j, and no earlier label is chosen. For an earlier label that is
-        # not chosen there is a later one with a smaller value, so by induction the chosen value is the minimum.
-        truths: list[Truth] = []
-        for i, value in enumerate(values[:-1]):
-            truth: Truth = True
-            for other in values[i + 1 :]:
-                truth = self._and(truth, self.builder.emit("less_equal", value, other))
-            for earlier in truths:
-                truth = self._and(truth, self._not(earlier))
-            truths.append(truth)
-        return truths
-
-    def first_within(self, values: Sequence[int], limit: float) -> list[Truth]:
-        """Return for each value but the last whether it is the first value that is at most the limit."""
-        truths: list[Truth] = []
-        for value in values[:-1]:
-            truth: Truth = self.builder.emit("less_equal", value, self.builder.constant(limit))
-            for earlier in truths:
-                truth = self._and(truth, self._not(earlier))
-            truths.append(truth)
-        return truths
+    def _allowed(self, forms: Sequence[Form]) -> Truth:
+        """Return whether no form is positive."""
+        truth: Truth = True
+        for form in forms:
+            truth = self.both(truth, self.builder.emit("less_equal", self.form(form), self.builder.constant(0.0)))
+        return truth
 
     def _send(self, step: Send) -> None:
         sent: Truth = True
@@ -339,11 +317,11 @@ class TimeStep:
             if silent[-1]:
                 none: Truth = True
                 for truth in (truth for truth, quiet in flags if not quiet):
-                    none = self._and(none, self._not(truth))
-                sent = self._not(none)
+                    none = self.both(none, self.negated(truth))
+                sent = self.negated(none)
             else:
                 for truth in (truth for truth, quiet in flags if quiet):
-                    sent = self._and(sent, self._not(truth))
+                    sent = self.both(sent, self.negated(truth))
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
@@ -351,7 +329,7 @@ class TimeStep:
         loss = self.losses[link]
         if isinstance(loss, float) and loss == 0.0:
             return sent
-        return self._and(sent, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
+        return self.both(sent, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
 
     def _arrived(self, link: str) -> Truth:
         """Return whether the packet of this step has arrived, or before its Send, the packet of the previous step."""
@@ -360,19 +338,6 @@ class TimeStep:
             self.memories[name] = self._remember(name, 1)
             self.arrived[link] = self.builder.emit("greater", self.memories[name][0], self.builder.constant(0.0))
         return self.arrived[link]
-
-    def _and(self, one: Truth, other: Truth) -> Truth:
-        if isinstance(one, bool):
-            return other if one else False
-        if isinstance(other, bool):
-            return one if other else False
-        return self.builder.emit("and", one, other)
-
-    def _not(self, truth: Truth) -> Truth:
-        if isinstance(truth, bool):
-            return not truth
-        op = self.builder.ops[truth]
-        return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:

@@ -18,6 +18,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.state_space import plant_from
+from taciturn.program.controller import lower_policy
 from taciturn.program.names import Entry, Sent
 from taciturn.runtime.nodes import Nodes, StepFunction, Values
 
@@ -83,7 +84,8 @@ def to_control(
     if isinstance(thing, Plant):
         return state_space(thing.A, thing.B, thing.C, _step(thing), "plant")
     if isinstance(thing, Policy):
-        plant, (turns, links) = thing.model, (Nodes(thing, network, seed).turns, thing.scheduled)
+        nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
+        turns = StepFunction(lower_policy(nodes.policy, nodes.network), {"y": plant.outputs}, nodes.network, seed)
         return _system(turns, {"y": plant.outputs}, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
     thing = thing.in_units
     plant, links = thing.problem.plant, thing.policy.scheduled

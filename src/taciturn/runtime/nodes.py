@@ -8,21 +8,31 @@ therefore a pure function: its result is the same if the step is repeated or exe
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, count, instance
+from taciturn._arrays import Array, ArrayLike, array, count, flag, instance, quoted
 from taciturn.errors import ProblemError
 from taciturn.model.information import check_network
-from taciturn.model.network import Network
-from taciturn.model.policy import Policy, Received
-from taciturn.program.controller import copies_of_inputs, lower_policy
+from taciturn.model.network import REFERENCE, Network
+from taciturn.model.placement import with_intervals
+from taciturn.model.policy import Policy, Received, Send
+from taciturn.program.controller import (
+    MEASURED,
+    Informed,
+    copies_of_inputs,
+    fate_of,
+    lower_policy,
+    predicted_outputs,
+)
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.lower import APPLIED, link_state
 from taciturn.program.names import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 from taciturn.runtime.node import Values
+from taciturn.runtime.starts import started
 
 BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 
@@ -87,10 +97,16 @@ class Nodes:
         policy: policy of the nodes.
         network: network between the nodes; default: the network of the design.
         seed: seed of packet drops and of the policy's random draws; the draws of a step depend only on seed and step.
+        estimate: estimate of the state before the first measurement, (n,); default: the mean of the problem, at
+            which predictions of other nodes start in any case.
+        start_input: input before the first step, (m,), from which the loop takes over without a jump: inputs that are
+            held start with it, and if the model has constant disturbances, their estimate is that for which the first
+            command is this input, if the first measurement is as predicted. If not, ``notes`` states this.
 
     Raises:
         InformationError: a node uses a value that is not available to it over the network.
-        ProblemError: ``policy`` is not a policy, or the network has another delay than the design.
+        ProblemError: ``policy`` is not a policy, or the network has another delay than the design, or the policy has no
+            estimate that could start at the given one.
 
     Example:
         >>> from taciturn import load
@@ -100,41 +116,79 @@ class Nodes:
         ((1,), {'actuator': True}, 1)
     """
 
-    def __init__(self, policy: Policy, network: Network | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        network: Network | None = None,
+        seed: int = 0,
+        *,
+        estimate: ArrayLike | None = None,
+        start_input: ArrayLike | None = None,
+    ) -> None:
         """Set the state before the first step."""
         instance("policy", policy, Policy)
-        self.policy, self.network = policy, policy.network if network is None else network
-        check_network(policy, self.network)
-        self.turns = StepFunction(lower_policy(policy, self.network), {"y": policy.model.outputs}, self.network, seed)
+        self.network = policy.network if network is None else network
+        instance("network", self.network, Network)
+        self.policy = with_intervals(policy, self.network).in_units
+        check_network(self.policy, self.network)
+        begun, self.notes = started(self.policy, self.network, estimate, start_input)
+        self.links = tuple(step.link for step in policy.steps if isinstance(step, Send))
+        self._predicts, model = predicted_outputs(self.policy) is not None, self.policy.model
+        self._copies = copies_of_inputs(self.policy)
+        given = model.outputs - model.sensed
+        taken = {"y": model.sensed, REFERENCE: given, **dict.fromkeys(map(fate_of, self.links), 1)}
+        taken |= {MEASURED: model.sensed} if self._predicts else {}
+        self.turns = StepFunction(lower_policy(begun, self.network, Informed), taken, self.network, seed)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the state before the first step; the same draws follow."""
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
+        model = self.policy.model
+        self.reference: list[float] = model.mean[model.states - (model.outputs - model.sensed) :].tolist()
         self._memory = self.turns.start
-        self._copies = copies_of_inputs(policy)
         self._held: dict[str, Array] = {}
 
-    def step(self, measurement: ArrayLike, applied: ArrayLike | None = None) -> Array:
+    def step(
+        self,
+        measurement: ArrayLike | Sequence[float | None] | None,
+        *,
+        reference: ArrayLike | None = None,
+        applied: ArrayLike | None = None,
+        fates: Mapping[str, bool] | None = None,
+    ) -> Array:
         """Execute one step, and set ``sent`` and ``arrived``, which state for each link whether a packet was sent and
         arrived.
 
         Args:
-            measurement: measurement y, (p,).
+            measurement: measurement y, (p,). None in place of an output, or of all, states that it is not measured: the
+                filter then uses its prediction.
+            reference: set-points from this step on, (z,), if they may change (``[reference] steps`` or ``file``);
+                default: those of the step before.
             applied: input that the actuators really applied in the step before, (m,), if limits that the plant does not
                 state changed it. The filter, and a given controller that uses its input, take it in place of their
                 copy; default: the input that was returned.
+            fates: whether the packet of this step arrives, by link, if one is sent; packets of other links are dropped
+                at random, as the network states.
 
         Returns:
             Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
             integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
-            ProblemError: the measurement or the applied input has the wrong size, or is not finite; or an applied input
-                is given in the first step, or for a policy whose nodes do not use it.
+            ProblemError: an argument has the wrong size, or is not finite; an output is not measured and no filter
+                predicts it; set-points are given to a policy for constant ones; an applied input is given in the first
+                step, or for a policy whose nodes do not use it; or a fate is that of another link.
         """
-        y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
+        y, known = self._completed(measurement)
+        if reference is not None:
+            self._follow(reference)
         if applied is not None:
             self._tell(array("applied", applied, (self.policy.model.inputs,), "(inputs,)"))
-        self._memory, values = self.turns.turn(self.tick, self._memory, y.tolist())
+        inputs = [*y, *self.reference, *self._told(fates or {}), *(known if self._predicts else ())]
+        self._memory, values = self.turns.turn(self.tick, self._memory, inputs)
         self.tick += 1
         places = self.turns.outputs.items()
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
@@ -152,6 +206,41 @@ class Nodes:
             change = copy.effect @ (applied[list(copy.inputs)] - self._held[copy.held])
             memory |= {f"{copy.signal}[{i}]": memory[f"{copy.signal}[{i}]"] + d for i, d in enumerate(change.tolist())}
         self._memory = tuple(memory.values())
+
+    def _completed(self, measurement: object) -> tuple[list[float], list[float]]:
+        """Return the outputs, with 0 in place of those that are not measured, and 1 for each that is measured, or 0."""
+        p = self.policy.model.sensed
+        listed = [None] * p if measurement is None else measurement
+        entries = list[object](cast("Sequence[object]", listed)) if isinstance(listed, list | tuple) else []
+        missing = [value is None for value in entries] or [False] * p
+        if any(missing) and not self._predicts:
+            raise ProblemError(
+                f"an output is not measured, and no filter of this {self.policy.kind} predicts it; expected a number "
+                "for each output, or a policy whose controller filters measurements with noise"
+            )
+        given: object = [0.0 if value is None else value for value in entries] or measurement
+        y = array("measurement", cast("ArrayLike", given), (p,), "(outputs,)")
+        return y.tolist(), [float(not absent) for absent in missing]
+
+    def _told(self, fates: Mapping[str, bool]) -> list[float]:
+        """Return for each link 1 if its packet arrives, −1 if it is dropped, and 0 if that is drawn."""
+        instance("fates", fates, Mapping)
+        for link in (link for link in fates if link not in self.links):
+            raise ProblemError(
+                f"fates contains {quoted(link)}; expected links on which this {self.policy.kind} sends: "
+                f"{', '.join(self.links)}"
+            )
+        arrives = {link: 1.0 if flag(f"fates[{link!r}]", arrived) else -1.0 for link, arrived in fates.items()}
+        return [arrives.get(link, 0.0) for link in self.links]
+
+    def _follow(self, reference: ArrayLike) -> None:
+        """Set the set-points."""
+        if not self.reference:
+            raise ProblemError(
+                f"reference is given, and the set-points of this {self.policy.kind} are constant; expected [reference] "
+                "with steps or file, which state how they change"
+            )
+        self.reference = array("reference", reference, (len(self.reference),), "(set-points,)").tolist()
 
 
 def _values(values: Values, places: Iterable[tuple[Name, int]], signal: str) -> Array:

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, Self, TypeAlias
 
 from taciturn.errors import ProblemError
-from taciturn.model.coverage import NETWORKS, Coverage
+from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.places import plant_links, wire_links
@@ -41,7 +41,7 @@ from taciturn.model.wire import (
 from taciturn.runtime.keys import Keys
 
 PacketDefect: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
-WIRED = Coverage(NETWORKS, "packets over UDP do not carry out")
+WIRED = Coverage(NETWORKS | INTERVALS, "packets over UDP do not carry out")
 REFUSALS: tuple[PacketDefect, ...] = ("malformed", "corrupted", "foreign", "forged")
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")

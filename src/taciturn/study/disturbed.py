@@ -83,6 +83,7 @@ def averages_after_step(
     def averaged(policy: Policy, progress: Progress) -> Averages:
         policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
         network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
+        network = network.with_intervals(policy.network)
         loop, error = close(plant, policy, network, cost), None if request.steps else target
         return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
 
@@ -103,11 +104,11 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     link = "sensor" if sensed else "actuator"
     alone = excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller, link=link)
     always = sends_every_sample(alone)
-    return placed(always, network) if len(links) == 1 else always
+    return placed(always, network.with_intervals(None)) if len(links) == 1 else always
 
 
 def sends_every_sample(policy: Policy) -> Policy:
-    """Return the policy with triggers that always send."""
+    """Return the policy with triggers that always send, whatever the limits of the intervals between sends."""
 
     def always(trigger: Trigger) -> Trigger:
         return Trigger({**trigger.options, "silent": Form(constant=NEVER)})
@@ -116,4 +117,4 @@ def sends_every_sample(policy: Policy) -> Policy:
         replace(step, trigger=always(step.trigger)) if isinstance(step, Decide) and step.decision == SEND else step
         for step in policy.steps
     )
-    return replace(policy, steps=steps)
+    return replace(policy, steps=steps, network=policy.network.with_intervals(None))

@@ -169,7 +169,8 @@ def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
     """Return the exact cost of a periodic policy, or None where it is not stable or not the designed loop."""
     try:
         policy = design()
-        nominal = problem.close(policy).nominal
+        network = problem.network.with_intervals(None)
+        nominal = close(problem.actual or problem.plant, policy, network, problem.cost).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None
     return policy.theory.closed_form.cost if nominal and policy.theory.closed_form is not None else None

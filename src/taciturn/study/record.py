@@ -14,6 +14,7 @@ from taciturn._version import __version__
 from taciturn.analyse.limits import LowerBound
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.estimate import Estimate
+from taciturn.model.link import IDEAL_LINK
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import Linearisation
@@ -58,8 +59,11 @@ def fingerprint(problem: Problem) -> str:
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [] if problem.controller is None else [problem.controller]
-    paid = {link: [law.price, law.energy, law.battery] for link, law in problem.network.links.items() if law.spending()}
-    own += [paid] if paid and short is not None else []  # the short form has no prices and energies
+    if short is not None:  # it has no prices, energies and limits of intervals
+        laws = problem.network.links.items()
+        paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
+        limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
+        own += [found for found in (paid, limits) if found]
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 

@@ -106,7 +106,7 @@ def distributed(
             "dropout grows; expected links that deliver every packet, or no disturbances and set-points"
         )
     if 0 < len(lossy) <= MOST_LINKS:
-        all_time = _with_every_attempt(plant, cost, period, *given)
+        all_time = _with_every_attempt(plant, cost, period, network.with_intervals(None), *given[1:])
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
     return _policy(certainty, *given, thresholds, all_time)
 
@@ -209,6 +209,7 @@ def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[s
         "khashooei2017",
         problem.per_unit(all_time),
         deciders={group: delta / problem.tick for group, delta in thresholds.items()},
+        more_sends=True,
     )
 
 

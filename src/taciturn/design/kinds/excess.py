@@ -113,14 +113,14 @@ def excess(
                 link=link, network=three_nodes(network, "excess", joint=True), every=every, gains=gains, retry=retry,
             )  # fmt: skip
         return placed(alone, network)
-    every = count("every", every)
+    every, links = count("every", every), network.with_intervals(None)
 
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
 
     ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(network, link))
     if controller is None and ideal and actuation != "zero":
-        return _lqg(discretise(plant, cost, period), actuation, price_at)
+        return placed(_lqg(discretise(plant, cost, period), actuation, price_at), network)
     L = None
     if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
         if controller is not None or not drops(network, link) or actuation == "model" or link == "sensor" or every > 1:
@@ -134,7 +134,8 @@ def excess(
     if controller is None:
         controller = lqg_observer("excess", discretise(plant, cost, period), every, L)
     kept = controller_from(controller)
-    return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, network, every, retry)
+    policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry)
+    return placed(policy, network)
 
 
 def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float]) -> Policy:

@@ -141,6 +141,7 @@ def lossy_lqg(
                 "khashooei2017",
                 cost_all_time,
                 price * ticks,
+                more_sends=True,
             ),
             identity=Identity(cost_all_time, (silent, Form()), SEND),
         ),

@@ -108,6 +108,7 @@ def lqg(
             problem.per_unit((1 + theta) * certainty.cost_all_time),
             f"J ≤ (1+θ) J_all{less_noise(problem, 'θ')}, mean-square stable",
             "khashooei2017",
+            more_sends=True,
         ),
         reset=certainty.reset(actuation),
     )

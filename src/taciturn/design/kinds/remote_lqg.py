@@ -121,6 +121,7 @@ def remote_lqg(
                 problem.per_unit((1 + theta) * (cost_all_time + zeta * queries)),
                 _statement(prices, controller),
                 "khashooei2017",
+                more_sends=True,
             ),
             identity=None if controller == "actuator" else completed_square(cost_of_watch, prices.square()),
             innovations=estimation.innovations,

@@ -19,7 +19,7 @@ from taciturn._grid import parse_settings
 from taciturn._progress import Progress, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import NETWORKS, Coverage
+from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy, Send
@@ -45,7 +45,7 @@ from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-EMULATED = Coverage(NETWORKS, "running links do not emulate")
+EMULATED = Coverage(NETWORKS | INTERVALS, "running links do not emulate")
 USUAL = 5000  # default number of steps
 
 

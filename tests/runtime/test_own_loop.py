@@ -1,0 +1,209 @@
+"""Nodes in a loop of one's own: outputs that are not measured, packets of a real network, and how a loop starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from catalogue import POLICIES, closed
+from counts import few
+from systems import make_system
+
+import taciturn
+from taciturn import Cost, Loop, Network, Nodes, Plant, ProblemError, close, design
+from taciturn.design.certainty import design_certainty
+from taciturn.lqg.discrete import discretise
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
+from taciturn.model.policy import Received
+from taciturn.program.names import Entry
+from taciturn.program.numpy import run
+
+SYSTEM = make_system(7, 3, 2, 2, False)
+TICKS = 120
+
+
+def recorded(loop: Loop, seed: int, ticks: int = TICKS) -> tuple[np.ndarray, np.ndarray, list[dict[str, bool]]]:
+    """Return measurements, inputs and arrivals of a simulated loop, by step, with the bits of NumPy."""
+    program = loop.program()
+    ticks = min(ticks, loop.horizon or ticks)
+    found = run(program, loop.start(program, 1, seed), ticks).outputs
+    y, u = (
+        np.array(
+            [values[:, 0] for name, values in found.items() if isinstance(name, Entry) and name.signal == signal]
+        ).T
+        for signal in ("y", "applied")
+    )
+    arrived = {name.link: values[:, 0] > 0 for name, values in found.items() if isinstance(name, Received)}
+    return y, u, [{link: bool(flags[k]) for link, flags in arrived.items()} for k in range(ticks)]
+
+
+@pytest.mark.parametrize("delta", [0.0, 0.5])
+def test_an_output_that_is_not_measured_is_predicted(delta: float) -> None:
+    """Against a filter in NumPy whose innovation of a missing output is zero, with held inputs."""
+    plant, draws = SYSTEM.plant, np.random.default_rng(1)
+    found = design_certainty("excess", discretise(plant, SYSTEM.cost, None))
+    L, H, gain = found.regulator.L, found.regulator.H, found.filter.gain
+    nodes = Nodes(design.excess(plant, SYSTEM.cost, delta=delta))
+    prior, held, sends = np.zeros(3), np.zeros(2), 0
+    for k in range(TICKS):
+        y = draws.standard_normal(2)
+        missing = draws.random(2) < 0.4
+        given = None if missing.all() else [None if absent else value for absent, value in zip(missing, y, strict=True)]
+        u = nodes.step(given if k % 3 else (given and tuple(given)))
+        estimate = prior + gain @ np.where(missing, 0.0, y - plant.C @ prior)
+        error = held - L @ estimate
+        held = L @ estimate if error @ H @ error > delta else held
+        prior = plant.A @ estimate + plant.B @ held
+        assert np.abs(u - held).max() <= 1e-9 * max(1.0, np.abs(held).max())
+        sends += nodes.sent["actuator"]
+    assert 0 < sends <= TICKS
+
+
+def test_sensors_whose_contributions_are_added_predict_what_is_missing() -> None:
+    """The same inputs as with the prediction in place of the output, by the filter of all measurements."""
+    problem = taciturn.load("quadruple-tank").changed({"theta": 0.0})
+    policy = problem.design()
+    found = design_certainty("distributed", discretise(problem.plant, problem.cost, 2.0))
+    C, gain, prior, draws = policy.model.C, found.filter.gain, np.zeros(4), np.random.default_rng(2)
+    some, whole = Nodes(policy), Nodes(policy)
+    for _ in range(40):
+        y, missing = draws.standard_normal(2), draws.random(2) < 0.5
+        u = some.step([None if absent else value for absent, value in zip(missing, y, strict=True)])
+        filled = np.where(missing, C @ prior, y)
+        assert np.allclose(u, whole.step(filled), rtol=1e-9, atol=1e-12)
+        prior = policy.model.A @ (prior + gain @ (filled - C @ prior)) + policy.model.B @ u
+
+
+@pytest.mark.parametrize("name", few([*POLICIES], 8, 3))
+def test_fates_repeat_a_recorded_trajectory_bit_for_bit(name: str) -> None:
+    """Whatever the losses of the nodes themselves are; policies with draws of their own repeat those of their seed."""
+    loop = closed(POLICIES[name](make_system(11, 3, 2, 2, "lossy" in name)))
+    y, applied, arrived = recorded(loop, 3)
+    if name.startswith("stochastic"):  # its thresholds are drawn
+        return
+    lossy = loop.network.links["actuator"].ideal
+    nodes = Nodes(loop.policy, loop.network if lossy else loop.network.with_laws({"loss": 0.9}), seed=8)
+    for measured, fates, u in zip(y, arrived, applied, strict=True):
+        assert np.array_equal(nodes.step(measured, fates=fates), u)
+        assert nodes.arrived == fates
+
+
+def test_packets_of_a_link_that_is_assumed_ideal_may_be_dropped() -> None:
+    """The bits of the same policy over a network that drops packets; links without a fate are drawn."""
+    policy = design.distributed(SYSTEM.plant, SYSTEM.cost, theta=0.3)
+    y, applied, arrived = recorded(close(SYSTEM.plant, policy, Network("udp", 0.4, 0.2)), 5)
+    nodes = Nodes(policy)
+    for measured, fates, u in zip(y, arrived, applied, strict=True):
+        assert np.array_equal(nodes.step(measured, fates=fates), u)
+    assert not all(flag for fates in arrived for flag in fates.values())
+    alike, drawn = (Nodes(policy, Network("udp", 0.4, 0.2), seed=2) for _ in range(2))
+    for measured in y:
+        drawn.step(measured)
+        alike.step(measured, fates={"sensor": drawn.arrived["sensor"]})
+        assert alike.arrived == drawn.arrived
+
+
+@pytest.mark.parametrize("mean", [[0.0, 0.0, 0.0], [0.5, -1.0, 2.0]])
+def test_an_initial_estimate_is_that_of_a_design_with_this_mean(mean: list[float]) -> None:
+    """Bit for bit, for a problem with and without another mean; a reset returns to it."""
+    p, estimate = SYSTEM.plant, [1.0, 2.0, -3.0]
+    first, other = (
+        design.excess(Plant(p.A, p.B, p.W, p.C, p.V, mean=at), SYSTEM.cost, delta=0.5) for at in (mean, estimate)
+    )
+    nodes, expected, draws = Nodes(first, estimate=estimate), Nodes(other), np.random.default_rng(0)
+    y = draws.standard_normal((50, 2))
+    rows = [nodes.step(one) for one in y]
+    assert np.array_equal(rows, [expected.step(one) for one in y])
+    assert not np.array_equal(rows[0], Nodes(first).step(y[0]))
+    nodes.reset()
+    assert (nodes.tick, nodes.sent, nodes.arrived) == (0, {}, {})
+    assert np.array_equal(rows, [nodes.step(one) for one in y])
+
+
+def test_a_reset_repeats_losses_and_draws() -> None:
+    """As if the nodes had just been made."""
+    policy = design.lossy_lqg(Plant(SYSTEM.plant.A, SYSTEM.plant.B, SYSTEM.plant.W), Cost(np.eye(3), np.eye(2)),
+                              price=0.1, network=Network("udp", 0.1, 0.1))  # fmt: skip
+    nodes, y = Nodes(policy, seed=4), np.random.default_rng(1).standard_normal((30, 3))
+    rows = [(*nodes.step(one), *nodes.arrived.values()) for one in y]
+    nodes.reset()
+    assert rows == [(*nodes.step(one), *nodes.arrived.values()) for one in y]
+
+
+def steady_tanks(**more: Any) -> taciturn.Policy:
+    """Return the policy of the four tanks with a constant disturbance at each pump and set-points."""
+    problem = taciturn.load("quadruple-tank")
+    B = problem.plant.B
+    leaks = [ExternalDisturbance(B[:, i], wander=1e-4) for i in range(2)]
+    plant = follow(problem.plant, [[1.0, 0, 0, 0], [0, 1.0, 0, 0]], [0.3, -0.2], leaks)
+    changed = replace(problem.changed(more), plant=plant)
+    policy = changed.design()
+    assert isinstance(policy, taciturn.Policy)
+    return policy
+
+
+@pytest.mark.parametrize("actuation", ["hold", "model"])
+def test_a_loop_takes_over_from_an_input_without_a_jump(actuation: str) -> None:
+    """The estimates of the constant disturbances are those for which the first command is the input so far."""
+    u, x = [1.5, -0.7], [0.2, 0.1, -0.3, 0.4]
+    policy = steady_tanks(actuation=actuation)
+    n = policy.model.states
+    estimate = np.concatenate([x, policy.model.mean[4:]])
+    nodes = Nodes(policy, estimate=estimate, start_input=u)
+    assert nodes.notes == ()
+    assert np.allclose(nodes.step([None, None]), u, rtol=1e-9)
+    assert n > 4
+    without = Nodes(policy, estimate=estimate)
+    assert not np.allclose(without.step([None, None]), u, rtol=1e-2)
+
+
+def test_without_a_constant_disturbance_only_the_held_input_starts() -> None:
+    """A note states the first command; the held input is the one before, until a packet is worth its cost."""
+    policy = design.excess(SYSTEM.plant, SYSTEM.cost, delta=1e6)
+    nodes = Nodes(policy, start_input=[0.5, -0.5])
+    assert nodes.step([0.0, 0.0]).tolist() == [0.5, -0.5]
+    assert "no constant disturbances that account for start_input, so the first command is [0.0, 0.0]" in nodes.notes[0]
+    measured = design.excess(Plant(SYSTEM.plant.A, SYSTEM.plant.B, SYSTEM.plant.W), SYSTEM.cost, delta=1e6)
+    nodes = Nodes(measured, start_input=[0.5, -0.5])
+    assert nodes.step([0.0, 0.0, 0.0]).tolist() == [0.5, -0.5]
+    assert "first command depends on the first measurement" in nodes.notes[0]
+
+
+def test_what_nodes_cannot_do_is_refused_in_one_sentence() -> None:
+    """By the name of the kind, the link, the key or the size."""
+    policy = design.excess(SYSTEM.plant, SYSTEM.cost, delta=0.5)
+    nodes = Nodes(policy)
+    exact = Plant(SYSTEM.plant.A, SYSTEM.plant.B, SYSTEM.plant.W)
+    for measurement, expected in (
+        ([1.0], r"measurement has shape \(1,\); expected \(2,\)"),
+        ([None, None, None], r"measurement has shape \(3,\)"),
+        ([None, float("nan")], r"measurement contains nan at index \(1,\); expected finite numbers"),
+        ([None, "high"], "measurement"),
+    ):
+        with pytest.raises(ProblemError, match=expected):
+            nodes.step(measurement)  # type: ignore[arg-type]
+    with pytest.raises(ProblemError, match=r"fates contains 'sensor'; expected links on which .* sends: actuator$"):
+        nodes.step([0.0, 0.0], fates={"sensor": True})
+    with pytest.raises(ProblemError, match=r"fates\['actuator'\] is 1; expected true or false"):
+        nodes.step([0.0, 0.0], fates={"actuator": 1})  # type: ignore[dict-item]
+    assert nodes.tick == 0
+    with pytest.raises(ProblemError, match="an output is not measured, and no filter of this excess predicts it"):
+        Nodes(design.excess(exact, SYSTEM.cost, delta=0.5)).step(None)
+    with pytest.raises(ProblemError, match="commands of this excess do not follow from a filter's estimate"):
+        Nodes(design.excess(exact, SYSTEM.cost, delta=0.5), estimate=[0.0, 0.0, 0.0])
+    tank = taciturn.load("pid-tank").design()
+    with pytest.raises(ProblemError, match="commands of this excess do not follow from a filter's estimate"):
+        Nodes(tank, estimate=np.zeros(tank.model.states))
+    with pytest.raises(ProblemError, match=r"estimate has shape \(2,\); expected \(3,\)"):
+        Nodes(policy, estimate=[0.0, 0.0])
+    with pytest.raises(ProblemError, match=r"start_input has shape \(1,\); expected \(2,\)"):
+        Nodes(policy, start_input=[0.0])
+    with pytest.raises(ProblemError, match="start_input is given, but this excess keeps a given controller"):
+        Nodes(taciturn.load("pid-tank").design(), start_input=[0.1])
+    p = SYSTEM.plant
+    clipped = design.excess(Plant(p.A, p.B, p.W, p.C, p.V, input_limit=[1.0, 1.0]), SYSTEM.cost, delta=0.5)
+    with pytest.raises(ProblemError, match="beyond the input_limit"):
+        Nodes(clipped, start_input=[2.0, 0.0])
