@@ -20,6 +20,7 @@ from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
+from taciturn.simulation.violations import Violation, Violations
 from taciturn.study.clock import ClockMix, ClockPoint
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
@@ -27,7 +28,18 @@ from taciturn.study.evaluation import Evaluation
 KIND = "kind of data"  # key for the class of the data in a mapping
 RECORDED = {
     known.__name__: known
-    for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint, AfterStep)
+    for known in (
+        Evaluation,
+        Estimate,
+        Linearisation,
+        LowerBound,
+        Schedule,
+        ClockMix,
+        ClockPoint,
+        AfterStep,
+        Violation,
+        Violations,
+    )
 }
 
 
@@ -56,7 +68,7 @@ def fingerprint(problem: Problem) -> str:
     network = problem.network if short is None else {**short, KIND: "Network"}
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
-    own += [] if problem.controller is None else [problem.controller]
+    own += [one for one in (problem.controller, problem.limits) if one is not None]
     paid = {link: [law.price, law.energy, law.battery] for link, law in problem.network.links.items() if law.spending()}
     own += [paid] if paid and short is not None else []  # the short form has no prices and energies
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
