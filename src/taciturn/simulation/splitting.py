@@ -21,7 +21,7 @@ from taciturn.program.engine import Runner
 from taciturn.program.ir import Program
 
 COPIES = 4
-MOST_LEVELS = 16  # 4^-16 = 2e-10 of the steps is the least probability that is estimated
+MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
 MOST_PATHS = 1 << 18  # above this number, the highest threshold is removed
 
 Whole = npt.NDArray[np.int64]

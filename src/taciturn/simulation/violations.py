@@ -31,7 +31,7 @@ from taciturn.simulation.splitting import COPIES, MOST_LEVELS, Splitting
 
 ACCURACY = 0.05  # default standard error, relative to the probability per step
 ORIGINALS = 1024  # paths that are no copies
-MOST_STEPS = 50_000_000  # of all paths, for each limit
+MOST_STEPS = 20_000_000  # of all paths, for each limit
 TO_SETTLE = 1_000_000_000  # steps of all paths until the loop is in stationary operation, at most
 OFTEN = 0.01  # share of the steps with a violation, above which no path is copied
 STAGE, LONGEST_STAGE = 32, 256  # least and most steps before the next threshold is placed
