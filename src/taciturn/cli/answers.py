@@ -210,6 +210,10 @@ def tune(
             metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above the cost of sending every sample."
         ),
     ] = None,
+    violation: Annotated[
+        float | None,
+        typer.Option(help="Largest share of the steps that violate the limits of the states, such as 1e-3."),
+    ] = None,
     link: Link = None,
     least_period: Annotated[
         float | None, typer.Option(help="Also tune the sampling period, down to this many seconds.")
@@ -218,7 +222,7 @@ def tune(
     seed: GivenSeed = None,
     standard_error: StandardError = None,
 ) -> None:
-    """Tune the parameter of a policy to meet a budget on its rate or its cost."""
+    """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violation of limits."""
     import taciturn
     from taciturn.study.record import origin
     from taciturn.study.tuning.periods import TunedPeriod, tune_period
@@ -232,16 +236,17 @@ def tune(
                 rate=allowed,
                 cost=spent,
                 traffic=paid,
+                violation=violation,
                 link=on,
                 seed=seed or 0,
                 standard_error=standard_error,
                 progress=progress,
             )
         else:
-            if not isinstance(allowed, float) or spent is not None or paid is not None:
+            if not isinstance(allowed, float) or (spent, paid, violation) != (None, None, None):
                 raise taciturn.ProblemError(
-                    "--least-period is given without a number for --rate, or with --cost or --traffic; expected --rate "
-                    "with a number, and no --cost or --traffic"
+                    "--least-period is given without a number for --rate, or with another budget; expected --rate with "
+                    "a number, and no --cost, --traffic or --violation"
                 )
             found = tune_period(
                 problem,

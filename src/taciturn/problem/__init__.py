@@ -38,6 +38,7 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
 from taciturn.model.kept import Kept
+from taciturn.model.limits import Limits
 from taciturn.model.network import Network
 from taciturn.model.placement import expect_ideal_links, placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -52,9 +53,11 @@ from taciturn.problem.parts import (
     controller_of,
     cost_of,
     expect_argument,
+    limits_of,
     network_of,
     plant_of,
     takes_losses,
+    used_tables,
 )
 from taciturn.problem.signals import is_trajectory, reference_of, with_exosystem
 from taciturn.problem.tables import (
@@ -84,6 +87,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "plant": ("plant", "disturbance", "reference"),
     "actual": ("plant", "disturbance", "reference"),
     "network": ("network", "nodes", "links"),
+    "limits": ("limits", "plant"),
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
 LARGEST = 2**24  # bytes of a problem file
@@ -106,9 +110,10 @@ class Problem(Displayed):
         source: tables of the problem file, needed to change single keys.
         name: name of the problem file, for messages.
         own: the policy kind, if the catalogue does not contain it.
+        limits: limits of the states, whose probability of violation is computed, or None.
 
     Raises:
-        ProblemError: if ``network`` is not a Network, or the policy kind is unknown.
+        ProblemError: if ``network`` is not a Network, the policy kind is unknown, or limits do not fit the plant.
     """
 
     plant: Plant | ContinuousPlant
@@ -122,11 +127,15 @@ class Problem(Displayed):
     name: str = ""
     own: Kind | None = None
     controller: Kept | None = None
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
         instance("network", self.network, Network)
         instance("own", self.own or self.record, Kind)
+        if self.limits is not None:
+            instance("limits", self.limits, Limits)
+            self.limits.expect_states(len(self.plant.A))
 
     @property
     def record(self) -> Kind:
@@ -134,7 +143,7 @@ class Problem(Displayed):
         return self.own if self.own is not None and self.own.name == self.kind else find_kind(self.kind)
 
     def summary(self) -> Mapping[str, object]:
-        """Return the policy kind, parameters, plants, cost, network and reference by name."""
+        """Return the policy kind, parameters, plants, cost, network, reference and limits by name."""
         return {
             "kind": self.kind,
             "parameters": self.parameters,
@@ -144,6 +153,7 @@ class Problem(Displayed):
             "network": self.network.short(),
             "reference": self.reference,
             "controller": self.controller,
+            "limits": self.limits,
         }
 
     def short(self) -> str:
@@ -204,7 +214,7 @@ class Problem(Displayed):
         network = self.network if kind.several_nodes else three_nodes(self.network, kind.name, kind.joint_links)
         if not takes_losses(kind):
             expect_ideal_links(kind.name, self.network)
-        used = _used(kind, network, {"reference": self.reference, "controller": self.controller})
+        used = used_tables(kind, network, {"reference": self.reference, "controller": self.controller})
         with renamed_keys(self.network):
             policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
@@ -366,20 +376,10 @@ def parse(
         network = network_of(file, record, plant)
         followed, actual = (with_exosystem(one, file, network) for one in (plant, actual))
         more = (actual, reference_of(file.reference), _copied(tables), name, own, controller)
+        more += (limits_of(file.limits, plant),)
         return Problem(followed or plant, cost, network, kind, parameters, *more)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
-
-
-def _used(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
-    """Return the arguments of a policy kind's design function that are no parameters.
-
-    Raises:
-        ProblemError: if the kind does not use the given reference or controller.
-    """
-    for name in (name for name, value in stated.items() if value is not None):
-        expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
-    return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
 
 
 def _expect_packets(policy: AnyPolicy, network: Network) -> None:

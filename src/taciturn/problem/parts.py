@@ -20,6 +20,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.kept import Kept
+from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw
 from taciturn.model.losses import LossLaw
 from taciturn.model.network import Network, NodeRole
@@ -34,6 +35,7 @@ from taciturn.problem.tables import (
     File,
     InitialTable,
     JumpsTable,
+    LimitsTable,
     NetworkTable,
     PlantTable,
     first_mistake,
@@ -46,6 +48,17 @@ def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
     """Raise a ``ProblemError`` if the policy kind takes no argument of this name from a table."""
     if name not in kind.tables:
         raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
+
+
+def used_tables(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
+    """Return the arguments of a policy kind's design function that are no parameters.
+
+    Raises:
+        ProblemError: if the kind does not use the given reference or controller.
+    """
+    for name in (name for name, value in stated.items() if value is not None):
+        expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
+    return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
 
 
 def takes_losses(kind: Kind) -> bool:
@@ -181,6 +194,13 @@ def controller_of(table: ControllerTable) -> Kept:
             raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
         return ContinuousController(A, B, sign * C, D, table.method or "tustin", disturbance, table.setpoint)
     return Controller(A, B, sign * C, D, E, dt, disturbance, table.setpoint)
+
+
+def limits_of(table: LimitsTable | None, plant: Plant | ContinuousPlant) -> Limits | None:
+    """Return the limits of a table, by default of the measured outputs, or None without a table."""
+    if table is None:
+        return None
+    return Limits(plant.C if table.outputs is None else table.outputs, table.low, table.high)
 
 
 def _jumps(table: JumpsTable) -> Jumps:

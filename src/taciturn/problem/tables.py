@@ -160,6 +160,15 @@ class ReferenceTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
+class LimitsTable(Displayed):
+    """The keys of the table ``[limits]``."""
+
+    outputs: Rows | None = None
+    low: list[float] | None = None
+    high: list[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class PIDTable(Displayed):
     """The keys of ``pid`` in the table ``[controller]``."""
 
@@ -213,6 +222,7 @@ class File(Displayed):
     reference: ReferenceTable | None = None
     disturbance: list[DisturbanceEntry] | None = None
     controller: ControllerTable | None = None
+    limits: LimitsTable | None = None
     policy: dict[str, Any]
 
 

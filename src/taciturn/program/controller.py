@@ -219,4 +219,3 @@ def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
 def add_values(tick: TimeStep, values: Operands, more: Operands) -> Operands:
     """Return the sum of two vectors."""
     return [tick.builder.emit("add", value, other) for value, other in zip(values, more, strict=True)]
-

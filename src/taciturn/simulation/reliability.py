@@ -63,8 +63,7 @@ def find_doubts(
     """
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
     notes: tuple[str, ...] = ()
-    limits = loop.problem.plant.saturation
-    if limits is not None and limits.bounded and _fastest(loop) > 1 + NEARLY:
+    if escapes(loop):
         notes += (
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
             "which no input returns it, so no average exists; this one is over the time before",
@@ -82,6 +81,12 @@ def find_doubts(
             "are not averages",
         )
     return notes + doubt_errors(cost, steps)
+
+
+def escapes(loop: Loop) -> bool:
+    """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
+    limits = loop.problem.plant.saturation
+    return limits is not None and limits.bounded and _fastest(loop) > 1 + NEARLY
 
 
 def doubt_moments(loop: Loop) -> tuple[str, ...]:

@@ -121,19 +121,14 @@ class Sampling:
 
         The iteration ends at the given absolute standard error or number of steps.
         """
-        budget, width = steps or MOST_OPERATIONS, len(self.parts)
-        least = max(
-            SHORTEST_BURN_IN, int(max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts))
-        )
+        budget = steps or MOST_OPERATIONS
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         most = (
             SIMULATED_PATHS
             if steps
             else min(SIMULATED_PATHS, max(FEW_PATHS, SIMULATED_PATHS * SMALL // max(operations, 1) // 8 * 8))
         )
-        paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
-        states = [part.loop.start(part.estimator.program, paths, self.seed, stationary=True) for part in self.parts]
-        states, dropped, forgotten = self._burn_in(states, min(least, budget // paths // width // 2), budget)
+        states, dropped, forgotten = self.settle(most, budget)
         paths = states[0].shape[1]
         if steps is not None and self._affordable(states, budget) > PAYS * dropped:
             self._add_controls(paths)
@@ -226,6 +221,16 @@ class Sampling:
         """Round steps up to whole cycles of the policies, so that every window ends at the same phase of a schedule."""
         cycle = lcm(*(part.loop.policy.cycle for part in self.parts))
         return -(-ticks // cycle) * cycle
+
+    def settle(self, most: int, budget: int) -> tuple[list[Array], int, bool]:
+        """Return states of at most so many paths in stationary operation, the steps, and whether the loops settled."""
+        width = len(self.parts)
+        least = max(
+            SHORTEST_BURN_IN, int(max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts))
+        )
+        paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
+        states = [part.loop.start(part.estimator.program, paths, self.seed, stationary=True) for part in self.parts]
+        return self._burn_in(states, min(least, budget // paths // width // 2), budget)
 
     def _burn_in(self, states: list[Array], length: int, budget: int) -> tuple[list[Array], int, bool]:
         """Run until the initial transient has decayed; return the states, the steps, and whether it has decayed.

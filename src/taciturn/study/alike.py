@@ -1,4 +1,4 @@
-"""Check that problems can be compared: the same plant, cost and network, and different policies."""
+"""Check that problems can be compared: the same plant, cost, network and limits, and different policies."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn._arrays import instance
 from taciturn.errors import ProblemError
+from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 
@@ -26,7 +27,7 @@ def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "ra
     if len(problems) < 2:
         raise ProblemError(f"the number of policies is {len(problems)}; expected at least two policies to compare")
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
-        for what in ("plant", "actual", "cost", "network", "reference"):
+        for what in ("plant", "actual", "cost", "network", "reference", "limits"):
             if not _same(getattr(first, what), getattr(second, what)):
                 tables = {"actual": "[plant.actual]", "network": "[network], [nodes] or [links]"}
                 where = tables.get(what, f"[{what}]")
@@ -37,6 +38,19 @@ def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "ra
                 "differ in more than the tuned parameter"
             )
     return problems
+
+
+def measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]]:
+    """Return the variants of each problem; periodic control gets a variant that measures as often as the others."""
+    given = [problem.parameters.get("period") for problem in problems.values()]
+    periods = [period for period in given if isinstance(period, int | float)]
+    found = {name: [problem] for name, problem in problems.items()}
+    for name, problem in problems.items():
+        plant, tunings = problem.plant, [tuning for tuning in problem.record.tuning if tuning.cycles]
+        seen_in_part = isinstance(plant, ContinuousPlant) and not plant.full_state
+        if tunings and seen_in_part and periods and tunings[0].name not in problem.parameters:
+            found[name].append(problem.changed({"period": min(periods), tunings[0].name: 1}))
+    return found
 
 
 def _fixed(problem: Problem, link: str | None) -> dict[str, object]:

@@ -16,13 +16,12 @@ from taciturn._text import per_unit
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied
 from taciturn.simulation.average import check_effort, difference
-from taciturn.study.alike import comparable
+from taciturn.study.alike import comparable, measuring_alike
 from taciturn.study.clocks import LinkClocks, clocks_document, clocks_or_reason
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.lines import proved
@@ -87,6 +86,19 @@ class Contestant(Displayed):
         return tuple(one.goal.use(one.evaluation) for one in both if one is not None)
 
     @property
+    def violation(self) -> Estimate | None:
+        """Share of the steps in which limits of the states are violated, at this rate; None if it is unknown."""
+        both = (self.tuned, self.tuned.beyond)
+        found = [one.evaluation.violations for one in both if one is not None]
+        steps = [one.total.per_step for one in found if one is not None]
+        if len(steps) < len(found):
+            return None
+        weights = (self.share, 1 - self.share)
+        parts = [one.scaled(weight) for one, weight in zip(steps, weights, strict=False)]
+        error = float(np.linalg.norm([one.standard_error for one in parts]))
+        return Estimate(sum(one.value for one in parts), error, "simulation")
+
+    @property
     def reached(self) -> bool:
         """True if the policy reached the common rate and the requested standard error."""
         return all(one.evaluation.reached for one in (self.tuned, self.tuned.beyond) if one is not None)
@@ -138,6 +150,7 @@ class Comparison(Tabular):
                     "cost": one.cost,
                     "above_the_first": one.above,
                     "guarantee": proved(one.cost_bound),
+                    **({} if one.violation is None else {"violation": one.violation}),
                 }
                 for one in self.ranking
             ]
@@ -176,6 +189,7 @@ class Comparison(Tabular):
                     "cost": one.cost.document(),
                     "above_best": one.above.document("value", "standard_error"),
                     "cost_bound": one.cost_bound,
+                    **({} if one.violation is None else {"violation": one.violation.document()}),
                     "statement": None if one.cost_bound is None else one.tuned.evaluation.statement,
                     "notes": list(one.tuned.evaluation.notes),
                 }
@@ -260,7 +274,7 @@ def compare(
     problems = comparable(problems, link, goal)
     bar = in_notebook(progress)
     found: list[Contestant] = []
-    for index, (name, choices) in enumerate(_measuring_alike(problems).items()):
+    for index, (name, choices) in enumerate(measuring_alike(problems).items()):
 
         def report(fraction: float, index: int = index) -> None:
             if bar is not None:
@@ -295,19 +309,6 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
     fastest = max(one.base_rate or 0.0 for one in answers)
     costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
     return min((cost for cost in costs if cost is not None), default=None)
-
-
-def _measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]]:
-    """Return the variants of each problem; periodic control gets a variant that measures as often as the others."""
-    given = [problem.parameters.get("period") for problem in problems.values()]
-    periods = [period for period in given if isinstance(period, int | float)]
-    found = {name: [problem] for name, problem in problems.items()}
-    for name, problem in problems.items():
-        plant, tunings = problem.plant, [tuning for tuning in problem.record.tuning if tuning.cycles]
-        seen_in_part = isinstance(plant, ContinuousPlant) and not plant.full_state
-        if tunings and seen_in_part and periods and tunings[0].name not in problem.parameters:
-            found[name].append(problem.changed({"period": min(periods), tunings[0].name: 1}))
-    return found
 
 
 def _wanted(problem: Problem) -> float | None:

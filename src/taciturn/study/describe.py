@@ -91,6 +91,7 @@ class Description(Displayed):
             "plant": _plant_document(self.problem.plant),
             "actual": None if self.problem.actual is None else _plant_document(self.problem.actual),
             "cost": {key: _plain(getattr(cost, key)) for key in ("Q", "R", "N", "horizon", "terminal", "discount")},
+            **({} if self.problem.limits is None else {"limits": list(self.problem.limits.names)}),
             "cost_all_time": self.policy.cost_all_time,
             "guarantee": self._guarantee(),
             "gains": {name: _plain(value) for name, value in self.gains.items()},
@@ -121,6 +122,7 @@ class Description(Displayed):
         if problem.actual is not None:
             lines += [(f"actual {name}".strip(), text) for name, text in _plant_lines(problem.actual)]
         lines += _cost_lines(problem)
+        lines += [] if problem.limits is None else [("limits", problem.limits.short())]
         lines.append(("every sample", f"J_all = {self.policy.cost_all_time:.6g} {per_unit(per)}"))
         if self.controller is not None:
             lines += _controller_lines(self.problem.controller, self.controller)

@@ -12,10 +12,21 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.schedule import Schedule
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
+from taciturn.simulation.violations import Violations
 from taciturn.study.clock import ClockMix
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.limited import WithoutLimits
-from taciturn.study.lines import MOST_DECIMALS, bound_text, decimals_of, outward, percent_above, proved, rounded
+from taciturn.study.lines import (
+    MOST_DECIMALS,
+    bound_text,
+    clock_text,
+    decimals_of,
+    outward,
+    percent_above,
+    proved,
+    queries_text,
+    rounded,
+)
 from taciturn.study.measure import CONDITIONAL
 from taciturn.study.units import TimeUnit, Unit, rate_unit
 
@@ -74,6 +85,7 @@ class Evaluation(Tabular):
         prices: prices of a packet on the links with a rate.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
         without_limits: how often a limit of the inputs binds, and the loop without limits; None if no input has one.
+        violations: probabilities that the limits of the problem are violated, or None.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
@@ -112,6 +124,7 @@ class Evaluation(Tabular):
     prices: Mapping[str, float] = field(default_factory=lambda: {})
     cost_lqg: float | None = None
     without_limits: WithoutLimits | None = None
+    violations: Violations | None = None
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -128,7 +141,7 @@ class Evaluation(Tabular):
     @property
     def drawn(self) -> bool:
         """True if any number in the result depends on the seed."""
-        return self.method in ("simulation", CONDITIONAL) or self.lower_bound is not None
+        return self.method in ("simulation", CONDITIONAL) or (self.lower_bound or self.violations) is not None
 
     @property
     def cost_periodic_same_rate(self) -> float | None:
@@ -197,6 +210,8 @@ class Evaluation(Tabular):
             if found:
                 scaled = {link: one.scaled(1 / unit) for link, one in found.items()}
                 result[name] = {link: one.document("value", "standard_error") for link, one in scaled.items()}
+        if self.violations is not None:
+            result["violation"] = self.violations.document()
         if self.after_step is not None:
             result["after_step"] = self.after_step.document()
         result |= {} if self.without_limits is None else self.without_limits.document()
@@ -218,7 +233,10 @@ def evaluation_records(found: Evaluation) -> list[dict[str, object]]:
         if cost is not None:
             known = cost if isinstance(cost, Estimate) else Estimate(cost, 0.0, "exact")
             extra = {"extra_percent": known.scaled(100 / base, -100)} if base else {}
-            rows.append({"name": name, "cost": known, **extra, **{f"rate_{link}": rates.get(link) for link in same}})
+            seen: Mapping[str, object] = {} if rows or found.violations is None else found.violations.records()
+            rows.append(
+                {"name": name, "cost": known, **extra, **{f"rate_{link}": rates.get(link) for link in same}, **seen}
+            )
 
     add("this policy", found.cost, found.rates)
     add("periodic, same rate", None if always else periodic_cost(found), same)
@@ -260,7 +278,7 @@ def _details(found: Evaluation) -> Lines:
     if _sends_every_sample(found):
         lines.append(("periodic", "the same as this policy, which sends every sample"))
     elif found.clock is not None:
-        lines.append(("periodic", _clock(found.clock)))
+        lines.append(("periodic", clock_text(found.clock)))
     elif found.no_clock:
         lines.append(("periodic", f"none at this rate: {found.no_clock}"))
     if found.linearisation is not None:
@@ -278,13 +296,14 @@ def _details(found: Evaluation) -> Lines:
     if found.schedule is not None:
         several = len(found.schedule.links) > 1
         for link, one in found.schedule.by_link.items():
-            lines.append((f"queries, {link}" if several else "sensor queries", _queries(one)))
+            lines.append((f"queries, {link}" if several else "sensor queries", queries_text(one)))
     if len(found.rates) > 1 and found.traffic is not None:
         lines.append(("traffic", f"{found.traffic} per {found.rate_unit}, the rates times the prices of a packet"))
     for link, power in found.power.items():
         life = found.life.get(link)
         lasting = "" if life is None else f"; the battery lasts {life.scaled(1 / DAY)} days"
         lines.append((f"power, {link}", f"{power.scaled(1e3)} mW for packets{lasting}"))
+    lines += [] if found.violations is None else found.violations.lines()
     for name, part in (("after a step", found.after_step), ("limits", found.without_limits)):
         lines += [] if part is None else [(name, part.text(f"per {found.rate_unit}"))]
     lines += [("verdict", text) for text in _verdict(found)]
@@ -343,12 +362,6 @@ def _sends_every_sample(found: Evaluation) -> bool:
     return found.cost.method == "exact" and all(rate.value == found.base_rate for rate in found.rates.values())
 
 
-def _clock(clock: ClockMix) -> str:
-    """Return how periodic control actuates (hold or prediction), and when it sends."""
-    named = [f"{list(point.cycle)} steps" if point.cycle else f"{1 / point.rate:.4g} s" for point in clock.points]
-    return f"{clock.words}, every {' or '.join(named)}"
-
-
 def _promised(found: Evaluation) -> str:
     """Return the cost that the linearisation predicts, compared with the plant's cost; it is not a guarantee."""
     promised, cost = found.linearisation, found.cost.value
@@ -361,18 +374,6 @@ def _promised(found: Evaluation) -> str:
         seen = "met here" if over + margin <= 0 else "exceeded here" if over > margin else "undecided within the errors"
         text += f", its bound {promised.cost_bound:.6g} ({seen})"
     return f"{text}; none of this is guaranteed for the nonlinear plant"
-
-
-def _queries(schedule: Schedule) -> str:
-    """Return a text that states when the sensor is queried."""
-    ticks = schedule.ticks
-    if schedule.period == 1:
-        return "at every step" if ticks else "never"
-    listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
-    if schedule.start is None:
-        return f"{len(ticks)} of {len(schedule.queries)} steps" + (f": {listed}" if ticks else "")
-    once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} steps, periodically"
-    return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"
 
 
 def least_cost(found: Evaluation) -> float | None:

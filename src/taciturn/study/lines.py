@@ -1,4 +1,4 @@
-"""Numbers of results as text: bounds that still hold after rounding, and percentages."""
+"""Parts of results as text: bounds that still hold after rounding, percentages, schedules."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import replace
 
 from taciturn._text import LARGE, magnitude, number_text, percent
 from taciturn.model.estimate import Estimate
+from taciturn.model.schedule import Schedule
+from taciturn.study.clock import ClockMix
 
 MOST_DECIMALS = 2  # largest number of decimals of a percentage in a table
 
@@ -64,3 +66,21 @@ def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = Tr
 def shares_text(shares: Mapping[str, float]) -> str:
     """Return the shares of the links as text."""
     return ", ".join(f"{link} {share:g}" for link, share in shares.items())
+
+
+def clock_text(clock: ClockMix) -> str:
+    """Return how periodic control actuates (hold or prediction), and when it sends."""
+    named = [f"{list(point.cycle)} steps" if point.cycle else f"{1 / point.rate:.4g} s" for point in clock.points]
+    return f"{clock.words}, every {' or '.join(named)}"
+
+
+def queries_text(schedule: Schedule) -> str:
+    """Return a text that states when the sensor is queried."""
+    ticks = schedule.ticks
+    if schedule.period == 1:
+        return "at every step" if ticks else "never"
+    listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
+    if schedule.start is None:
+        return f"{len(ticks)} of {len(schedule.queries)} steps" + (f": {listed}" if ticks else "")
+    once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} steps, periodically"
+    return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"

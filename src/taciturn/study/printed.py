@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.study.evaluation import bound_at_rate, least_cost, periodic_cost
+from taciturn.study.evaluation import Evaluation, bound_at_rate, least_cost, periodic_cost
 from taciturn.study.lines import bound_text, percent_above, rounded, shares_text
 
 if TYPE_CHECKING:
@@ -69,6 +69,8 @@ def tradeoff_text(found: Tradeoff) -> str:
     header += [cost, "extra cost", "guarantee, this rate" if sharp else "guarantee", "periodic, same rate"]
     bounded = any(point.evaluation.lower_bound is not None for point in found.points)
     header += ["no schedule below"] if bounded else []
+    windows = {one.evaluation.violations.window for one in found.points if one.evaluation.violations is not None}
+    header += [name for window in windows for name in ("violation per step", f"within {window}")]
     rows: list[list[str]] = []
     for point in found.points:
         e, least, periodic = point.evaluation, least_cost(point.evaluation), periodic_cost(point.evaluation)
@@ -82,6 +84,7 @@ def tradeoff_text(found: Tradeoff) -> str:
                 _proved(e.cost_bound) if bound is None else bound_text(bound, 1),
                 "none" if periodic is None else str(periodic),
                 *(["none" if least is None else f"{least:.6g}"] if bounded else []),
+                *(_violation(e) if windows else []),
             ]
         )
     parts = [table_text(header, rows, len(names))]
@@ -96,6 +99,13 @@ def tradeoff_text(found: Tradeoff) -> str:
     if bounded and not found.one_controller:
         parts.append(wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs"))
     return "\n".join(parts)
+
+
+def _violation(found: Evaluation) -> list[str]:
+    """Return the probabilities that a limit is violated, per step and within the window."""
+    if found.violations is None:
+        return ["none", "none"]
+    return [str(found.violations.total.per_step), str(found.violations.total.within)]
 
 
 def _proved(bound: float | None) -> str:
@@ -140,6 +150,8 @@ def periods_text(found: TunedPeriod) -> str:
 def comparison_text(found: Comparison) -> str:
     """Return the table of ``taciturn compare``: the ranking, the common rate and the notes."""
     header = ["", "policy", "parameter", f"cost {per_unit(found.unit)}", "extra cost", "above the first", "guarantee"]
+    limited = any(one.violation is not None for one in found.ranking)
+    header += ["violation per step"] if limited else []
     rows: list[list[str]] = []
     for one in found.ranking:
         rows.append(
@@ -151,6 +163,7 @@ def comparison_text(found: Comparison) -> str:
                 percent_above(one.cost, found.cost_all_time) if found.cost_all_time else "",
                 str(one.above) if one.above.value or one.above.standard_error else "",
                 _proved(one.cost_bound) or "none",
+                *([str(one.violation or "none")] if limited else []),
             ]
         )
     lines = [(found.of, f"{found.rate:.6g}{' sends' * (found.of == 'rate')} per {found.rate_unit}")]

@@ -21,6 +21,7 @@ from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
+from taciturn.simulation.violations import Violation, Violations
 from taciturn.study.clock import ClockMix, ClockPoint
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
@@ -29,7 +30,18 @@ KIND = "kind of data"  # key for the class of the data in a mapping
 LATER = ("operating_point", "drift", "input_rate")  # of plants, in no digest of an earlier version
 RECORDED = {
     known.__name__: known
-    for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint, AfterStep)
+    for known in (
+        Evaluation,
+        Estimate,
+        Linearisation,
+        LowerBound,
+        Schedule,
+        ClockMix,
+        ClockPoint,
+        AfterStep,
+        Violation,
+        Violations,
+    )
 }
 
 
@@ -58,7 +70,7 @@ def fingerprint(problem: Problem) -> str:
     network = problem.network if short is None else {**short, KIND: "Network"}
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
-    own += [] if problem.controller is None else [problem.controller]
+    own += [one for one in (problem.controller, problem.limits) if one is not None]
     if short is not None:  # it has no prices, energies and limits of intervals
         laws = problem.network.links.items()
         paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}

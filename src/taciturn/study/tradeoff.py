@@ -118,6 +118,7 @@ class Tradeoff(Tabular):
                     "guarantee_at_rate": bound_at_rate(point.evaluation),
                     "periodic_same_rate": periodic_cost(point.evaluation),
                     **({"no_schedule_below": least_cost(point.evaluation)} if bounded else {}),
+                    **({} if point.evaluation.violations is None else point.evaluation.violations.records()),
                 }
                 for point in self.points
             ]

@@ -299,6 +299,22 @@ def _rates(found: Evaluation) -> dict[str, _Column]:
     }
 
 
+def _violated(found: Evaluation) -> dict[str, _Column]:
+    """Return the columns of the probabilities that limits are violated."""
+    if found.violations is None:
+        return {}
+    units = {"violation_within": f"per {found.violations.window}"}
+
+    def column(name: str, part: str) -> _Column:
+        return _Column(
+            lambda found: None if found.violations is None else getattr(found.violations.records()[name], part),
+            lambda _: units.get(name, "share of the steps"),
+        )
+
+    parts = (("", "value"), ("_standard_error", "standard_error"))
+    return {f"{name}{suffix}": column(name, part) for name in found.violations.records() for suffix, part in parts}
+
+
 class _Table:
     """The columns of a sweep, filled as answers arrive."""
 
@@ -318,7 +334,7 @@ class _Table:
             self.refused.append(index)
             return
         self.methods.add(answer.method)
-        for name, column in (COLUMNS | _rates(answer)).items():
+        for name, column in (COLUMNS | _rates(answer) | _violated(answer)).items():
             value = column.of(answer)
             if value is None:
                 continue

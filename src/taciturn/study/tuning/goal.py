@@ -1,4 +1,4 @@
-"""Budgets to meet: upper limits on a rate, on the rates of several links, on the traffic, or on the cost."""
+"""Budgets to meet: upper limits on rates, on the traffic, on the cost, or on the violation of limits of the states."""
 
 from __future__ import annotations
 
@@ -23,6 +23,11 @@ class Goal(Displayed, ABC):
 
     name: ClassVar[str]
     limits_cost: ClassVar[bool] = False
+    """Whether the limited quantity falls with more packets, as a cost does."""
+    close: ClassVar[float] = 0.25
+    """Largest error of a root, in standard errors of a trial."""
+    span: ClassVar[float] = 0.02
+    """Half-width in log(value) of the parameter for slopes."""
 
     budget: float
 
@@ -32,7 +37,7 @@ class Goal(Displayed, ABC):
 
     def text(self, evaluation: Evaluation) -> str:
         """Return the budget as text, with its unit."""
-        return f"{self.short()} {per_unit(evaluation.unit if self.limits_cost else evaluation.rate_unit)}"
+        return f"{self.short()} {per_unit(evaluation.rate_unit)}"
 
     @property
     def document(self) -> object:
@@ -43,9 +48,18 @@ class Goal(Displayed, ABC):
     def of(self, evaluation: Evaluation) -> Estimate:
         """Return the estimate that the budget limits."""
 
+    def above(self, evaluation: Evaluation) -> tuple[float, float]:
+        """Return the excess over the budget and its error, in the units of the search."""
+        found = self.of(evaluation)
+        return found.value - self.budget, found.standard_error + found.error
+
     def use(self, evaluation: Evaluation) -> Estimate:
         """Return the use of the network that cost is traded for: the limited one, unless the budget limits the cost."""
         return self.of(evaluation)
+
+    def least(self, evaluation: Evaluation) -> float | None:
+        """Return the least value that any policy reaches, or None if it is unknown."""
+        return None
 
     def most(self, evaluation: Evaluation) -> float | None:
         """Return the largest value that any policy reaches, or None if it is unknown or infinite."""
@@ -166,9 +180,17 @@ class CostGoal(Goal):
 
     link: str | None = None
 
+    def text(self, evaluation: Evaluation) -> str:
+        """Return the budget as text, with the unit of the cost."""
+        return f"{self.short()} {per_unit(evaluation.unit)}"
+
     def of(self, evaluation: Evaluation) -> Estimate:
         """Return the cost."""
         return evaluation.cost
+
+    def least(self, evaluation: Evaluation) -> float | None:
+        """Return the cost of sending at every step."""
+        return evaluation.cost_all_time
 
     def use(self, evaluation: Evaluation) -> Estimate:
         """Return the rate of the link, or the traffic on all links."""
@@ -176,6 +198,42 @@ class CostGoal(Goal):
             return _rate(evaluation, self.link)
         only = list(evaluation.rates.values())
         return only[0] if len(only) == 1 else TrafficGoal(0.0).of(evaluation)
+
+
+@dataclass(frozen=True, repr=False)
+class ViolationGoal(CostGoal):
+    """A limit on the share of the steps in which limits of the states are violated, searched on a logarithmic scale.
+
+    Its evaluations contain the probabilities of violation.
+    """
+
+    name: ClassVar[str] = "violation"
+    close: ClassVar[float] = 1.0
+    span: ClassVar[float] = 0.2
+
+    def text(self, evaluation: Evaluation) -> str:
+        """Return the budget as text."""
+        return f"{self.short()} of the steps"
+
+    def of(self, evaluation: Evaluation) -> Estimate:
+        """Return the probability per step that any limit is violated.
+
+        Raises:
+            ProblemError: there is none, for the reason that the last note of the evaluation gives.
+        """
+        if evaluation.violations is None:
+            raise ProblemError(evaluation.notes[-1])
+        return evaluation.violations.total.per_step
+
+    def above(self, evaluation: Evaluation) -> tuple[float, float]:
+        """Return the logarithm of the ratio to the budget, and its error."""
+        found = self.of(evaluation)
+        seen = max(found.value, found.standard_error)
+        return math.log(seen / self.budget), found.standard_error / seen
+
+    def least(self, evaluation: Evaluation) -> float | None:
+        """Return None: no policy has a known least probability."""
+        return None
 
 
 def _rate(evaluation: Evaluation, link: str) -> Estimate:

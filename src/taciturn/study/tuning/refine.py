@@ -10,7 +10,7 @@ from taciturn.study.tuning.goal import EXACT
 from taciturn.study.tuning.search import EFFORT, PASSED, Look, Search
 from taciturn.study.tuning.trials import LONGER
 
-SPAN, STRIDE = 0.02, 0.1  # in log(value): half-width for slopes, and longest step of a correction
+STRIDE = 0.1  # longest step of a correction in log(value)
 NARROW = 1e-5  # width in log(value) below which a change at full precision counts as a jump
 ROUNDS = 3  # corrections
 AIMED, FAR = 3.0, 8.0  # standard errors below the budget: target of a correction, and most
@@ -46,13 +46,14 @@ class Refinement:
         """
         tried = [] if low is high else [self.measure(look) for look in (low, high)]
         place = self._search.place(low.value)
-        around = [self._search.look(self._search.value(place + step)) for step in (-SPAN, SPAN)]
+        span = self._search.goal.span
+        around = [self._search.look(self._search.value(place + step)) for step in (-span, span)]
         near = [one for one in around if one is not None]
         slope = pace = blur = 0.0
         if len(near) == 2:
-            slope = (near[1].above - near[0].above) / (2 * SPAN)
+            slope = (near[1].above - near[0].above) / (2 * span)
             rates = [self._search.goal.use(one.evaluation).value for one in near]
-            pace = (rates[1] - rates[0]) / (2 * SPAN)
+            pace = (rates[1] - rates[0]) / (2 * span)
         measured = self._search.try_at(low.value, LONGER * EFFORT) if low.error and slope else low
         for _ in range(0 if tried else ROUNDS):
             blur = measured.error  # error of the trial that determines the next place
@@ -70,7 +71,7 @@ class Refinement:
         changes = slope / (measured.value - self._search.tuning.least)
         error = blur / abs(changes) if changes else None
         costs = [one.evaluation.cost.value for one in near]
-        along = (costs[1] - costs[0]) / (2 * SPAN) / pace if pace else None
+        along = (costs[1] - costs[0]) / (2 * span) / pace if pace else None
         return measured, measured, error, along
 
     def _nearly(self, look: Look) -> bool:

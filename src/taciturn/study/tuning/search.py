@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Never
 
 import numpy as np
@@ -15,8 +15,10 @@ from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.tuning.goal import EXACT, Goal
+from taciturn.study.measure import Request
+from taciturn.study.tuning.goal import EXACT, Goal, ViolationGoal
 from taciturn.study.tuning.trials import look_at, out_of_reach, settled
+from taciturn.study.violated import with_violations
 
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
@@ -26,7 +28,6 @@ FIRST, GROWTH, FARTHEST = (
     45.0,
 )  # of the bracketing in log(value): first step, growth, farthest
 HALVINGS = 12  # bisections towards the limit of values for which a policy can be designed
-CLOSE = 0.25  # largest error of a root, in standard errors of a trial
 JUMP = 1e-11  # width in log(value) below which a change counts as a jump
 KEPT = 2.0  # standard errors below the budget, at least
 PASSED = 20  # integers on either side that are skipped if no policy can be designed for them
@@ -76,7 +77,8 @@ class Search:
         progress: Progress | None,
     ) -> None:
         """Prepare the search; no value is tried yet."""
-        self.problem, self.tuning, self.goal, self.seed, self.progress = problem, tuning, goal, seed, progress
+        self.tuning, self.goal, self.seed, self.progress = tuning, goal, seed, progress
+        self.problem, self._limits = replace(problem, limits=None), problem.limits
         self.rising = tuning.falls == goal.limits_cost  # whether the rate or cost increases with the value
         self._seen: dict[float, Look | TaciturnError] = {}
         self._stage = Stages(progress, 0.0, 1 - LEFT)  # of the present trial
@@ -95,20 +97,22 @@ class Search:
 
     def _settled(self, value: float) -> Look:
         changed = self.problem.changed({self.tuning.name: value})
-        return self._seen_as(value, settled(changed, self.tuning.name, self.seed, EFFORT, self._stage))
+        return self._seen_as(value, changed, settled(changed, self.tuning.name, self.seed, EFFORT, self._stage), EFFORT)
 
     def try_at(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
         """Return a trial of a number of steps, or at full precision."""
         changed = self.problem.changed({self.tuning.name: value})
-        return self._seen_as(value, look_at(changed, self.seed, steps, standard_error, self._stage))
+        return self._seen_as(value, changed, look_at(changed, self.seed, steps, standard_error, self._stage), steps)
 
-    def _seen_as(self, value: float, evaluation: Evaluation) -> Look:
-        found = self.goal.of(evaluation)
-        return Look(value, evaluation, found.value - self.goal.budget, found.standard_error + found.error)
+    def _seen_as(self, value: float, problem: Problem, evaluation: Evaluation, steps: int | None) -> Look:
+        if self._limits is not None and isinstance(self.goal, ViolationGoal):
+            request = Request(self.seed, None, steps, "auto")
+            evaluation = with_violations(problem, self._limits, request, evaluation, self._stage)
+        return Look(value, evaluation, *self.goal.above(evaluation))
 
     def meets_exactly(self, look: Look) -> bool:
         """Return whether a trial equals the budget within its error."""
-        return abs(look.above) <= max(EXACT * self.goal.budget, CLOSE * look.error)
+        return abs(look.above) <= max(EXACT * self.goal.budget, self.goal.close * look.error)
 
     def keeps(self, look: Look) -> bool:
         """Return whether a trial is below the budget by more than its error."""
@@ -225,7 +229,7 @@ class Search:
         Raises:
             ProblemError: the rate is above, or the cost below, that of sending at every step.
         """
-        budget, most, least = self.goal.budget, self.goal.most(found), found.cost_all_time
+        budget, most, least = self.goal.budget, self.goal.most(found), self.goal.least(found)
         # without acknowledgement, or with a controller that is not optimal, sending every sample may not cost least
         if (
             any(law.acknowledged is False for law in self.problem.network.links.values())
@@ -240,7 +244,7 @@ class Search:
                 f"the {name} {budget:g} per {found.rate_unit} is above the {name} of sending at every step; "
                 f"expected at most {most:g}"
             )
-        if self.goal.limits_cost and least is not None and budget < least * (1 - EXACT):
+        if least is not None and budget < least * (1 - EXACT):
             raise ProblemError(
                 f"the cost {budget:g} {per_unit(found.unit)} is below the cost of sending at every step; "
                 f"expected at least {least:.6g}"

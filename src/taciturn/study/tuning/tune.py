@@ -1,4 +1,4 @@
-"""Tuning: the parameter with which a policy meets a budget, which is a rate or a cost."""
+"""Tuning: the parameter with which a policy meets a budget: of rate, traffic, cost, or violation of limits."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import cast
 
+from taciturn._arrays import number
 from taciturn._progress import Progress, Stages, in_notebook
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
+from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
@@ -16,12 +18,14 @@ from taciturn.simulation.average import check_effort
 from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
+from taciturn.study.measure import Request
 from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal
+from taciturn.study.tuning.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal
 from taciturn.study.tuning.refine import Refinement
 from taciturn.study.tuning.search import Look, Search
 from taciturn.study.tuning.shares import Division
 from taciturn.study.tuning.tuned import Parameter, Tuned
+from taciturn.study.violated import with_violations
 
 DIVIDED = 0.7  # share of the progress in which the shares are tuned
 
@@ -32,12 +36,13 @@ def tune(
     rate: float | str | Mapping[str, float | str] | None = None,
     cost: float | str | None = None,
     traffic: float | str | None = None,
+    violation: float | None = None,
     link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Return the parameter with which a problem's policy meets a budget on its rate, its traffic or its cost.
+    """Return the parameter with which a problem's policy meets a budget: its rate, traffic, cost or violation.
 
     The parameter is the tuning parameter of the policy kind; rate and cost are assumed to be monotone in it. All trials
     of the search use the same draws. The answer is then measured more precisely and corrected, until it is at least two
@@ -58,6 +63,9 @@ def tune(
             sample; the answer is as close to this limit as possible.
         traffic: largest sum of the rates of all links, each times the price of a packet (``price`` of the link), or
             ``"50%"`` of that of sending every sample.
+        violation: largest share of the steps in which limits of the states are violated, for a problem with limits; the
+            answer is as close to this limit as its standard error allows, and has the fewest packets. Shares of several
+            links are not tuned.
         link: link whose rate is meant; may be omitted if the policy decides on a single link.
         seed: seed of the random draws.
         standard_error: absolute standard error of the cost of the answer; default: 1e-4 of the cost.
@@ -83,14 +91,24 @@ def tune(
     if isinstance(rate, Mapping) and len(rate) == 1 and link is None and problem.record.shares is None:
         ((link, rate),) = rate.items()
     tuning = _tuning(problem, link)
-    goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic}, link)
+    goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic, "violation": violation}, link)
     bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
     if divided:
         Search(problem, tuning, goal, seed, None).expect_start()
         problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
         bar = bar.stage(DIVIDED, 1.0)
     shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
-    return replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+    found = replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+    return found if problem.limits is None else _limited(found, problem.limits, seed)
+
+
+def _limited(found: Tuned, limits: Limits, seed: int) -> Tuned:
+    """Return an answer with the limits of the problem, and with the probabilities of their violation."""
+    problem, evaluation = replace(found.problem, limits=limits), found.evaluation
+    if evaluation.violations is None:
+        evaluation = with_violations(problem, limits, Request(seed, None, None, "auto"), evaluation, Stages(None))
+    beyond = None if found.beyond is None else _limited(found.beyond, limits, seed)
+    return replace(found, problem=problem, evaluation=evaluation, beyond=beyond)
 
 
 def _found(
@@ -98,7 +116,11 @@ def _found(
 ) -> Tuned:
     """Return the value of a parameter that meets a budget."""
     search = Search(problem, tuning, goal, seed, bar)
-    if tuning.cycles and (cycles := _next_to(problem, tuning, goal, search)) is not None:
+    if (
+        tuning.cycles
+        and not isinstance(goal, ViolationGoal)
+        and (cycles := _next_to(problem, tuning, goal, search)) is not None
+    ):
         return cycles
     refinement, (low, high) = Refinement(search, standard_error), search.bracket()
     if not tuning.whole:
@@ -119,9 +141,15 @@ def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, obj
     """
     given = {name: budget for name, budget in budgets.items() if budget is not None}
     if len(given) != 1:
-        got = " and ".join(given) + " are given" if given else "none of rate, cost and traffic is given"
-        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost or traffic")
+        got = " and ".join(given) + " are given" if given else "none of rate, cost, traffic and violation is given"
+        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost, traffic or violation")
     ((name, budget),) = given.items()
+    if name == "violation":
+        if problem.limits is None:
+            raise ProblemError(
+                "violation is given for a problem without limits of its states; expected limits, as [limits] in a file"
+            )
+        return ViolationGoal(number("violation", budget, 0.0, 1.0), link or tuning.link)
     if isinstance(budget, Mapping):
         if link is not None or not budget:
             raise ProblemError(f"rate is {budget!r} and link is {link!r}; expected rates by link, and no link")
@@ -149,7 +177,12 @@ def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
                 "with link (--rate X --link NAME)"
             )
         return True
-    return not stated and link is None and not isinstance(goal, RateGoal) and len(problem.network.links) > 1
+    return (
+        not stated
+        and link is None
+        and not isinstance(goal, RateGoal | ViolationGoal)
+        and len(problem.network.links) > 1
+    )
 
 
 def _next_to(problem: Problem, tuning: TradeoffParameter, goal: Goal, search: Search) -> Tuned | None:

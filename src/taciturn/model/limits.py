@@ -1,0 +1,102 @@
+"""Limits of a plant's states: bounds on combinations z = C_z x, whose violation has a probability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, frozen
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Limits(Displayed):
+    """Bounds low ≤ z ≤ high on combinations z = C_z x of the states, one row each.
+
+    Limits change neither the policy nor the loop: studies compute how often the loop violates them.
+
+    Args:
+        outputs: C_z, (z, n).
+        low: lower bounds, (z,); −∞ for none; default: none.
+        high: upper bounds, (z,); ∞ for none; default: none.
+
+    Raises:
+        ProblemError: a row is 0, a combination has no bound, or a lower bound is not below its upper bound.
+
+    Example:
+        >>> Limits([[1.0, 0.0]], high=[2.0]).names
+        ('x1 ≤ 2',)
+    """
+
+    outputs: Array
+    low: Array
+    high: Array
+
+    def __init__(self, outputs: ArrayLike, low: ArrayLike | None = None, high: ArrayLike | None = None) -> None:
+        """Validate and store the arguments."""
+        rows = array("limits.outputs", outputs, (None, None), "(combinations, states)")
+        for i in np.flatnonzero(~rows.any(axis=1)):
+            raise ProblemError(f"limits.outputs[{i}] contains only zeros; expected the weights of the states")
+        size = len(rows)
+        found = {name: _bounds(name, value, size, side) for name, value, side in (("low", low, -1), ("high", high, 1))}
+        for i in range(size):
+            below, above = float(found["low"][i]), float(found["high"][i])
+            if not np.isfinite([below, above]).any():
+                raise ProblemError(f"limits.outputs[{i}] has no bound; expected low, high or both")
+            if below >= above:
+                raise ProblemError(
+                    f"limits.low[{i}] is {below:g} and limits.high[{i}] is {above:g}; expected low < high"
+                )
+        for name, value in {"outputs": rows, **found}.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each limit as text, such as ``-1 ≤ x1 ≤ 1``."""
+        return tuple(map(_named, self.outputs, self.low.tolist(), self.high.tolist()))
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the limits as text."""
+        return {"limits": self.short()}
+
+    def short(self) -> str:
+        """Return all limits as text."""
+        return ", ".join(self.names)
+
+    def expect_states(self, states: int) -> None:
+        """Check that there is one column per state.
+
+        Raises:
+            ProblemError: there are more or fewer columns.
+        """
+        if self.outputs.shape[1] != states:
+            raise ProblemError(
+                f"limits.outputs has {self.outputs.shape[1]} columns; expected {states}, one for each state of the "
+                "plant"
+            )
+
+
+def _bounds(name: str, value: ArrayLike | None, size: int, side: int) -> Array:
+    """Return bounds as an array; only the infinity on their own side is allowed."""
+    if value is None:
+        return frozen(np.full(size, side * np.inf))
+    try:
+        given = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        given = np.full(0, np.nan)
+    none = given == side * np.inf
+    array(f"limits.{name}", np.where(none, 0.0, given) if given.size else value, (size,), "(combinations,)")
+    return frozen(given)
+
+
+def _named(row: Array, low: float, high: float) -> str:
+    text = ""
+    for i in np.flatnonzero(row):
+        size = "" if abs(row[i]) == 1 else f"{abs(row[i]):.4g} "
+        sign = ("−" if row[i] < 0 else "") if not text else (" − " if row[i] < 0 else " + ")
+        text += f"{sign}{size}x{i + 1}"
+    left, right = (f"{low:g} ≤ " if np.isfinite(low) else ""), (f" ≤ {high:g}" if np.isfinite(high) else "")
+    return f"{left}{text}{right}"
