@@ -232,7 +232,7 @@ def test_a_filter_that_is_told_what_was_applied_is_that_of_a_plant_with_this_lim
     inputs = []
     for y in draws:
         expected = knows.step(y)
-        applied = np.clip(told.step(y, applied), -limit, limit)
+        applied = np.clip(told.step(y, applied=applied), -limit, limit)
         inputs.append((expected[0], applied[0]))
     assert np.array(inputs)[:, 1] == pytest.approx(np.array(inputs)[:, 0], abs=1e-9)
     assert 0.1 < (np.abs(np.array(inputs)[:, 0]) == limit).mean() < 1

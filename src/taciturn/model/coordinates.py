@@ -83,7 +83,13 @@ def in_units(policy: Policy) -> Policy:
         policy,
         steps=tuple(found for step in policy.steps for found in _moved(step, moves)),
         model=about(policy.model, None),
-        theory=Theory(cost=theory.cost, cost_all_time=theory.cost_all_time, sums=sums, innovations=told),
+        theory=Theory(
+            cost=theory.cost,
+            cost_all_time=theory.cost_all_time,
+            sums=sums,
+            innovations=told,
+            functions=theory.functions | {_deviation(name) for name in theory.functions},
+        ),
         initial={**policy.initial, **initial},
     )
 
