@@ -23,6 +23,7 @@ from taciturn.program.names import Sent
 from taciturn.program.numpy import run
 from taciturn.simulation.average import average, plain_average
 from taciturn.study.describe import describe
+from taciturn.study.record import origin
 
 DECIDING = tuple(
     name
@@ -196,6 +197,7 @@ def test_fixed_steps_are_checked_and_unchanged() -> None:
 def test_baselines_and_studies_take_limits() -> None:
     """Periodic control at the same rate, the text of the link, and a certificate for any noise."""
     problem = taciturn.load("two-mass").changed({"links.actuator.min_interval": 2, "links.actuator.max_interval": 9})
+    assert origin(problem) != origin(taciturn.load("two-mass"))
     found = taciturn.evaluate(problem, steps=100_000)
     assert found.cost_periodic_same_rate is not None
     assert found.cost_bound is None

@@ -16,10 +16,10 @@ from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.places import wire_links
 from taciturn.model.policy import Policy
-from taciturn.model.wire import CODES, FULL_SCALE, KINDS, Encoding, PacketKind
+from taciturn.model.wire import CODES, FULL_SCALE, KINDS, SETPOINT, Encoding, PacketKind
 from taciturn.program.c import CONSTANTS, REAL, c_literal, constant_array
 from taciturn.program.draws import seed_generators
-from taciturn.program.layout import Layout
+from taciturn.program.layout import Layout, first_inputs
 from taciturn.program.node import NodeProgram
 from taciturn.program.ops import Precision
 
@@ -33,7 +33,8 @@ _COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", 
 
 def link_code(policy: Policy, link: str) -> str:
     """Return the number of a link in C; the links of three nodes have names."""
-    return f"TAC_{link.upper()}_LINK" if policy.network.triangle else f"{wire_links(policy).index(link)}u"
+    named = policy.network.triangle and link != SETPOINT
+    return f"TAC_{link.upper()}_LINK" if named else f"{wire_links(policy).index(link)}u"
 
 
 @dataclass(frozen=True, repr=False)
@@ -73,7 +74,10 @@ class NodeData(Displayed):
     @cached_property
     def _start(self) -> list[float]:
         starts: list[Any] = [state.start for state in self.program.parts[0].states]
-        return [float(start) for start in starts]
+        inputs, given = first_inputs(self.policy.in_units, self.layout), list[float]()
+        for one in self.layout.arrivals:
+            given += inputs[one.at + 1 : one.at + 1 + one.size] if one.kind == "measurement" else []
+        return [*(float(start) for start in starts), *given]
 
     @cached_property
     def _numbers(self) -> dict[str, int]:

@@ -11,12 +11,13 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.places import inputs_at, outputs_at, roles
+from taciturn.model.network import REFERENCE
+from taciturn.model.places import inputs_at, outputs_at, roles, set_points_at
 from taciturn.model.policy import Policy, Received, Send
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
-from taciturn.program.names import Entry, Name, Sent, is_entry
+from taciturn.program.names import Entry, Name, Sent, is_entry, named
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,10 +79,12 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
     outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
+    given = plant.outputs - plant.sensed
+    measured = [*named("y", range(plant.sensed)), *named(REFERENCE, range(given))]
     links: tuple[str, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     vector = RecordedRun(
         links,
-        _columns([found[Entry("y", i)] for i in range(plant.outputs)], ticks),
+        _columns([found[name] for name in measured], ticks),
         _columns([inputs[i] for i in own], ticks),
         _columns([found[Received(link)] for link in links], ticks),
         _columns([found[Sent(link)] for link in links], ticks),
@@ -100,7 +103,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
 def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
     """Return the outputs and the inputs of the plant in the order in which the nodes measure and apply them."""
     names = roles(policy)
-    return [i for role in names for i in outputs_at(policy, role)], [
+    return [i for role in names for i in (*outputs_at(policy, role), *set_points_at(policy, role))], [
         i for role in names for i in inputs_at(policy, role)
     ]
 

@@ -93,7 +93,7 @@ typedef struct {
   tac_part *second;                                   /* NULL: no second part */
   void (*draw)(uint64_t *generator, tac_real *drawn); /* NULL: no random draws */
   const tac_real *constants;  /* numbers that the parts of a step read */
-  const tac_real *start;      /* start values of the memory */
+  const tac_real *start;      /* start values of the memory, then the set-points at the start */
   uint64_t generator[4];      /* state of the random number generator */
   uint32_t constant_count;
   uint32_t remembers;         /* steps after which an event has no effect; UINT32_MAX: never */
@@ -240,6 +240,11 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
  * without executing the step, if it is not later than the last step, if more missed steps are left (call again, with
  * this step or with a later one), or if the measurement is not finite or missing. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
+
+/* Set the set-points of a controller from the next step on, in place of those in packets on the link `setpoint`. They
+ * remain in effect until others are set or arrive. Return false, without effect, if they are not finite or the node is
+ * given none. */
+bool tac_setpoint(tac_node *node, const tac_real *values);
 
 /* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
  * 10000 missed steps, the earlier ones are skipped, as on a host. */

@@ -1,5 +1,6 @@
 /* taciturn: delivery of datagrams between the nodes of one process. */
 #include "taciturn_exchange.h"
+#include "taciturn_parts.h"
 
 enum { KIND_AT = 5, LINK_AT = 6 }; /* positions of kind and link in a datagram */
 
@@ -57,6 +58,7 @@ size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *
   }
   for (; i < exchange->count; i++) {
     tac_node *node = exchange->nodes[i];
+    const tac_channel_data *given = tac_set_points(node->data);
     if (has_key(node)) {
       break; /* nobody can read or change what one process keeps, and challenges would take further steps */
     }
@@ -64,11 +66,15 @@ size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *
       (void)tac_receive(node, exchange->boxes[i][k].bytes, exchange->boxes[i][k].size);
     }
     exchange->waiting[i] = 0U;
+    if (given != NULL && !tac_setpoint(node, &measurement[measured + node->data->measurement_count])) {
+      break;
+    }
     if (!tac_step(node, tick, &measurement[measured], (node->data->drawn_count > 0U) ? drawn : NULL) ||
         !deliver(exchange, node, lost, sent)) {
       break;
     }
     measured += node->data->measurement_count;
+    measured += (given == NULL) ? 0U : (size_t)given->entries;
   }
   return i;
 }

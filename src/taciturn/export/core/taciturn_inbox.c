@@ -52,7 +52,12 @@ static uint32_t count_missing(const tac_window *window) {
  * unless a step has read a newer one. */
 static void miss(tac_node *node, tac_channel *channel, const tac_packet *packet) {
   node->counters.late++;
-  if (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
+  if (packet->kind == (uint8_t)TAC_MEASUREMENT) { /* set-points take effect in the next step */
+    if (!channel->has_behind || packet->tick > channel->behind.tick) {
+      channel->behind = *packet;
+      channel->has_behind = true;
+    }
+  } else if (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
     tac_degrade(node, tac_count_ticks(node));
   } else if (node->data->lossless) {
     tac_degrade(node, tac_count_ticks(node));
@@ -175,7 +180,8 @@ static bool take(tac_node *node, const tac_packet *packet) {
   } else if (found == DUPLICATE) {
     node->counters.duplicate++;
   } else {
-    if (packet->tick >= node->newest && packet->tick < UINT64_MAX) {
+    bool timed = packet->kind != (uint8_t)TAC_MEASUREMENT; /* the sender of set-points need not know the step */
+    if (timed && packet->tick >= node->newest && packet->tick < UINT64_MAX) {
       node->newest = packet->tick + 1U;
     }
     if (node->data->channels[i].kind == (uint8_t)TAC_DATA && packet->tick < UINT64_MAX) {
@@ -190,7 +196,13 @@ bool tac_ready(const tac_node *node) {
   uint64_t tick = tac_count_ticks(node);
   bool ready = node->begun || node->data->measurement_count > 0U || node->counters.received > 0U;
   for (unsigned i = 0U; ready && i < node->data->channel_count; i++) {
-    ready = node->channels[i].marked + node->data->channels[i].lag > tick;
+    const tac_channel *channel = &node->channels[i];
+    unsigned place = (unsigned)(tick % (uint64_t)TAC_WAITING);
+    if (node->data->channels[i].kind == (uint8_t)TAC_MEASUREMENT) {
+      ready = channel->waits[place] && channel->waiting[place].tick == tick;
+    } else {
+      ready = channel->marked + node->data->channels[i].lag > tick;
+    }
   }
   return ready;
 }
@@ -238,8 +250,10 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
   if (!take(node, &packet)) {
     return false;
   }
-  node->heard = tac_count_ticks(node) + 1U;
-  node->unheard = false;
+  if (packet.kind != (uint8_t)TAC_MEASUREMENT) {
+    node->heard = tac_count_ticks(node) + 1U;
+    node->unheard = false;
+  }
   return true;
 }
 
@@ -251,11 +265,38 @@ static void put_inputs(const tac_channel_data *data, const tac_packet *packet, t
   }
 }
 
+/* Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain. */
+static void collect_kept(tac_node *node, unsigned i, uint64_t tick) {
+  tac_channel *channel = &node->channels[i];
+  const tac_packet *packet = NULL;
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    const tac_packet *known = &channel->waiting[place];
+    if (channel->waits[place] && known->tick <= tick) {
+      channel->waits[place] = false;
+      node->counters.used++;
+      packet = (packet == NULL || known->tick > packet->tick) ? known : packet;
+    }
+  }
+  if (channel->has_behind) {
+    channel->has_behind = false;
+    node->counters.used++;
+    packet = (packet == NULL || channel->behind.tick >= packet->tick) ? &channel->behind : packet;
+  }
+  if (packet != NULL && packet->tick + 1U >= channel->newest) {
+    channel->newest = packet->tick + 1U;
+    put_inputs(&node->data->channels[i], packet, node->inputs);
+  }
+}
+
 void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
   const tac_packet *packet = NULL;
   uint32_t missing = count_missing(&channel->window);
+  if (data->kind == (uint8_t)TAC_MEASUREMENT) {
+    collect_kept(node, i, tick);
+    return;
+  }
   for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
     tac_packet *known = &channel->waiting[place];
     if (!channel->waits[place] || tick < data->lag || known->tick > tick - data->lag) {

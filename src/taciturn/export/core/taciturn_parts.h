@@ -59,6 +59,9 @@ size_t tac_send_proof(tac_node *node, uint8_t *datagram);
 /* Return whether a node sends packets on a link: data along it, or (with `back`) acknowledgements against it. */
 bool tac_talks(const tac_node_data *data, uint8_t link, bool back);
 
+/* Return the channel on which a node is given set-points, or NULL. */
+const tac_channel_data *tac_set_points(const tac_node_data *data);
+
 /* Return the bits of a number. */
 tac_word tac_bits(tac_real value);
 
