@@ -118,7 +118,17 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {"mean", "covariance", "dt", "function", "full_state", "exosystem", "operating_point", "alone", "changes"}
+        apart = {
+            "mean",
+            "covariance",
+            "dt",
+            "function",
+            "full_state",
+            "exosystem",
+            "operating_point",
+            "alone",
+            "changes",
+        }
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
