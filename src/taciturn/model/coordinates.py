@@ -79,16 +79,13 @@ def in_units(policy: Policy) -> Policy:
         y = policy.model.C @ point.x
         told = replace(told, predicted=_moved_terms(told.predicted, y, moves)) if told.signal is None else None
     initial = {name: moves[name] + policy.initial.get(name, 0.0) for name in moves if name in assigns}
+    functions = theory.functions | {_deviation(name) for name in theory.functions}
     return replace(
         policy,
         steps=tuple(found for step in policy.steps for found in _moved(step, moves)),
         model=about(policy.model, None),
         theory=Theory(
-            cost=theory.cost,
-            cost_all_time=theory.cost_all_time,
-            sums=sums,
-            innovations=told,
-            functions=theory.functions | {_deviation(name) for name in theory.functions},
+            cost=theory.cost, cost_all_time=theory.cost_all_time, sums=sums, innovations=told, functions=functions
         ),
         initial={**policy.initial, **initial},
     )

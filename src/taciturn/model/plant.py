@@ -116,6 +116,11 @@ class Plant(DisplayedPlant):
         """Number of outputs that sensors measure: all without the set-points that the controller is given."""
         return self.outputs - (0 if self.changes is None else self.changes.size)
 
+    @property
+    def given(self) -> Array:
+        """Set-points at the start, which the controller is given, (z,)."""
+        return self.mean[self.states - (self.outputs - self.sensed) :]
+
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
         apart = {

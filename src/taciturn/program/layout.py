@@ -134,7 +134,7 @@ def first_inputs(policy: Policy, layout: Layout) -> list[float]:
     found = [0.0] * len(layout.inputs)
     for one in layout.arrivals:
         if one.kind == "measurement":
-            found[one.at + 1 : one.at + 1 + one.size] = policy.model.mean[-one.size :].tolist()
+            found[one.at + 1 : one.at + 1 + one.size] = policy.model.given.tolist()
     return found
 
 

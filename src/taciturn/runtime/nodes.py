@@ -146,8 +146,7 @@ class Nodes:
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
-        model = self.policy.model
-        self.reference: list[float] = model.mean[model.states - (model.outputs - model.sensed) :].tolist()
+        self.reference: list[float] = self.policy.model.given.tolist()
         self._memory = self.turns.start
         self._held: dict[str, Array] = {}
 

@@ -136,8 +136,7 @@ def _command(policy: Policy, network: Network, measured: bool = False) -> Array 
         return None
     given: dict[Name, float] = {Entry(fate_of(link), 0): 1.0 for link in network.links}
     outputs = range(policy.model.sensed)
-    points = policy.model.mean[policy.model.states - (policy.model.outputs - policy.model.sensed) :].tolist()
-    given |= {Entry(REFERENCE, i): value for i, value in enumerate(points)}
+    given |= {Entry(REFERENCE, i): value for i, value in enumerate(policy.model.given.tolist())}
     given |= {Entry(name, i): value for name, value in (("y", 0.0), (MEASURED, float(measured))) for i in outputs}
     start: list[float] = [0.0 if isinstance(state.start, tuple) else state.start for state in program.states]
     values = compile_python(program)(start, [given.get(name, 0.5) for name in program.inputs])[1]
