@@ -81,6 +81,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--cost", "0.1"], "expected at least 0.733"),
         ([], "expected one of them"),
         (["--rate", "0.3", "--cost", "1"], "expected one of them"),
+        (["--violation", "1e-3"], "violation is given for a problem without limits of its states; expected limits"),
         (["--rate", "nan"], "rate is nan"),
         (["--rate", "0"], "rate is 0"),
         (["--rate", "x"], "--rate is 'x'; expected a number, or"),
@@ -95,7 +96,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period to tune here"),
         (
             ["--cost", "1", "--least-period", "0.1"],
-            "--least-period is given without a number for --rate, or with --cost or --traffic; expected --rate",
+            "--least-period is given without a number for --rate, or with another budget; expected --rate with",
         ),
     ],
 )

@@ -19,11 +19,11 @@ from taciturn.loop import COST
 from taciturn.lqg.riccati import regulate
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
-from taciturn.model.limits import Limits
+from taciturn.model.limits import Limits, Violation
 from taciturn.program.engine import prepare
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation import splitting
-from taciturn.simulation.violations import Violation, violations
+from taciturn.simulation.violations import violations
 from taciturn.study.record import decode, encode
 
 SURE = 4.0  # standard errors

@@ -1,15 +1,18 @@
-"""Limits of a plant's states: bounds on combinations z = C_z x, whose violation has a probability."""
+"""Limits of a plant's states, bounds on combinations z = C_z x, and the probabilities of their violation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, frozen
 from taciturn._display import Displayed
+from taciturn._text import Lines
 from taciturn.errors import ProblemError
+from taciturn.model.estimate import Estimate
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,6 +80,77 @@ class Limits(Displayed):
                 f"limits.outputs has {self.outputs.shape[1]} columns; expected {states}, one for each state of the "
                 "plant"
             )
+
+
+@dataclass(frozen=True, repr=False)
+class Violation(Displayed):
+    """Probability that a limit is violated.
+
+    Args:
+        per_step: share of the steps with a violation.
+        within: probability of at least one violation within the window.
+        levels: number of levels of importance splitting; 0 for plain simulation.
+    """
+
+    per_step: Estimate
+    within: Estimate
+    levels: int
+
+    @property
+    def method(self) -> str:
+        """The method as text: simulation, or importance splitting with its number of levels."""
+        several = "s" * (self.levels > 1)
+        return f"importance splitting, {self.levels} level{several}" if self.levels else "simulation"
+
+    def document(self) -> dict[str, Any]:
+        """Return the values, standard errors and method as a dictionary for JSON."""
+        parts = {"per_step": self.per_step, "within": self.within}
+        values = {name: one.document("value", "standard_error") for name, one in parts.items()}
+        return {**values, "method": self.method}
+
+
+@dataclass(frozen=True, repr=False)
+class Violations(Displayed):
+    """Probabilities that limits of the states are violated.
+
+    Args:
+        names: the limits as text.
+        each: the probability of each limit.
+        total: the probability that any limit is violated.
+        window: the window of ``Violation.within``: ``"hour"``, ``"1000 steps"`` or ``"run"``.
+    """
+
+    names: tuple[str, ...]
+    each: tuple[Violation, ...]
+    total: Violation
+    window: str
+
+    def by_limit(self) -> dict[str, Violation]:
+        """Return the probabilities by limit, then those of all limits together if there are several."""
+        found = dict(zip(self.names, self.each, strict=True))
+        return found if len(found) == 1 else {**found, "any limit": self.total}
+
+    def document(self) -> dict[str, Any]:
+        """Return the part of the JSON document of ``taciturn evaluate --json``."""
+        each = [{"limit": name, **one.document()} for name, one in zip(self.names, self.each, strict=True)]
+        return {**self.total.document(), "window": self.window, "limits": each}
+
+    def lines(self) -> Lines:
+        """Return one line for each limit, and one for all together."""
+        return [
+            ("violation", f"{name}: {one.per_step} of the steps, {one.within} within {self._one} ({one.method})")
+            for name, one in self.by_limit().items()
+        ]
+
+    @property
+    def _one(self) -> str:
+        return {"hour": "an hour", "run": "a run"}.get(self.window, self.window)
+
+    def records(self) -> Mapping[str, Estimate]:
+        """Return the columns of a table: the probability per step of each limit and of all, and within the window."""
+        many = len(self.each) > 1
+        each = {f"violation_{i + 1}": one.per_step for i, one in enumerate(self.each) if many}
+        return {"violation": self.total.per_step, "violation_within": self.total.within, **each}
 
 
 def _bounds(name: str, value: ArrayLike | None, size: int, side: int) -> Array:

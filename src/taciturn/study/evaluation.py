@@ -9,10 +9,10 @@ from typing import Any, ClassVar, Literal, cast
 from taciturn._text import Lines, magnitude, negligible, pairs_text, per_unit, percent, table_text
 from taciturn.analyse.limits import LowerBound
 from taciturn.model.estimate import Estimate
+from taciturn.model.limits import Violations
 from taciturn.model.schedule import Schedule
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
-from taciturn.simulation.violations import Violations
 from taciturn.study.clock import ClockMix
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.limited import WithoutLimits

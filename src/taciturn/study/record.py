@@ -14,6 +14,7 @@ from taciturn._version import __version__
 from taciturn.analyse.limits import LowerBound
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.estimate import Estimate
+from taciturn.model.limits import Violation, Violations
 from taciturn.model.link import IDEAL_LINK
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
@@ -21,7 +22,6 @@ from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
-from taciturn.simulation.violations import Violation, Violations
 from taciturn.study.clock import ClockMix, ClockPoint
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
