@@ -27,7 +27,7 @@ from taciturn.model.set_points import SampledChanges
 from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
-from taciturn.program.controller import Begin, add_values, begin_time_step, gather_input, measure, replaced
+from taciturn.program.controller import Begin, add_values, begin_time_step, deviation, gather_input, measure, replaced
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
@@ -97,12 +97,10 @@ class Loop(Displayed):
     @cached_property
     def in_units(self) -> Loop:
         """The loop in the units of the plant, as nodes run it; a loop counts from the policy's operating point."""
-        point = self.problem.plant.operating_point
-        if point is None:
+        if self.problem.plant.operating_point is None:
             return self
-        problem = replace(self.problem, plant=about(self.problem.plant, None), rest=point)
         told = self.violated_assumptions or ("states and inputs are in the units of the plant",)
-        return replace(self, problem=problem, policy=self.policy.in_units, violated_assumptions=told)
+        return replace(self, problem=self.problem.in_units, policy=self.policy.in_units, violated_assumptions=told)
 
     @property
     def departures(self) -> tuple[str, ...]:
@@ -244,8 +242,8 @@ class Loop(Displayed):
         if terminal is None:
             return None
         x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == "x"])
-        x -= 0.0 if tracking is None else tracking.final[:, None]
-        x -= 0.0 if self.problem.rest is None else self.problem.rest.x[:, None]
+        for off in (tracking and tracking.final, self.problem.rest and self.problem.rest.x):
+            x -= 0.0 if off is None else off[:, None]
         return np.einsum("ip,ij,jp->p", x, terminal, x)
 
     def ticks(self, ticks: object) -> int:
@@ -320,18 +318,9 @@ class Loop(Displayed):
 
     def _deviate(self, tick: TimeStep) -> tuple[str, str]:
         """Return the signals that the cost weights: state and input, or their deviations from a reference or point."""
-        tracking, rest, plant = self.policy.tracking, self.problem.rest, self.problem.plant
-        if tracking is None and rest is None:
-            return "x", "applied"
-        for name, size, followed, value in (
-            ("x", plant.states, tracking and tracking.state, rest and rest.x),
-            ("applied", plant.inputs, tracking and tracking.input, rest and rest.u),
-        ):
-            terms = {name: np.eye(size)}
-            terms |= {} if followed is None else {followed: -np.eye(size)}
-            terms |= {} if value is None else {ONE: -value[:, None]}
-            tick.signals[f"{name} off"] = tick.combine(terms, size)
-        return "x off", "applied off"
+        tracking, rest = self.policy.tracking, self.problem.rest
+        state = deviation(tick, "x", tracking and tracking.state, rest and rest.x)
+        return state, deviation(tick, "applied", tracking and tracking.input, rest and rest.u)
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p = self.problem

@@ -18,7 +18,7 @@ from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._followed import followed
 from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
-from taciturn.model.coordinates import counted_from
+from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.exosystem import Exosystem
@@ -67,6 +67,11 @@ class Discrete(Displayed):
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
         return self.plant.short(None if self.prediction is None else len(self.prediction.L))
+
+    @property
+    def in_units(self) -> Discrete:
+        """The problem in the units of the plant; its cost counts from the operating point."""
+        return replace(self, plant=about(self.plant, None), rest=self.plant.operating_point)
 
     @cached_property
     def moving(self) -> Bits:

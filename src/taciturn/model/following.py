@@ -10,7 +10,7 @@ from taciturn._arrays import ArrayLike, instance
 from taciturn.errors import ProblemError
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.set_points import Changes, SetPoint
+from taciturn.model.set_points import Changes, SetPoint, Timetable
 
 AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
 
@@ -54,8 +54,8 @@ def follow(
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(f"outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state")
     point = plant.operating_point
-    if point is not None and value is not None:
-        target = SetPoint(target.outputs, target.value - target.outputs @ point.x)
+    if point is not None and (value is not None or isinstance(changes, Timetable)):
+        target = target.relative_to(point.x)
     found = copy(plant)
     object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
     return found

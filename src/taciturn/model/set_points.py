@@ -196,3 +196,10 @@ class SetPoint(Displayed):
         given = np.zeros(size) if value is None else value
         object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
         object.__setattr__(self, "changes", changes)
+
+    def relative_to(self, state: Array) -> SetPoint:
+        """Return the set-points relative to the combinations of a state, (n,)."""
+        z = self.outputs @ state
+        if isinstance(self.changes, Timetable):
+            return SetPoint(self.outputs, None, Timetable(self.changes.times, self.changes.values - z))
+        return SetPoint(self.outputs, self.value - z, self.changes)

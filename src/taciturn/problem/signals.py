@@ -62,8 +62,7 @@ def with_exosystem(
         for one in file.disturbance or ()
     ]
     given += [] if acting is None else _at_inputs(plant, target)
-    stated = None if isinstance(target.changes, Timetable) else target.value
-    return follow(plant, target.outputs, stated, given, target.changes)
+    return follow(plant, target.outputs, points.value, given, target.changes)
 
 
 def _changes(table: ReferenceTable) -> Changes | None:

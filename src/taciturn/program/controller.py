@@ -11,7 +11,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import Assign, Policy, Step, Terms
+from taciturn.model.policy import ONE, Assign, Policy, Step, Terms
 from taciturn.model.theory import INNOVATION
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
@@ -219,3 +219,15 @@ def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
 def add_values(tick: TimeStep, values: Operands, more: Operands) -> Operands:
     """Return the sum of two vectors."""
     return [tick.builder.emit("add", value, other) for value, other in zip(values, more, strict=True)]
+
+
+def deviation(tick: TimeStep, signal: str, followed: str | None, point: Array | None) -> str:
+    """Return the signal with the deviation of a signal from a followed signal and a point, or the signal itself."""
+    if followed is None and point is None:
+        return signal
+    size = len(tick.read(signal))
+    terms = {signal: np.eye(size)}
+    terms |= {} if followed is None else {followed: -np.eye(size)}
+    terms |= {} if point is None else {ONE: -point[:, None]}
+    tick.signals[f"{signal} off"] = tick.combine(terms, size)
+    return f"{signal} off"
