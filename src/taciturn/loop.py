@@ -85,8 +85,7 @@ class Loop(Displayed):
 
     def summary(self) -> Mapping[str, object]:
         """Return the policy, the cost of sending every sample, the plant and the network by name."""
-        theory, nominal = self.policy.theory, self.nominal
-        shown = {"policy": self.policy.kind, "cost_all_time": theory.cost_all_time, "nominal": nominal}
+        shown = {"policy": self.policy.kind, "cost_all_time": self.policy.theory.cost_all_time, "nominal": self.nominal}
         return {**shown, "plant": self.problem.short(), "network": self.network.short(), "precision": self.precision}
 
     @property
@@ -129,8 +128,8 @@ class Loop(Displayed):
     @property
     def reducible(self) -> bool:
         """True if the loop has the same distribution as a loop that is driven by the filter's innovations."""
-        known = self.policy.theory.innovations is not None
-        return self.nominal and known and self.problem.gaussian and self.horizon is None
+        gaussian = self.problem.gaussian and self.policy.theory.innovations is not None
+        return self.nominal and gaussian and self.horizon is None
 
     def program(self) -> Program:
         """Return the program of one step of the loop, including the plant.
@@ -180,10 +179,7 @@ class Loop(Displayed):
         return with_draws(with_controls(self.innovations_program()))
 
     def innovations_program(self, begin: Begin = TimeStep) -> Program:
-        """Return the program of one step of the loop in innovations form, with random numbers as an input.
-
-        ``begin`` is the class that translates the steps.
-        """
+        """Return the program of one step in innovations form, with random numbers as an input, translated by ``begin``."""
         innovations = self.policy.theory.innovations
         if not self.reducible or innovations is None:
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")

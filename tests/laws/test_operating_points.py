@@ -18,6 +18,7 @@ from taciturn.model.equilibrium import equilibrium
 from taciturn.model.following import follow
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.runtime.plant import SimulatedPlant
 
 QUICK = ("all-time", "lqg", "excess", "remote-lqg", "lossy-lqg", "distributed", "mixed", "consistent", "event-pid")
@@ -249,6 +250,37 @@ def test_what_has_no_point_is_as_before() -> None:
         policy = KINDS[name].design()
         assert policy.in_units is policy
         assert KINDS[name].close(policy).in_units.policy is policy
+
+
+def test_a_controller_states_another_set_point_than_zero() -> None:
+    """As 0 means the output at the operating point, a 0 that is written down is refused."""
+    tank = taciturn.load("pid-tank")
+    n, m = tank.plant.states, tank.plant.inputs
+    point = {"plant.operating_point.x": [5.0] * n, "plant.operating_point.u": [1.0] * m}
+    assert tank.changed(point).design().cost_all_time == tank.design().cost_all_time
+    with pytest.raises(ProblemError, match=r"set-point 0 of output 1, which is 5 at plant.operating_point; expected"):
+        tank.changed({**point, "controller.pid.setpoint": 0.0})
+
+
+def test_changing_set_points_are_in_the_units_of_the_outputs() -> None:
+    """Steps at random times and a timetable are moved by the point, also in what the controller is given."""
+    table = Timetable([0, 20, 50], [[1.0], [3.0], [1.0]])
+    point = somewhere(SEEN)
+    y = float((SEEN.C @ point.x)[0])
+    for usual, there in (
+        ({"changes": table}, {"changes": Timetable(table.times, table.values + y)}),
+        (
+            {"value": [1.0], "changes": RandomSteps(0.05, [[1.0]])},
+            {"value": [1.0 + y], "changes": RandomSteps(0.05, [[1.0]])},
+        ),
+    ):
+        plants = follow(SEEN, **usual), follow(located(SEEN, point), **there)
+        policies = [design.excess(plant, COST, theta=0.2) for plant in plants]
+        assert policies[0].cost_all_time == policies[1].cost_all_time
+        loops = [taciturn.close(plant, policy) for plant, policy in zip(plants, policies, strict=True)]
+        one, other = (taciturn.simulate(loop, 100, seed=4) for loop in loops)
+        assert other.state - np.append(point.x, y) == pytest.approx(one.state, abs=1e-11)
+        assert other.input - point.u == pytest.approx(one.input, abs=1e-11)
 
 
 def test_a_set_point_at_the_operating_point_is_none() -> None:

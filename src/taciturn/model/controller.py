@@ -34,7 +34,7 @@ class Controller(Displayed):
         disturbance: slowly varying disturbance at each input of the plant; default: ``Disturbance()`` if the controller
             integrates, otherwise none.
         setpoint: constant set-point of each output, (p,), or of the only one, which is subtracted from the measurement;
-            default 0.
+            default 0. At an operating point of the plant, 0 means the output there.
         rest: state of the controller when it rests at the set-point, relative to that of feedback of the error only,
             (k,); set-point weights change it; default 0.
         start_input: input before the start, (m,), which the first command equals on average; default: the controller

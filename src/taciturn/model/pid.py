@@ -29,7 +29,8 @@ class PID(Displayed):
             otherwise none.
         input: number of the plant's input that the controller computes, from 1 on.
         output: number of the plant's output that it measures, from 1 on.
-        setpoint: constant set-point r of the output; with several loops of an output, of one of them.
+        setpoint: constant set-point r of the output; with several loops of an output, of one of them. At an operating
+            point of the plant, 0 means the output there.
         b: weight of the set-point in the proportional part.
         c: weight of the set-point in the derivative.
         tracking_time: time constant in seconds with which the integral follows the input that was applied, if a limit

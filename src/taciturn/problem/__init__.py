@@ -371,7 +371,7 @@ def parse(
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
         plant = plant_of(file.plant, known or {})
         actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
-        controller = None if file.controller is None else controller_of(file.controller)
+        controller = None if file.controller is None else controller_of(file.controller, plant)
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
         followed, actual = (with_exosystem(one, file, network) for one in (plant, actual))

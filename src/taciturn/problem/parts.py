@@ -143,8 +143,9 @@ def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept |
     return Cost(found.Q, found.R, **ending)
 
 
-def controller_of(table: ControllerTable) -> Kept:
+def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kept:
     """Return the controller of a table, which states it by gains, by matrices, or by a file of matrices."""
+    _expect_stated(table, plant)
     disturbance = table.disturbance
     if disturbance is not None:
         disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**vars(disturbance))
@@ -161,7 +162,10 @@ def controller_of(table: ControllerTable) -> Kept:
         if table.setpoint is not None:
             raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
         loops = table.pid if isinstance(table.pid, list) else [table.pid]
-        pids = [PID(**{**vars(one), **{name: -sign * getattr(one, name) for name in GAINS}}) for one in loops]
+        gains = [{name: -sign * getattr(one, name) for name in GAINS} for one in loops]
+        pids = [
+            PID(**{**vars(one), **own, "setpoint": one.setpoint or 0.0}) for one, own in zip(loops, gains, strict=True)
+        ]
         pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
         return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
     dt = None
@@ -201,6 +205,19 @@ def limits_of(table: LimitsTable | None, plant: Plant | ContinuousPlant) -> Limi
     if table is None:
         return None
     return Limits(plant.C if table.outputs is None else table.outputs, table.low, table.high)
+
+
+def _expect_stated(table: ControllerTable, plant: Plant | ContinuousPlant) -> None:
+    """Raise an error if a set-point is 0 at an operating point, where 0 means the output at this point."""
+    point, p = plant.operating_point, len(plant.C)
+    pids = [] if table.pid is None else table.pid if isinstance(table.pid, list) else [table.pid]
+    stated = {one.output - 1: one.setpoint for one in pids} | dict(enumerate(table.setpoint or []))
+    y = np.zeros(p) if point is None else plant.C @ point.x
+    for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
+        raise ProblemError(
+            f"the controller has the set-point 0 of output {i + 1}, which is {y[i]:g} at plant.operating_point; "
+            "expected another set-point, or none for that of the operating point"
+        )
 
 
 def _jumps(table: JumpsTable) -> Jumps:

@@ -178,7 +178,7 @@ class PIDTable(Displayed):
     filter: float | None = None
     input: int = 1
     output: int = 1
-    setpoint: float = 0.0
+    setpoint: float | None = None
     b: float = 1.0
     c: float = 0.0
     tracking_time: float | None = None
