@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from counts import few
+from export.devices import needs_compiler
 from runtime.loops import differing_ticks, record
 from used import COST, KINDS, SEEN
 
@@ -242,6 +245,19 @@ def test_packets_are_rounded_in_the_units_of_the_plant(payload: str) -> None:
     assert changed == pytest.approx(rounded, abs=1e-11)
     records, draws = record(loop, 60, 2)
     assert differing_ticks(loop, records, draws)[0] == []
+
+
+def test_nodes_in_c_are_in_the_units_of_the_plant(tmp_path: Path) -> None:
+    """The self-check compares measurements, decisions and inputs of the loop in units with those of the nodes in C."""
+    compiler = needs_compiler()
+    tank = taciturn.load("quadruple-tank").changed(
+        {**TANK, "reference.value": [13.4, 12.2], "plant.input_limit": [[0.0, 10.0], [0.0, 10.0]]}
+    )
+    taciturn.export_c(tank, tmp_path, name="tank")
+    sources = sorted(map(str, tmp_path.glob("*.c")))
+    subprocess.run([compiler, "-std=c99", "-O1", *sources, "-lm", "-o", str(tmp_path / "check")], check=True)
+    told = subprocess.run([str(tmp_path / "check")], capture_output=True, text=True, check=True).stdout
+    assert "every decision and every bit of the input agrees" in told
 
 
 def test_what_has_no_point_is_as_before() -> None:

@@ -133,6 +133,28 @@ def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
     assert len(quiet.plot().axes) == 2
 
 
+LOCATED = """
+[plant]
+A = [[0.9, 0.2], [0.0, 0.8]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+W = [[0.1, 0.0], [0.0, 0.1]]
+V = [[0.2]]
+dt = 0.1
+input_limit = [[0.0, 9.0]]
+
+[plant.operating_point]
+x = [12.4, 3.0]
+u = [5.0]
+
+[cost]
+Q = [[1.0, 0.0], [0.0, 1.0]]
+R = [[0.5]]
+
+[policy]
+kind = "excess"
+theta = 0.3
+"""
 DELAYED = CHAPTER_7.replace('protocol = "udp"', 'protocol = "tcp"\ndelay = 1')
 BURSTS = (
     CHAPTER_7.replace("actuator_loss = 0.1", "")
@@ -168,8 +190,16 @@ def test_processes_do_what_nodes_in_memory_do(tmp_path: Path, problem: str) -> N
 @pytest.mark.evidence
 @pytest.mark.parametrize(
     "problem",
-    ["remote-double-integrator", "wiener-double-integrator", "inverted-pendulum", "double-integrator", BURSTS, DELAYED],
-    ids=["remote", "sampled", "pendulum", "consistent", "bursts", "tcp, delayed"],
+    [
+        "remote-double-integrator",
+        "wiener-double-integrator",
+        "inverted-pendulum",
+        "double-integrator",
+        BURSTS,
+        DELAYED,
+        LOCATED,
+    ],
+    ids=["remote", "sampled", "pendulum", "consistent", "bursts", "tcp, delayed", "operating point"],
 )
 def test_processes_do_what_nodes_in_memory_do_for_long(tmp_path: Path, problem: str) -> None:
     """Every kind of link and place, two thousand steps."""
