@@ -164,8 +164,9 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
         loops = table.pid if isinstance(table.pid, list) else [table.pid]
         pids = list[PID]()
         for one in loops:
-            changed: dict[str, Any] = {name: -sign * getattr(one, name) for name in GAINS}
-            pids.append(PID(**{**vars(one), **changed, "setpoint": one.setpoint or 0.0}))
+            changed = {name: -sign * getattr(one, name) for name in GAINS}
+            given_pid: dict[str, Any] = {**vars(one), **changed, "setpoint": one.setpoint or 0.0}
+            pids.append(PID(**given_pid))
         pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
         return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
     dt = None
