@@ -179,7 +179,7 @@ class Loop(Displayed):
         return with_draws(with_controls(self.innovations_program()))
 
     def innovations_program(self, begin: Begin = TimeStep) -> Program:
-        """Return the program of a step in innovations form, with random numbers as an input, which ``begin`` uses."""
+        """Return the program of a step in innovations form, with random numbers as inputs, translated by ``begin``."""
         innovations = self.policy.theory.innovations
         if not self.reducible or innovations is None:
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")

@@ -19,10 +19,12 @@ from taciturn import Cost, Plant, Policy, Problem, ProblemError, Reference, desi
 from taciturn.export.vector import record_loop
 from taciturn.model.equilibrium import equilibrium
 from taciturn.model.following import follow
+from taciturn.model.limits import Limits
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.runtime.plant import SimulatedPlant
+from taciturn.simulation.violations import violations
 
 QUICK = ("all-time", "lqg", "excess", "remote-lqg", "lossy-lqg", "distributed", "mixed", "consistent", "event-pid")
 TANK = {"plant.operating_point.x": [12.4, 12.7, 1.8, 1.4], "plant.operating_point.u": [3.0, 3.0]}
@@ -339,3 +341,15 @@ def test_a_function_that_does_not_rest_is_refused() -> None:
     plant = nonlinear()
     with pytest.raises(ProblemError, match=r"with respect to u at the operating point has .*at=\(x, u\)"):
         Plant(plant.A, 2 * plant.B, plant.W, dt=0.5, function=STEP, operating_point=plant.operating_point)
+
+
+def test_limits_of_states_are_in_the_units_of_the_plant() -> None:
+    """The probability of a violation is that of the deviations, with limits that are moved by the point."""
+    problem, point = KINDS["lqg"], somewhere(SEEN)
+    found = []
+    for at in (OperatingPoint([0.0, 0.0], [0.0]), point):
+        moved = replace(problem, plant=located(SEEN, at))
+        limits = Limits([[1.0, 0.0]], [at.x[0] - 2.0], [at.x[0] + 1.5])
+        found.append(violations(moved.close(moved.design()), limits, seed=1, steps=200_000))
+    assert found[1].total.per_step.value == pytest.approx(found[0].total.per_step.value, rel=1e-9)
+    assert found[0].total.per_step.value > 0

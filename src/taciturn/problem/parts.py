@@ -162,10 +162,11 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
         if table.setpoint is not None:
             raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
         loops = table.pid if isinstance(table.pid, list) else [table.pid]
-        gains: list[dict[str, Any]] = [
-            {**{name: -sign * getattr(one, name) for name in GAINS}, "setpoint": one.setpoint or 0.0} for one in loops
-        ]
-        pids = [PID(**{**vars(one), **own}) for one, own in zip(loops, gains, strict=True)]
+        pids = list[PID]()
+        for one in loops:
+            changed = {name: -sign * getattr(one, name) for name in GAINS}
+            given_pid: dict[str, Any] = {**vars(one), **changed, "setpoint": one.setpoint or 0.0}
+            pids.append(PID(**given_pid))
         pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
         return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
     dt = None

@@ -113,7 +113,8 @@ class _Search:
         if rows.shape[1] > plant.states:
             limits.expect_states(plant.states)
         self.rows: Array = np.pad(rows, ((0, 0), (0, plant.states - rows.shape[1])))
-        self.limits, self.horizon = limits, loop.problem.cost.horizon
+        self.limits, self.horizon, point = limits, loop.problem.cost.horizon, plant.operating_point
+        self.rest: Array = np.zeros((len(rows), 1)) if point is None else self.rows @ point.x[:, None]
         if loop.problem.cost.discount < 1:
             raise ProblemError(
                 "limits are given with cost.discount, and the weights of a discounted sum are not a share of time; "
@@ -251,7 +252,7 @@ class _Search:
 
     def _excess(self, x: Array) -> Array:
         """Return how far each combination exceeds its limits, in its standard deviations; negative within them."""
-        z, high, low = self.rows @ x, self.limits.high[:, None], self.limits.low[:, None]
+        z, high, low = self.rows @ x + self.rest, self.limits.high[:, None], self.limits.low[:, None]
         return np.maximum(z - high, low - z) / self.deviation
 
     def _states(self, states: Array) -> Array:
