@@ -20,6 +20,7 @@ from taciturn.lqg.riccati import regulate
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.limits import Limits, Violation
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.engine import prepare
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation import splitting
@@ -236,7 +237,19 @@ def test_a_state_that_follows_a_wandering_disturbance_is_refused_and_an_output_a
         violations(loop, Limits([[1.0, 0.0]], high=[1.0]), steps=200_000)
 
 
-def limited(rarity: float = 1e-2, **parameters: Any) -> taciturn.Problem:
+def test_limits_are_in_the_units_of_a_plant_with_an_operating_point() -> None:
+    """The same draws at another place give the same probabilities."""
+    found: list[Violation] = []
+    for place in (0.0, 20.0):
+        point = OperatingPoint([place], [-0.05 * place])
+        plant = Plant(SLOW.A, SLOW.B, SLOW.W, operating_point=point)
+        loop = close(plant, design.lqg(plant, UNIT, theta=0.5))
+        found.append(violations(loop, Limits(ROW, high=[place + 5.0]), accuracy=0.3).total)
+    assert found[0].per_step.value > 0
+    assert found[1].per_step.value == pytest.approx(found[0].per_step.value, rel=1e-6)
+
+
+def limited(**parameters: Any) -> taciturn.Problem:
     """Return a problem with a limit."""
     return taciturn.Problem(SLOW, UNIT, Network(), "lqg", {"theta": 0.5, **parameters}, limits=Limits(ROW, high=[3.5]))
 

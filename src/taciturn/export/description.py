@@ -75,7 +75,11 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     applied, where = ("Predicted state", "of the actuator's model") if predicts else ("Input", "of the plant")
     found = [
         UnitVariable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
-        for i in range(model.outputs)
+        for i in range(model.sensed)
+    ]
+    found += [
+        UnitVariable(f"setpoint[{i - model.sensed + 1}]", first["y"] + i, "number", "input", "Set-point")
+        for i in range(model.sensed, model.outputs)
     ]
     if may_lose(loop):
         found += [

@@ -357,7 +357,9 @@ from another node to `tac_receive`:
 | 6 | answer | with a key: to the node that has sent the challenge |
 
 The kinds 3 (measurement) and 4 (input) are packets between a node and a plant that is another process. `tac_receive`
-discards them: read them with `tac_decode` and write them with `tac_encode`, using `&node->data->wire`.
+discards them: read them with `tac_decode` and write them with `tac_encode`, using `&node->data->wire`. An exception
+are the set-points of a controller, if they may change: `tac_receive` takes them as packets of kind 3 on the link
+`setpoint`, and `tac_setpoint(node, values)` sets them from the next step on. They remain in effect until then.
 
 * All nodes use the same **step** numbers. In each step the nodes that measure run first, then the controller, then the
   nodes that apply inputs; leave enough time between them for packets to arrive. A node that starts while the loop runs

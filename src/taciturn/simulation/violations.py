@@ -113,8 +113,10 @@ class _Search:
         if rows.shape[1] > plant.states:
             limits.expect_states(plant.states)
         self.rows: Array = np.pad(rows, ((0, 0), (0, plant.states - rows.shape[1])))
-        self.limits, self.horizon, point = limits, loop.problem.cost.horizon, plant.operating_point
-        self.rest: Array = np.zeros((len(rows), 1)) if point is None else self.rows @ point.x[:, None]
+        point = plant.operating_point  # from which the loop counts its states
+        rest = np.zeros(plant.states) if point is None else np.pad(point.x, (0, plant.states - len(point.x)))
+        self.offset: Array = (self.rows @ rest)[:, None]
+        self.limits, self.horizon = limits, loop.problem.cost.horizon
         if loop.problem.cost.discount < 1:
             raise ProblemError(
                 "limits are given with cost.discount, and the weights of a discounted sum are not a share of time; "
@@ -252,7 +254,7 @@ class _Search:
 
     def _excess(self, x: Array) -> Array:
         """Return how far each combination exceeds its limits, in its standard deviations; negative within them."""
-        z, high, low = self.rows @ x + self.rest, self.limits.high[:, None], self.limits.low[:, None]
+        z, high, low = self.rows @ x + self.offset, self.limits.high[:, None], self.limits.low[:, None]
         return np.maximum(z - high, low - z) / self.deviation
 
     def _states(self, states: Array) -> Array:

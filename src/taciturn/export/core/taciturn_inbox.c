@@ -53,7 +53,7 @@ static uint32_t count_missing(const tac_window *window) {
 static void miss(tac_node *node, tac_channel *channel, const tac_packet *packet) {
   node->counters.late++;
   if (packet->kind == (uint8_t)TAC_MEASUREMENT) { /* set-points take effect in the next step */
-    if (!channel->has_behind || packet->tick > channel->behind.tick) {
+    if (!channel->has_behind || packet->tick >= channel->behind.tick) {
       channel->behind = *packet;
       channel->has_behind = true;
     }

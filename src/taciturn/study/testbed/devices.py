@@ -24,7 +24,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.places import roles
 from taciturn.model.policy import Policy
-from taciturn.model.wire import OFFSETS
+from taciturn.model.wire import OFFSETS, SETPOINT
 from taciturn.runtime.inbox import Inbox
 from taciturn.runtime.keys import Keys
 from taciturn.runtime.node import Node, Safe, Stepped, Values
@@ -329,8 +329,9 @@ class DeviceServer(NodeServer):
                 self._outbox.send([answer])
 
     def _is_physical(self, datagram: bytes) -> bool:
-        """Return whether a datagram is exchanged with the plant."""
-        return datagram[OFFSETS["link"]] in {self.wire.links.index(link) for link in self.wire.plant}
+        """Return whether a datagram is exchanged with the plant; the device itself takes set-points."""
+        links = [link for link in self.wire.plant if link != SETPOINT]
+        return datagram[OFFSETS["link"]] in {self.wire.links.index(link) for link in links}
 
 
 @lru_cache(maxsize=8)
