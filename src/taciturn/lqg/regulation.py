@@ -12,6 +12,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.sampling import sample
 from taciturn.model.coordinates import counted_from
+from taciturn.model.disturbed import DisturbedDynamics
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -111,15 +112,17 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     whole = symmetrised(deviation.T @ weights @ deviation)
     states = n + q
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
-    with_all = Plant(
-        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
-        plant.input_limit, plant.function, input_rate=plant.input_rate,
-    )  # fmt: skip
-    object.__setattr__(with_all, "changes", changes)
-    point = plant.operating_point
+    point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
         free = np.where(np.vstack([e.E, e.G]).any(axis=0), 0.0, e.F)
-        at_rest = np.linalg.lstsq(free, -e.outputs @ point.x, rcond=None)[0] if free.any() else np.zeros(q)
+        at_rest = np.linalg.lstsq(free, -e.outputs @ point.x, rcond=None)[0] if free.any() else at_rest
+    function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
+    with_all = Plant(
+        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
+        plant.input_limit, function, input_rate=plant.input_rate,
+    )  # fmt: skip
+    object.__setattr__(with_all, "changes", changes)
+    if point is not None:
         with_all = counted_from(with_all, OperatingPoint(np.concatenate([point.x, at_rest]), point.u))
     if isinstance(source, Plant):
         object.__setattr__(with_all, "alone", source)
