@@ -115,7 +115,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
         free = np.where(np.vstack([e.E, e.G]).any(axis=0), 0.0, e.F)
-        at_rest = np.linalg.lstsq(free, -e.outputs @ point.x, rcond=None)[0] if free.any() else at_rest
+        at_rest += np.linalg.lstsq(free, -e.outputs @ point.x, rcond=None)[0] if free.any() else 0.0
     function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
     with_all = Plant(
         A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
