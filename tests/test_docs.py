@@ -103,6 +103,12 @@ REDUCED = {
         '"delta": [0.005, 0.02, 0.06, 0.2]': '"delta": [0.06]',
         'cli.app(["evaluate", str(file)]': 'cli.app(["evaluate", str(file), "--confidence", "0"]',
     },
+    "set-points": {
+        "steps=1_000_000": "steps=100_000",
+        "steps=400_000": "steps=40_000",
+        "results = 30": "results = 10",
+        '"excess": {"delta": 0.3}, "distributed"': '"distributed"',
+    },
     "sweeps": {"np.geomspace(0.02, 1.0, 9)": "[0.02, 0.2, 1.0]", "np.linspace(0.3, 1.65, 9)": "[0.5, 1.65]"},
 }
 """Counts that the quick suite replaces in pages and examples. The site is built with those that they show."""
