@@ -135,7 +135,7 @@ def test_bursts_show_no_bound_and_say_why(ask: Run) -> None:
 
 def test_a_clipped_unstable_plant_that_runs_away_is_told(ask: Run) -> None:
     """A few lost paths make no mean."""
-    answer = ask(PLANT + "input_limit = [0.5]\n" + COST + UDP + LOSSY, "--steps", "200000")
+    answer = ask(PLANT + "input_limit = [0.3]\n" + COST + UDP + LOSSY, "--steps", "200000")
     assert answer.code == 2
     assert "diverges" in answer.err
 

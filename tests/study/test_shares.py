@@ -106,7 +106,7 @@ def test_given_shares_are_kept() -> None:
 @pytest.mark.parametrize(
     ("budget", "sentence"),
     [
-        ({}, "none of rate, cost and traffic is given"),
+        ({}, "none of rate, cost, traffic and violation is given"),
         ({"rate": 0.3, "traffic": 1.0}, "rate and traffic are given"),
         ({"rate": {"level": 0.3}, "link": "level"}, "expected rates by link, and no link"),
         ({"rate": {"pump": 0.3}}, "link is 'pump', on which distributed does not decide; expected level or valve"),

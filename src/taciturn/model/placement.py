@@ -145,6 +145,7 @@ def placed(policy: Policy, network: Network) -> Policy:
 def with_intervals(policy: Policy, network: Network) -> Policy:
     """Return a policy whose decisions keep the limits of a network on the intervals between sends."""
     designed = policy.network
+    instance("network", network, Network)
     if network.nodes != designed.nodes or network.with_intervals(designed) is network:
         return policy
     return replace(policy, network=designed.with_intervals(network))

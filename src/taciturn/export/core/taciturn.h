@@ -22,6 +22,7 @@
 #define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
 #define tac_set_keys TAC_SIZED(tac_set_keys)
+#define tac_setpoint TAC_SIZED(tac_setpoint)
 #define tac_step TAC_SIZED(tac_step)
 #define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)

@@ -58,7 +58,7 @@ size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *
   }
   for (; i < exchange->count; i++) {
     tac_node *node = exchange->nodes[i];
-    const tac_channel_data *given = tac_set_points(node->data);
+    size_t given = tac_set_point_count(node->data);
     if (has_key(node)) {
       break; /* nobody can read or change what one process keeps, and challenges would take further steps */
     }
@@ -66,7 +66,7 @@ size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *
       (void)tac_receive(node, exchange->boxes[i][k].bytes, exchange->boxes[i][k].size);
     }
     exchange->waiting[i] = 0U;
-    if (given != NULL && !tac_setpoint(node, &measurement[measured + node->data->measurement_count])) {
+    if (given > 0U && !tac_setpoint(node, &measurement[measured + node->data->measurement_count])) {
       break;
     }
     if (!tac_step(node, tick, &measurement[measured], (node->data->drawn_count > 0U) ? drawn : NULL) ||
@@ -74,7 +74,7 @@ size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *
       break;
     }
     measured += node->data->measurement_count;
-    measured += (given == NULL) ? 0U : (size_t)given->entries;
+    measured += given;
   }
   return i;
 }

@@ -21,10 +21,10 @@ typedef struct {
 } tac_exchange;
 
 /* Execute a step of nodes, which have no keys, as nobody else can reach the nodes of one process: each node in turn
- * receives its datagrams, steps, and sends. `measurement` holds those of all nodes, in the order of the nodes, each with
- * the set-points that the node is given. `drawn` replaces the random draws of the nodes, unless it is NULL. For each link, `lost` is whether a packet sent in this
- * step is dropped; `sent` is set to whether a packet was sent. Return the index of the node that did not execute the
- * step, or `count` if all did. */
+ * receives its datagrams, steps, and sends. `measurement` holds those of all nodes, in the order of the nodes, each
+ * with the set-points that the node is given. `drawn` replaces the random draws of the nodes, unless it is NULL. For
+ * each link, `lost` is whether a packet sent in this step is dropped; `sent` is set to whether a packet was sent.
+ * Return the index of the node that did not execute the step, or `count` if all did. */
 size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
                          const bool *lost, bool *sent);
 

@@ -161,22 +161,26 @@ static bool is_measurement(const tac_node_data *data, const tac_real *measuremen
   return data->measurement_count == 0U || (measurement != NULL && are_finite(measurement, data->measurement_count));
 }
 
-const tac_channel_data *tac_set_points(const tac_node_data *data) {
-  const tac_channel_data *found = NULL;
-  for (unsigned i = 0U; i < data->channel_count; i++) {
-    if (data->channels[i].kind == (uint8_t)TAC_MEASUREMENT) {
-      found = &data->channels[i];
-    }
+unsigned tac_set_points(const tac_node_data *data) {
+  unsigned i = 0U;
+  while (i < data->channel_count && data->channels[i].kind != (uint8_t)TAC_MEASUREMENT) {
+    i++;
   }
-  return found;
+  return i;
+}
+
+uint8_t tac_set_point_count(const tac_node_data *data) {
+  unsigned i = tac_set_points(data);
+  return (i < data->channel_count) ? data->channels[i].entries : 0U;
 }
 
 bool tac_setpoint(tac_node *node, const tac_real *values) {
-  const tac_channel_data *given = tac_set_points(node->data);
-  if (given == NULL || !are_finite(values, given->entries)) {
+  unsigned i = tac_set_points(node->data);
+  uint8_t count = tac_set_point_count(node->data);
+  if (count == 0U || !are_finite(values, count)) {
     return false;
   }
-  copy(&node->inputs[given->at + 1U], values, given->entries);
+  copy(&node->inputs[node->data->channels[i].at + 1U], values, count);
   return true;
 }
 
@@ -236,7 +240,7 @@ void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
 
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   const tac_node_data *data = node->data;
-  const tac_channel_data *given = tac_set_points(data);
+  unsigned given = tac_set_points(data);
   for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     const tac_key none = {NULL, 0U};
     tac_set_keys(node, (uint8_t)link, key, none);
@@ -261,8 +265,8 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   (void)memcpy(node->generator, data->generator, sizeof node->generator);
   copy(node->memory, data->start, data->memory_count);
   clear(node->inputs, data->input_count);
-  if (given != NULL) { /* the set-points at the start follow the start values of the memory */
-    copy(&node->inputs[given->at + 1U], &data->start[data->memory_count], given->entries);
+  if (given < data->channel_count) { /* the set-points at the start follow the start values of the memory */
+    copy(&node->inputs[data->channels[given].at + 1U], &data->start[data->memory_count], tac_set_point_count(data));
   }
   clear(node->outputs, data->output_count);
   for (unsigned i = 0U; i < data->channel_count; i++) {

@@ -17,6 +17,8 @@
 #define tac_is_admitted TAC_SIZED(tac_is_admitted)
 #define tac_take_proof TAC_SIZED(tac_take_proof)
 #define tac_send_proof TAC_SIZED(tac_send_proof)
+#define tac_set_point_count TAC_SIZED(tac_set_point_count)
+#define tac_set_points TAC_SIZED(tac_set_points)
 #define tac_talks TAC_SIZED(tac_talks)
 
 #ifdef __cplusplus
@@ -59,8 +61,11 @@ size_t tac_send_proof(tac_node *node, uint8_t *datagram);
 /* Return whether a node sends packets on a link: data along it, or (with `back`) acknowledgements against it. */
 bool tac_talks(const tac_node_data *data, uint8_t link, bool back);
 
-/* Return the channel on which a node is given set-points, or NULL. */
-const tac_channel_data *tac_set_points(const tac_node_data *data);
+/* Return the number of the channel on which a node is given set-points, or the number of channels if there is none. */
+unsigned tac_set_points(const tac_node_data *data);
+
+/* Return the number of set-points that a node is given. */
+uint8_t tac_set_point_count(const tac_node_data *data);
 
 /* Return the bits of a number. */
 tac_word tac_bits(tac_real value);

@@ -63,7 +63,6 @@ bool tac_check(const tac_node_data *data) {
                              data->drawn_at,    data->drawn_count,  (uint16_t)data->applied};
   const uint8_t counts[6] = {data->measurement_count, data->applied_count, data->channel_count,
                              data->send_count,        data->clock_count,   data->wire.shape_count};
-  const tac_channel_data *given = tac_set_points(data);
   uint32_t sum = 0U;
   if (data->format != TAC_FORMAT) {
     return false;
@@ -84,7 +83,7 @@ bool tac_check(const tac_node_data *data) {
   add_wire(&sum, &data->wire);
   add_packets(&sum, data);
   add_clocks(&sum, data);
-  add_reals(&sum, data->start, data->memory_count + ((given == NULL) ? 0U : (uint32_t)given->entries));
+  add_reals(&sum, data->start, data->memory_count + (uint32_t)tac_set_point_count(data));
   add_reals(&sum, data->constants, data->constant_count);
   return sum == data->crc;
 }
