@@ -49,6 +49,7 @@ LONG = {  # pages, notebooks and examples that take more than two seconds in red
     "own-policy",
     "remote-sensing",
     "scheduling",
+    "set-points",
     "sweeps",
     "taciturn.study.certify",
     "taciturn.study.channel.share",

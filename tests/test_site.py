@@ -100,7 +100,17 @@ def test_the_gallery_shows_every_chapter_that_is_reproduced() -> None:
 
 @pytest.mark.parametrize(
     ("words", "page"),
-    [("accuracy", "numerics"), ("own policy", "own-policy"), ("citation", "cite"), ("limitations", "limits")],
+    [
+        ("accuracy", "numerics"),
+        ("anti-windup", "constraints"),
+        ("citation", "cite"),
+        ("feedforward", "set-points"),
+        ("integral action", "set-points"),
+        ("limitations", "limits"),
+        ("operating point", "set-points"),
+        ("own policy", "own-policy"),
+        ("set-point", "set-points"),
+    ],
 )
 def test_the_search_finds_the_page(words: str, page: str) -> None:
     """A title comes first if the words are at least half of it; common words such as *own* count in titles alone."""
