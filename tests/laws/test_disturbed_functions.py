@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 
 import taciturn
 from taciturn import Cost, Plant, close, design, simulate
@@ -48,7 +49,7 @@ def plant(
 
 @pytest.mark.parametrize("located", [False, True])
 @pytest.mark.parametrize("changes", [None, RandomSteps(0.1, [[1.0]]), TABLE], ids=lambda one: type(one).__name__)
-@pytest.mark.parametrize("name", DISTURBANCES)
+@pytest.mark.parametrize("name", few(DISTURBANCES, 1))
 def test_a_linear_function_with_disturbances_is_the_linear_plant(
     name: str, changes: Changes | None, located: bool
 ) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
-from taciturn import Cost, Network, Nodes, Plant, Policy, Problem, ProblemError, close, design, run_network
+from taciturn import Cost, Network, Nodes, Plant, Policy, Problem, ProblemError, close, design, run_network, to_control
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.places import plant_links
@@ -114,6 +115,20 @@ def test_processes_over_udp_follow_the_same_set_points(kind: str) -> None:
         y = simulated.measurement
         costs.append(simulated.move(tuple(nodes.step(y[:2], reference=y[2:]))))
     assert np.array_equal(run_network(problem, ticks=200, seed=4).costs, costs)
+
+
+def test_set_points_are_inputs_of_a_policy_in_python_control() -> None:
+    """They are outputs of a loop, and the policy in it commands the same inputs."""
+    policy = excess()
+    loop, alone = to_control(close(plant(), policy)), to_control(policy)
+    assert alone.input_labels == ["y[0]", "y[1]", "setpoint[0]", "setpoint[1]"]
+    time, rng = np.arange(30.0), np.random.default_rng(2)
+    noise = np.vstack([0.1 * rng.normal(size=(7, 30)), np.zeros((2, 30))])
+    found = control.input_output_response(loop, time, noise, [0.0, 0.0, 0.0, *FIRST, 0.0])
+    assert loop.output_labels[:6] == [*alone.input_labels, "u[0]", "u[1]"]
+    assert np.ptp(found.outputs[2:4], axis=1).min() > 0.1
+    again = control.input_output_response(alone, time, found.outputs[:4], 0.0)
+    np.testing.assert_array_equal(again.outputs[:2], found.outputs[4:6])
 
 
 def test_constant_set_points_cannot_be_changed() -> None:

@@ -14,7 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.coverage import PLANTS, POINT, Coverage
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.network import Network
+from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.state_space import plant_from
@@ -22,6 +22,7 @@ from taciturn.program.controller import lower_policy
 from taciturn.program.names import Entry, Sent
 from taciturn.runtime.nodes import Nodes, StepFunction, Values
 
+NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
 CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
 
 
@@ -40,6 +41,9 @@ def to_control(
     Signals are named ``u[0]``, ``y[0]``, and so on. For each link whose rate the policy decides, ``sent_actuator`` or
     ``sent_sensor`` is 1 in each step in which a packet is sent on the link. In a loop, x⁺ = A x + B u + w or
     x⁺ = f(x, u, w), and y = C x + v.
+
+    Set-points that change are inputs ``setpoint[i]`` of a policy. In a loop they are outputs and the last states of the
+    plant, which w moves; the last entries of v add to them.
 
     The system of a plant excludes its noise, initial state and input limit. The output u of a policy or loop is
     clipped. If an actuator predicts between steps, u is the state of its model at the beginning of the step, as in
@@ -85,11 +89,13 @@ def to_control(
         return state_space(thing.A, thing.B, thing.C, _step(thing), "plant")
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
-        turns = StepFunction(lower_policy(nodes.policy, nodes.network), {"y": plant.outputs}, nodes.network, seed)
-        return _system(turns, {"y": plant.outputs}, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
+        taken = {"y": plant.sensed, REFERENCE: plant.outputs - plant.sensed}
+        turns = StepFunction(lower_policy(nodes.policy, nodes.network), taken, nodes.network, seed)
+        return _system(turns, taken, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
     thing = thing.in_units
     plant, links = thing.problem.plant, thing.policy.scheduled
-    taken, shown = {"w": plant.states, "v": plant.outputs}, {"y": plant.outputs, "applied": plant.inputs}
+    taken = {"w": plant.states, "v": plant.outputs}
+    shown = {"y": plant.sensed, REFERENCE: plant.outputs - plant.sensed, "applied": plant.inputs}
     turns = StepFunction(replace(thing, precision="float64").open_program(), taken, thing.network, seed)
     return _system(turns, taken, shown, links if sent else (), plant, "loop", given=plant.states)
 
@@ -165,7 +171,7 @@ def _system(
         values = turn(x, u)[1]
         return np.array([values[place] for place in places])
 
-    outputs = _labels({"u" if signal == "applied" else signal: size for signal, size in shown.items()})
+    outputs = _labels(shown)
     outputs += [f"sent_{link}" for link in links]
     return nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
 
@@ -191,4 +197,4 @@ def _step(plant: Plant) -> float | bool:
 
 def _labels(signals: Mapping[str, int]) -> list[str]:
     """Return the names of the entries of signals in python-control, such as ``y[0]``."""
-    return [f"{name}[{i}]" for name, size in signals.items() for i in range(size)]
+    return [f"{NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]
