@@ -27,7 +27,7 @@ from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
 
 KIND = "kind of data"  # key for the class of the data in a mapping
-LATER = ("operating_point", "drift", "input_rate")  # of plants, in no digest of an earlier version
+LATER = ("operating_point", "drift", "input_rate", "changes")  # of plants, in no digest of an earlier version
 RECORDED = {
     known.__name__: known
     for known in (
