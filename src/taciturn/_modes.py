@@ -397,4 +397,4 @@ def summed(F: Array, W: Array) -> Array:
             if square < FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
             power = power @ power
-    return (X + X.T) / 2
+        return (X + X.T) / 2

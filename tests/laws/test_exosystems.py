@@ -68,16 +68,24 @@ def test_the_reference_of_set_points_and_a_wandering_disturbance(delta: float) -
     assert policy.cost_all_time < found.cost.value < bound.value
 
 
+def random_dynamics(rng: np.random.Generator, shape: str) -> np.ndarray | None:
+    """Return the dynamics of a disturbance of one's own, whose modes decay or persist; None for another shape."""
+    if shape != "matrix":
+        return None
+    S = rng.standard_normal((2, 2))
+    return S / np.abs(np.linalg.eigvals(S)).max() * rng.choice([0.9, 1.0])
+
+
 def random_exosystem(rng: np.random.Generator, states: int, measured: np.ndarray, inputs: int) -> Exosystem:
     """Return one or two disturbances of any shape, and set-points of at most as many outputs as inputs."""
-    shapes = ("constant", "ramp", "sinusoid")
+    shapes = ("constant", "ramp", "sinusoid", "matrix")
     parts = list[ExternalDisturbance]()
     for _ in range(int(rng.integers(1, min(len(measured), 2) + 1))):
-        shape = shapes[rng.integers(3)]
+        shape = shapes[rng.integers(4)]
         frequency = float(rng.uniform(0.2, 2.0)) if shape == "sinusoid" else None
-        parts.append(
-            ExternalDisturbance(rng.standard_normal(states), float(rng.uniform(1e-4, 1e-2)), shape, frequency)  # type: ignore[arg-type]
-        )
+        enters, matrix = rng.standard_normal(states), random_dynamics(rng, shape)
+        wander = float(rng.uniform(1e-4, 1e-2))
+        parts.append(ExternalDisturbance(enters, wander, shape, frequency, matrix=matrix))  # type: ignore[arg-type]
     z = int(rng.integers(1, min(inputs, states) + 1))
     return Exosystem.of(parts, SetPoint(rng.standard_normal((z, states)), rng.standard_normal(z)), len(measured), False)
 
@@ -327,3 +335,39 @@ def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
     ):
         with pytest.raises(ProblemError, match=words):
             parse({**tables, "reference": reference}, "x").design()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"shape": "matrix"}, "disturbance.matrix is missing"),
+        ({"matrix": [[1.0]]}, "disturbance.matrix is given; expected none for a constant"),
+        ({"shape": "matrix", "matrix": [[1.0, 0.0], [0.0, 1.1]]}, "has the mode 1.1, which grows"),
+    ],
+)
+def test_dynamics_of_a_disturbance_neither_lack_nor_grow(changes: dict[str, object], words: str) -> None:
+    """In one sentence."""
+    with pytest.raises(ProblemError, match=words):
+        plant_with(ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, **changes))  # type: ignore[arg-type]
+
+
+def test_a_dead_band_without_noise_leaves_an_offset_below_its_bound() -> None:
+    """|z| ≤ √(δ M H⁻¹ M') with M = C_z (I − A − BL)⁻¹ B, and the band is wide enough for an offset."""
+    delta = 0.3
+    policy = design.excess(plant_with(PUSH), COST, delta=delta)
+    K = solve_discrete_are(A, B, COST.Q, COST.R)
+    H = COST.R + B.T @ K @ B
+    L = -np.linalg.solve(H, B.T @ K @ A)
+    M = C @ np.linalg.inv(np.eye(3) - A - B @ L) @ B
+    bound = np.sqrt(delta * np.diag(M @ np.linalg.inv(H) @ M.T))
+    offsets = list[np.ndarray]()
+    for start in np.random.default_rng(1).normal(size=(8, 3)):
+        e = plant_with(PUSH).exosystem
+        assert e is not None
+        still = Exosystem(e.S, e.E, e.G, 0.0 * e.W, np.array([2.0, 1.0, -2.0]), e.outputs, e.F)
+        quiet = Plant(A, B, np.zeros((3, 3)), C, np.zeros((2, 2)), mean=start, exosystem=still)
+        path = simulate(close(quiet, policy), ticks=3_000)
+        assert not path.sends["actuator"][-500:].any() or np.ptp(path.state[-500:, :3], axis=0).max() < 1
+        offsets.append(np.abs(path.state[-500:, :3] @ C.T - [1.0, -2.0]).max(axis=0))
+    assert (np.array(offsets) <= bound * (1 + 1e-9)).all()
+    assert (np.array(offsets) > 0.05 * bound).any()

@@ -82,7 +82,12 @@ def overlap(given: Quadratic, L: Array, K: Array, table: Array) -> float:
 def followed(given: Quadratic) -> Followed | None:
     """Return the deviations from what costs nothing, or None if no state needs them or an input cannot cancel it."""
     free = ~closure((given.B != 0).any(axis=1), np.asarray(given.A != 0, dtype=np.bool_))
-    states = _lasting(given.A, free)
+    tried = [free] if np.array_equal(free, lasting := _lasting(given.A, free)) else [free, lasting]
+    return next((found for states in tried if (found := _cancelled(given, states)) is not None), None)
+
+
+def _cancelled(given: Quadratic, states: Bits) -> Followed | None:
+    """Return the deviations if an input can cancel the effect of some states."""
     if not states.any() or states.all():
         return None
     size, unit = reach(given.A, given.B)  # so that the result does not depend on the units

@@ -275,9 +275,10 @@ class Time(ABC):
         previous, change = None, np.inf
         for _ in range(TURNS):
             F, stage = given.under(L)
-            K = symmetrised(self.summed(F, stage))
+            K = self.summed(F, stage)
             if not np.isfinite(K).all():
                 return None
+            K = symmetrised(K)
             terms = given.terms(L)
             found = self.answer(given, K, L)
             off, L = found.L - L, found.L

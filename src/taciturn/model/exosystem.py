@@ -24,12 +24,14 @@ from taciturn._arrays import (
     number,
     quoted,
     semidefinite,
+    square,
 )
 from taciturn._display import Displayed
+from taciturn._modes import SCATTER, eigenvalues, mode_text, pace
 from taciturn.errors import ProblemError
 from taciturn.model.set_points import Changes, SetPoint
 
-Shape: TypeAlias = Literal["constant", "ramp", "sinusoid"]
+Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,13 +41,15 @@ class ExternalDisturbance(Displayed):
     Args:
         enters: how the disturbance moves the state: entries added to x per step, or per second, (n,).
         wander: variance per step, or intensity per second, of the noise that moves the disturbance, positive: of its
-            value, for a ramp of its slope, for a sinusoid of both of its components.
-        shape: ``"constant"``, ``"ramp"`` or ``"sinusoid"``.
+            value, for a ramp of its slope, for a sinusoid of both of its components, for a matrix of all of its states.
+        shape: ``"constant"``, ``"ramp"``, ``"sinusoid"``, or ``"matrix"`` for dynamics of one's own.
         frequency: radians per step of a sinusoid, or radians per second for a continuous plant.
         measured: how the disturbance adds to the measured outputs, (p,); default 0.
+        matrix: S of the shape ``"matrix"``: d⁺ = S d per step, or ḋ = S d for a continuous plant, (q, q). The first
+            state is the value of the disturbance. No mode may grow.
 
     Raises:
-        ProblemError: the wander is not positive, or a frequency is missing or not used.
+        ProblemError: the wander is not positive, or a frequency or a matrix is missing or not used.
 
     Example:
         >>> ExternalDisturbance([0.0, 0.3], wander=1e-3).dynamics(continuous=False)
@@ -57,6 +61,7 @@ class ExternalDisturbance(Displayed):
     shape: Shape = "constant"
     frequency: float | None = None
     measured: Array | None = None
+    matrix: Array | None = None
 
     def __init__(
         self,
@@ -65,6 +70,7 @@ class ExternalDisturbance(Displayed):
         shape: Shape = "constant",
         frequency: float | None = None,
         measured: ArrayLike | None = None,
+        matrix: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
         object.__setattr__(self, "enters", array("disturbance.enters", enters, (None,), "(states,)"))
@@ -75,14 +81,32 @@ class ExternalDisturbance(Displayed):
             got = "missing" if frequency is None else f"{frequency:g}"
             expected = "the radians per step or second of a sinusoid" if frequency is None else f"none for a {shape}"
             raise ProblemError(f"disturbance.frequency is {got}; expected {expected}")
+        if (matrix is None) == (shape == "matrix"):
+            got = "missing" if matrix is None else "given"
+            expected = "S of d⁺ = S d, or of ḋ = S d" if matrix is None else f"none for a {shape}"
+            raise ProblemError(f"disturbance.matrix is {got}; expected {expected}")
         object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "matrix", None if matrix is None else square("disturbance.matrix", matrix))
         checked = None if frequency is None else number("disturbance.frequency", frequency, 0.0)
         object.__setattr__(self, "frequency", checked)
         seen = None if measured is None else array("disturbance.measured", measured, (None,), "(outputs,)")
         object.__setattr__(self, "measured", seen)
 
     def dynamics(self, continuous: bool) -> Array:
-        """Return S; the first state is the value of the disturbance."""
+        """Return S; the first state is the value of the disturbance.
+
+        Raises:
+            ProblemError: a mode of the matrix grows.
+        """
+        if self.matrix is not None:
+            modes = eigenvalues(self.matrix)
+            growth = float((modes.real if continuous else np.abs(modes) - 1).max())
+            if growth > SCATTER * pace(self.matrix):
+                fastest = mode_text(complex(modes[int(np.argmax(modes.real if continuous else np.abs(modes)))]))
+                raise ProblemError(
+                    f"disturbance.matrix has the mode {fastest}, which grows; expected modes that decay or persist"
+                )
+            return self.matrix
         if self.shape == "constant":
             return np.array([[0.0 if continuous else 1.0]])
         if self.shape == "ramp":
@@ -93,8 +117,9 @@ class ExternalDisturbance(Displayed):
     @property
     def noise(self) -> Array:
         """The covariance, or intensity, of the noise of the states."""
-        moved = {"constant": [1.0], "ramp": [0.0, 1.0], "sinusoid": [1.0, 1.0]}[self.shape]
-        return self.wander * np.diag(moved)
+        moved = {"constant": [1.0], "ramp": [0.0, 1.0], "sinusoid": [1.0, 1.0]}
+        own = [] if self.matrix is None else [1.0] * len(self.matrix)
+        return self.wander * np.diag(moved.get(self.shape, own))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

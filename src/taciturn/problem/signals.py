@@ -58,7 +58,7 @@ def with_exosystem(
     rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
     target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value, _changes(points))
     given = [
-        ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured)  # type: ignore[arg-type]
+        ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
         for one in file.disturbance or ()
     ]
     given += [] if acting is None else _at_inputs(plant, target)

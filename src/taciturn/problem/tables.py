@@ -136,6 +136,7 @@ class DisturbanceEntry(Displayed):
     kind: str = "constant"
     frequency: float | None = None
     measured: list[float] | None = None
+    matrix: Rows | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

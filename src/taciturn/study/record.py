@@ -27,7 +27,8 @@ from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
 
 KIND = "kind of data"  # key for the class of the data in a mapping
-LATER = ("operating_point", "drift", "input_rate")  # of plants, in no digest of an earlier version
+NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
+LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1}  # neutral values that digests do not contain
 RECORDED = {
     known.__name__: known
     for known in (
@@ -128,9 +129,10 @@ def _plain(value: object) -> object:
 
 
 def _fields(value: Any, *apart: str) -> dict[str, object]:
-    """Return the fields of a dataclass, without later ones that digests of earlier versions do not contain, if None."""
+    """Return the fields of a dataclass, without later ones that are neutral, which digests of earlier versions lack."""
     held = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in apart}
-    return {name: _plain(one) for name, one in held.items() if one is not None or name not in LATER}
+    plain = {name: _plain(one) for name, one in held.items()}
+    return {name: one for name, one in plain.items() if name not in LATER or one != LATER[name]}
 
 
 def _restored(value: object) -> Any:

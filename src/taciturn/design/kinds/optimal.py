@@ -6,6 +6,7 @@ from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.modelled import modelled
+from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.trigger import Form
@@ -42,6 +43,10 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         10.0
     """
     price = number("price", price, 0.0, LARGEST_PARAMETER)
+    if getattr(plant, "exosystem", None) is not None:
+        raise ProblemError(
+            "disturbances or set-points are given, which optimal does not use; expected near-optimal, or neither"
+        )
     policy = modelled(
         "optimal",
         plant,
