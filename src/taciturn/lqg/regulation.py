@@ -16,8 +16,10 @@ from taciturn.model.disturbed import DisturbedDynamics
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.set_points import Timetable
 
 SOLVED = 1e-9  # relative residual of the equations
+BEYOND = 1e-9  # rounding of an input at its limit
 FREE = 1e-10  # relative singular value below which a direction is free
 
 
@@ -106,6 +108,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
     changes = None if e.changes is None else e.changes.sampled(base.tick)
     given = 0 if changes is None else changes.size  # the controller is given the last states
+    _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(A, seen, n, e)
     deviation = np.block([[np.eye(n), -X, np.zeros((n, m))], [np.zeros((m, n)), -U, np.eye(m)]])
@@ -130,6 +133,25 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         base, plant=with_all, Q=whole[:states, :states], N=whole[:states, states:], noise_cost=noise_cost,
         source=source,
     )  # fmt: skip
+
+
+def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
+    """Raise an error if set-points need inputs beyond their limits."""
+    limit, changes = plant.input_limit, exosystem.changes
+    if limit is None:
+        return
+    z = len(exosystem.outputs)
+    rows = changes.values - changes.values[0] if isinstance(changes, Timetable) else np.zeros((1, z))
+    for moved in rows:
+        point = exosystem.start.copy()
+        point[len(point) - z :] += moved if moved.any() else 0.0
+        needed = U @ point
+        if ((needed < limit[:, 0] - BEYOND) | (needed > limit[:, 1] + BEYOND)).any():
+            rest = 0.0 if plant.operating_point is None else plant.operating_point.u
+            raise ProblemError(
+                f"the set-points need the input {(needed + rest).round(4).tolist()}, beyond the input_limit "
+                f"{(limit + np.reshape(rest, (-1, 1))).tolist()}; expected set-points within the limits"
+            )
 
 
 def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem) -> None:

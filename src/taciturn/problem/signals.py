@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._modes import pace
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import ExternalDisturbance
@@ -15,6 +16,7 @@ from taciturn.model.reference import Reference
 from taciturn.model.set_points import Changes, RandomSteps, SetPoint, Timetable
 from taciturn.problem.tables import File, ReferenceTable
 
+SLOW = 1e-3  # distance from a mode of a constant, relative to the pace of the plant
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
 
 
@@ -54,6 +56,8 @@ def with_exosystem(
     if plant is None or (points is None and not file.disturbance):
         return plant
     points = ReferenceTable() if points is None else points
+    if points.integral_action == []:
+        raise ProblemError("reference.integral_action is empty; expected nodes that measure, or no such key")
     acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
     rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
     target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value, _changes(points))
@@ -103,6 +107,10 @@ def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[Externa
     moves = np.zeros((z, z)) if plant.continuous else np.eye(z)
     none: Array = np.zeros((n, z))
     _, U = regulator_equations(plant.A, plant.B, moves, none, target.outputs, -np.eye(z), weight)
+    if not U.any(axis=0).all():  # a plant that integrates needs no input at rest: its response near rest decides
+        near = SLOW * (pace(plant.A) or 1.0) if plant.continuous else 1.0 + SLOW
+        response = target.outputs @ np.linalg.solve(near * np.eye(n) - plant.A, plant.B)
+        U = np.asarray(np.linalg.pinv(response), dtype=np.float64)
     U = U / np.maximum(np.abs(U).max(axis=0), 1e-300)
     inverse = np.asarray(np.linalg.pinv(plant.B @ U), dtype=np.float64)
     seen = np.maximum(np.diag(inverse @ plant.W @ inverse.T), 0.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
-from taciturn._modes import root
+from taciturn._modes import radius, root
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 
 CRUMB = 1e-13  # weight relative to the largest, below which it counts as rounding
@@ -15,6 +15,7 @@ RANK = 1e-10  # singular value relative to the largest, below which its directio
 MOST_STATES = 3
 SOFT = np.pi / 2  # exp(−SOFT m x²/2) has the mass of the interval m x² ≤ 1
 SETTLED = 1e-6  # relative change below which a covariance is final
+DOUBLINGS = 12  # of the number of powers of a map by which directions are told apart
 AGES = 20_000  # most checks without a send
 
 
@@ -168,13 +169,8 @@ def unsent_covariance(white: White) -> Array:
 
 
 def _reached(data: Data) -> Data:
-    """Return the data restricted to the directions that the noise reaches within n checks."""
-    half = root(data.noise)
-    size = float(np.linalg.norm(data.F, 2)) if data.F.any() else 1.0
-    blocks = [half]
-    for _ in range(len(data.F) - 1):
-        blocks.append(data.F @ blocks[-1] / size)
-    reach = np.hstack(blocks)
+    """Return the data restricted to the directions that the noise reaches."""
+    reach = _accumulated(data.F, root(data.noise))
     lengths = np.linalg.norm(reach, axis=1)
     unit = np.where(lengths > 0, lengths, 1.0)  # the result must not depend on the units of the states
     left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
@@ -182,6 +178,29 @@ def _reached(data: Data) -> Data:
     weight: Array = np.asarray(values[: basis.shape[1]], dtype=np.float64)
     # each direction in units of the effect of the noise on it
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
+
+
+def _accumulated(F: Array, start: Array) -> Array:
+    """Return a matrix whose columns span what powers of F make of some columns.
+
+    If the first n powers do not span the whole space, the sum of 2^DOUBLINGS powers decides: with short periods, slow
+    modes differ only after many steps.
+    """
+    size = float(np.linalg.norm(F, 2)) if F.any() else 1.0
+    blocks = [start]
+    for _ in range(len(F) - 1):
+        blocks.append(F @ blocks[-1] / size)
+    found = np.hstack(blocks)
+    lengths = np.linalg.norm(found, axis=1)
+    values = np.linalg.svd(found / np.where(lengths > 0, lengths, 1.0)[:, None], compute_uv=False)
+    if (values > RANK * values.max(initial=0.0)).sum() == len(F) or not F.any():
+        return found
+    power, factor = F / max(radius(F), 1e-3 * size), start
+    for _ in range(DOUBLINGS):
+        wide = np.hstack([factor, power @ factor])
+        factor = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64).T
+        power = power @ power
+    return factor
 
 
 def _half(weight: Array) -> Array:
@@ -195,11 +214,8 @@ def _seen(data: Data) -> Data:
     """Return the data without directions that affect neither trigger nor cost, now or later (unobservable ones)."""
     if not data.F.size:
         return data
-    size = float(np.linalg.norm(data.F, 2)) if data.F.any() else 1.0
     halves = [_half(weight) for weight in (data.Psi, data.Gamma) if weight.any()]
-    blocks = [np.vstack([np.zeros((1, len(data.F))), *halves])]
-    for _ in range(len(data.F) - 1):
-        blocks.append(blocks[-1] @ data.F / size)
-    _, values, right = np.linalg.svd(np.vstack(blocks), full_matrices=False)
+    effect = _accumulated(data.F.T, np.vstack([np.zeros((1, len(data.F))), *halves]).T)
+    _, values, right = np.linalg.svd(effect.T, full_matrices=False)
     rows: Array = np.asarray(right[values > RANK * values.max(initial=0.0)], dtype=np.float64)
     return data.seen_in(rows, rows.T)

@@ -177,10 +177,10 @@ class Inbox:
     def _collect_kept(self, stream: Stream, tick: int, inputs: list[float]) -> None:
         """Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain."""
         come = [stream.waiting.pop(number) for number in sorted(stream.waiting) if number <= tick]
+        self.counters["used"] += len(come)
         come += [] if stream.behind is None else [stream.behind]
         stream.behind = None
         for packet in come:
-            self.counters["used"] += 1
             if packet.tick >= stream.newest:
                 stream.newest = packet.tick
                 inputs[stream.at : stream.at + 1 + stream.size] = (1.0, *packet.values)

@@ -16,6 +16,7 @@ from taciturn.loop import Loop
 from taciturn.lqg.riccati import states_with_cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Send
+from taciturn.model.set_points import SampledChanges
 
 LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
 NEARLY = 1e-9  # least growth above 1 that counts as unstable
@@ -68,6 +69,11 @@ def find_doubts(
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
             "which no input returns it, so no average exists; this one is over the time before",
         )
+    elif wanders(loop):
+        notes += (
+            "the disturbances or set-points wander without limit, and inputs are limited: eventually they need more "
+            "input than there is, so cost and rates depend on the simulated time",
+        )
     if silent and comes_never_to_rest(loop):
         notes += (
             f"nothing was sent on {silent} in the {steps} steps simulated, and the plant does not come to "
@@ -87,6 +93,18 @@ def escapes(loop: Loop) -> bool:
     """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
     limits = loop.problem.plant.saturation
     return limits is not None and limits.bounded and _fastest(loop) > 1 + NEARLY
+
+
+def wanders(loop: Loop) -> bool:
+    """Return whether disturbances or set-points eventually need inputs beyond their limits."""
+    problem = loop.problem
+    source, limits = problem.source, problem.plant.saturation
+    if source is None or source.exosystem is None or limits is None or not limits.bounded:
+        return False
+    moved = problem.plant.W.diagonal() > 0
+    if isinstance(problem.plant.changes, SampledChanges):
+        moved[-problem.plant.changes.size :] = False
+    return bool((problem.lasting & moved).any())
 
 
 def doubt_moments(loop: Loop) -> tuple[str, ...]:

@@ -117,6 +117,11 @@ def _filter(
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     bands = DeadBands(network, plant, delta, shares)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V + np.diag(bands.of_outputs**2 / 3))
+    if plant.changes is not None:
+        raise ProblemError(
+            "the set-points change (reference.steps or file), which send-on-delta does not use; expected constant "
+            "set-points, or the kind excess or distributed"
+        )
     filtered = Filtered(plant, steady.gain, certainty.regulator.L)
     unknown = ~resting_states(plant)  # without set-points, which have no errors
     alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])

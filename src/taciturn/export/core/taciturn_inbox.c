@@ -279,7 +279,6 @@ static void collect_kept(tac_node *node, unsigned i, uint64_t tick) {
   }
   if (channel->has_behind) {
     channel->has_behind = false;
-    node->counters.used++;
     packet = (packet == NULL || channel->behind.tick >= packet->tick) ? &channel->behind : packet;
   }
   if (packet != NULL && packet->tick + 1U >= channel->newest) {
