@@ -269,6 +269,7 @@ def test_an_evaluation_shows_stores_and_exports_the_probabilities() -> None:
     assert decode(encode(found)).violations.total == seen.total
 
 
+@pytest.mark.evidence
 def test_tradeoff_compare_and_sweep_have_columns_of_the_probabilities() -> None:
     """A larger threshold violates the limit more often."""
     rows = taciturn.tradeoff(limited(), {"theta": [0.1, 2.0]}, standard_error=0.02)
