@@ -371,3 +371,19 @@ def test_a_dead_band_without_noise_leaves_an_offset_below_its_bound() -> None:
         offsets.append(np.abs(path.state[-500:, :3] @ C.T - [1.0, -2.0]).max(axis=0))
     assert (np.array(offsets) <= bound * (1 + 1e-9)).all()
     assert (np.array(offsets) > 0.05 * bound).any()
+
+
+@pytest.mark.parametrize(
+    ("value", "changes"),
+    [((3.0,), None), (None, Timetable([0, 5, 9], [[0.5], [3.0], [0.5]]))],
+    ids=["constant", "timetable"],
+)
+def test_a_set_point_that_needs_more_than_the_limits_is_refused(
+    value: tuple[float, ...] | None, changes: Timetable | None
+) -> None:
+    """With the input that it needs; within the limits it is accepted."""
+    plant = Plant([[0.9]], [[1.0]], [[0.1]], [[1.0]], [[0.1]], input_limit=[[0.0, 0.2]])
+    cost = Cost([[1.0]], [[1.0]])
+    with pytest.raises(ProblemError, match=r"the set-point needs the input \[0\.3\], beyond the input_limit"):
+        design.excess(follow(plant, None, value, (), changes), cost, delta=0.1)
+    design.excess(follow(plant, None, [2.0]), cost, delta=0.1)

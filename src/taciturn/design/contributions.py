@@ -91,7 +91,7 @@ class ContributionSteps(Displayed):
     def _sensors(self) -> Mapping[str, tuple[str, Array, list[int]]]:
         """The signal that each sensor measures, the columns of the filter's gain for it, and its outputs."""
         plant, gain = self._plant, self.certainty.filter.gain
-        found = self.network.measurements(plant.sensed, plant.outputs - plant.sensed)
+        found = self.network.measurements(plant.sensed, plant.set_points)
         return {node: (signal, gain[:, [*outputs]], [*outputs]) for signal, (node, outputs) in found.items()}
 
     @cached_property

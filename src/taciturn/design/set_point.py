@@ -15,11 +15,11 @@ from taciturn._display import Displayed
 from taciturn.design.estimation import HELD
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.regulation import beyond_limits
 from taciturn.model.controller import Controller
 from taciturn.model.coordinates import about
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.policy import Policy
-from taciturn.model.saturation import limit_entries
 from taciturn.model.steps import assigned
 
 RESTS = 1e-9  # relative residual of an equation of the point
@@ -81,11 +81,7 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
         state, steady = found[:n], found[n:]
         limit = plant.input_limit
         if limit is not None and ((steady <= limit[:, 0]) | (steady >= limit[:, 1])).any():
-            u = np.zeros(m) if plant.operating_point is None else plant.operating_point.u
-            raise ProblemError(
-                f"the set-point needs the input {(steady + u).round(4).tolist()}, beyond the input_limit "
-                f"{limit_entries(limit + u[:, None])}; expected a set-point within the limits"
-            )
+            raise beyond_limits(plant, steady)
         k = len(controller.A)
         holding = np.vstack([np.eye(k) - controller.A, controller.C])
         caused = np.concatenate([controller.E @ steady, steady])

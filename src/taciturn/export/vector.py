@@ -79,8 +79,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
     outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
-    given = plant.outputs - plant.sensed
-    measured = [*named("y", range(plant.sensed)), *named(REFERENCE, range(given))]
+    measured = [*named("y", range(plant.sensed)), *named(REFERENCE, range(plant.set_points))]
     links: tuple[str, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     vector = RecordedRun(
         links,

@@ -98,7 +98,7 @@ class MultirateControl(Displayed):
     def _measured(self) -> Mapping[str, list[int]]:
         """The outputs that each node measures."""
         plant = self.problem.plant
-        measured = self.network.measurements(plant.sensed, plant.outputs - plant.sensed)
+        measured = self.network.measurements(plant.sensed, plant.set_points)
         return {node: [*held] for node, held in measured.values()}
 
     @cached_property

@@ -16,6 +16,7 @@ from taciturn.model.disturbed import DisturbedDynamics
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.saturation import limit_entries
 from taciturn.model.set_points import Timetable
 
 SOLVED = 1e-9  # relative residual of the equations
@@ -135,23 +136,32 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     )  # fmt: skip
 
 
+def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:
+    """Return the error that a set-point needs an input beyond the limits of a plant, in the units of the plant.
+
+    Args:
+        plant: the plant, in deviations from its operating point.
+        needed: the input, (m,).
+    """
+    assert plant.input_limit is not None, "only limits can be exceeded"
+    rest = np.zeros(len(needed)) if plant.operating_point is None else plant.operating_point.u
+    return ProblemError(
+        f"the set-point needs the input {(needed + rest).round(4).tolist()}, beyond the input_limit "
+        f"{limit_entries(plant.input_limit + rest[:, None])}; expected a set-point within the limits"
+    )
+
+
 def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
-    """Raise an error if set-points need inputs beyond their limits."""
-    limit, changes = plant.input_limit, exosystem.changes
+    """Raise an error if a set-point, at the start or of a timetable, needs an input beyond its limits."""
+    limit, changes, points = plant.input_limit, exosystem.changes, exosystem.start[None]
     if limit is None:
         return
-    z = len(exosystem.outputs)
-    rows = changes.values - changes.values[0] if isinstance(changes, Timetable) else np.zeros((1, z))
-    for moved in rows:
-        point = exosystem.start.copy()
-        point[len(point) - z :] += moved if moved.any() else 0.0
-        needed = U @ point
+    if isinstance(changes, Timetable):
+        moved = changes.values - changes.values[0]
+        points = points + np.pad(moved, ((0, 0), (points.shape[1] - changes.size, 0)))
+    for needed in points @ U.T:
         if ((needed < limit[:, 0] - BEYOND) | (needed > limit[:, 1] + BEYOND)).any():
-            rest = 0.0 if plant.operating_point is None else plant.operating_point.u
-            raise ProblemError(
-                f"the set-points need the input {(needed + rest).round(4).tolist()}, beyond the input_limit "
-                f"{(limit + np.reshape(rest, (-1, 1))).tolist()}; expected set-points within the limits"
-            )
+            raise beyond_limits(plant, needed)
 
 
 def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem) -> None:

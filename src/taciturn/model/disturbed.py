@@ -19,7 +19,7 @@ class DisturbedDynamics(Displayed):
 
     Args:
         dynamics: f.
-        E: what the disturbances add to the next state, (n, q).
+        E: effect of the disturbances on the next state, (n, q).
         S: dynamics of disturbances and set-points, (q, q).
     """
 
@@ -39,7 +39,7 @@ class DisturbedDynamics(Displayed):
 
         Args:
             function: f, which may be moved to an operating point.
-            E: what the disturbances add to the next state, (n, q).
+            E: effect of the disturbances on the next state, (n, q).
             S: dynamics of disturbances and set-points, (q, q).
             rest: disturbances and set-points at the operating point, with E d = 0 and S d = d, (q,).
         """

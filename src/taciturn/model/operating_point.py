@@ -29,7 +29,7 @@ class OperatingPoint(Displayed):
         u: input u₀, (m,).
 
     Raises:
-        ProblemError: an entry is no finite number.
+        ProblemError: an entry is not finite.
 
     Example:
         >>> OperatingPoint([12.4], [3.0]).x
@@ -62,7 +62,7 @@ class MovedDynamics(Displayed):
         dynamics: f, in the units of the plant.
         x: x₀, (n,).
         u: u₀, (m,).
-        rest: what is subtracted from the next state, (n,).
+        rest: offset that is subtracted from the next state, (n,).
     """
 
     dynamics: Dynamics

@@ -114,12 +114,17 @@ class Plant(DisplayedPlant):
     @property
     def sensed(self) -> int:
         """Number of outputs that sensors measure: all without the set-points that the controller is given."""
-        return self.outputs - (0 if self.changes is None else self.changes.size)
+        return self.outputs - self.set_points
+
+    @property
+    def set_points(self) -> int:
+        """Number of set-points that the controller is given while the loop runs: the last outputs."""
+        return 0 if self.changes is None else self.changes.size
 
     @property
     def given(self) -> Array:
         """Set-points at the start, which the controller is given, (z,)."""
-        return self.mean[self.states - (self.outputs - self.sensed) :]
+        return self.mean[self.states - self.set_points :]
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""

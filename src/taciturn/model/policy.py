@@ -203,7 +203,7 @@ class Policy(Displayed):
     @property
     def measured(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:
         """The node and the outputs of each measured signal by name: ``y``, or ``y_NODE``, and ``reference``."""
-        return self.network.measurements(self.model.sensed, self.model.outputs - self.model.sensed)
+        return self.network.measurements(self.model.sensed, self.model.set_points)
 
     @property
     def applied(self) -> Mapping[str, tuple[str, tuple[int, ...]]]:

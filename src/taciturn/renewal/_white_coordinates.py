@@ -15,7 +15,7 @@ RANK = 1e-10  # singular value relative to the largest, below which its directio
 MOST_STATES = 3
 SOFT = np.pi / 2  # exp(−SOFT m x²/2) has the mass of the interval m x² ≤ 1
 SETTLED = 1e-6  # relative change below which a covariance is final
-DOUBLINGS = 12  # of the number of powers of a map by which directions are told apart
+DOUBLINGS = 12  # 2^12 powers of a map decide which directions it reaches
 AGES = 20_000  # most checks without a send
 
 

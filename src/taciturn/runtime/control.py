@@ -89,13 +89,13 @@ def to_control(
         return state_space(thing.A, thing.B, thing.C, _step(thing), "plant")
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
-        taken = {"y": plant.sensed, REFERENCE: plant.outputs - plant.sensed}
+        taken = {"y": plant.sensed, REFERENCE: plant.set_points}
         turns = StepFunction(lower_policy(nodes.policy, nodes.network), taken, nodes.network, seed)
         return _system(turns, taken, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
     thing = thing.in_units
     plant, links = thing.problem.plant, thing.policy.scheduled
     taken = {"w": plant.states, "v": plant.outputs}
-    shown = {"y": plant.sensed, REFERENCE: plant.outputs - plant.sensed, "applied": plant.inputs}
+    shown = {"y": plant.sensed, REFERENCE: plant.set_points, "applied": plant.inputs}
     turns = StepFunction(replace(thing, precision="float64").open_program(), taken, thing.network, seed)
     return _system(turns, taken, shown, links if sent else (), plant, "loop", given=plant.states)
 

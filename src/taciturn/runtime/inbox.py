@@ -238,7 +238,8 @@ class Inbox:
     def _miss(self, stream: Stream, packet: Packet) -> None:
         self.counters["late"] += 1
         if stream.kept:  # they take effect in the next step
-            stream.behind = max([packet, *([] if stream.behind is None else [stream.behind])], key=lambda one: one.tick)
+            if stream.behind is None or packet.tick >= stream.behind.tick:
+                stream.behind = packet
             return
         if packet.kind == "acknowledgement":
             self._degrade("late acknowledgement")

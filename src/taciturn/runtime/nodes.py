@@ -135,8 +135,7 @@ class Nodes:
         self.links = tuple(step.link for step in policy.steps if isinstance(step, Send))
         self._predicts, model = predicted_outputs(self.policy) is not None, self.policy.model
         self._copies = copies_of_inputs(self.policy)
-        given = model.outputs - model.sensed
-        taken = {"y": model.sensed, REFERENCE: given, **dict.fromkeys(map(fate_of, self.links), 1)}
+        taken = {"y": model.sensed, REFERENCE: model.set_points, **dict.fromkeys(map(fate_of, self.links), 1)}
         taken |= {MEASURED: model.sensed} if self._predicts else {}
         self.turns = StepFunction(lower_policy(begun, self.network, Informed), taken, self.network, seed)
         self.reset()

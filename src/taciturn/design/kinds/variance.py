@@ -75,7 +75,7 @@ def variance(
     wired = _wired(network)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("variance", problem), problem.plant
-    measured = network.measurements(plant.sensed, plant.outputs - plant.sensed)
+    measured = network.measurements(plant.sensed, plant.set_points)
     sensors = {node: outputs for node, outputs in measured.values() if node in network.links}
     schedule = schedule_by_variance(plant, threshold, sensors)
     corrections = corrections_of(plant, schedule, sensors)
