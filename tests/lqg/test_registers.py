@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 import pytest
 from catalogue import POLICIES, Build, outputs
@@ -284,7 +286,12 @@ def test_every_policy_leaves_alone_what_its_cost_does_not_see(kind, name):
     if "remote" not in name or policy.cost is None or not policy.cost.mission:  # whose starts are drawn for the plant
         assert policy.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
         assert policy.theory.settling == pytest.approx(plain.theory.settling, rel=1e-6)
-    if policy.guarantee is not None and plain.guarantee is not None and not policy.cost.mission:
+    entries = sqrt(policy.model.outputs / plain.model.outputs)  # the error of a dead band has one for each output
+    for link, error in plain.theory.errors.items():
+        assert policy.theory.errors[link].gain == pytest.approx(error.gain, rel=1e-6)
+        assert policy.theory.errors[link].largest == pytest.approx(error.largest * entries)
+    longer = entries > 1 and bool(plain.theory.errors)
+    if policy.guarantee and plain.guarantee and not policy.cost.mission and not longer:
         assert policy.guarantee.cost == pytest.approx(plain.guarantee.cost, rel=1e-8)
 
 
