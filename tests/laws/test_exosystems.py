@@ -26,6 +26,7 @@ from taciturn import (
     load,
     simulate,
 )  # fmt: skip
+from taciturn.analyse.limits import bound_below
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance
@@ -132,6 +133,31 @@ def test_the_cost_of_every_sample_by_two_computations(seed: int) -> None:
     found = average(loop, completed_squares(loop), seed=seed, steps=100_000)
     assert policy.guarantee is not None
     assert policy.cost_all_time <= found.cost.value <= policy.guarantee.cost
+
+
+SHAPES = {  # of disturbances of a servo, with three to five states that wander
+    "constant, sinusoid": [("constant", None, 0.01), ("sinusoid", 6.2832, 1e-4)],
+    "ramp, sinusoid": [("ramp", None, 1e-3), ("sinusoid", 6.2832, 1e-4)],
+    "constant, two sinusoids": [("constant", None, 0.01), ("sinusoid", 6.2832, 1e-4), ("sinusoid", 3.0, 1e-3)],
+}
+
+
+@pytest.mark.parametrize("theta", few([0.3, 0.05, 1.0], 1))
+@pytest.mark.parametrize("shapes", few(SHAPES, 1))
+def test_lower_bounds_hold_with_several_disturbances(shapes: str, theta: float) -> None:
+    """Their noise is that of one output, and drives all states of the error; the bound is close to a policy's cost."""
+    rates = [[0.0, 1, 0], [0, -0.5, 20], [0, -20, -100]]
+    noise = np.diag([0.0, 0.05, 0.01])
+    servo = ContinuousPlant(rates, [[0.0], [0], [50]], noise, C=[[1.0, 0, 0]], V=[[1e-4]])
+    parts = [ExternalDisturbance([0.0, -10, 0], wander, kind, at) for kind, at, wander in SHAPES[shapes]]  # type: ignore[arg-type]
+    plant = follow(servo, [[1.0, 0, 0]], None, parts)
+    policy = design.lqg(plant, Cost(np.diag([10.0, 0.1, 0]), [[0.01]]), theta=theta, period=0.02, actuation="model")
+    loop = close(plant, policy)
+    found = average(loop, completed_squares(loop), seed=1, steps=1_000_000)
+    rate = found.rates["actuator"].value * 0.02
+    bound, slack = bound_below(loop, rate).cost, 4 * found.cost.standard_error
+    assert policy.cost_all_time < bound < found.cost.value + slack
+    assert bound - policy.cost_all_time > 0.7 * (found.cost.value - policy.cost_all_time)
 
 
 def policies() -> dict[str, Policy]:

@@ -144,6 +144,23 @@ def test_the_conditional_means_of_the_martingale_are_those_of_draws() -> None:
             assert (np.abs(bell.mean(axis=2) - game.bell_after(errors)) < 5 * spread + 1e-9).all()
 
 
+def test_the_conditional_means_are_exact_for_forms_of_large_entries() -> None:
+    """One noise drives four slow modes: unsent errors nearly lie on a line, and entries of Π exceed 1e12."""
+    draws = np.random.default_rng(3)
+    F = np.diag([1.0, 0.999, 0.997, 0.994]) + np.diag([0.003, 0.003, 0.003], 1)
+    half = np.ones((4, 1))
+    reached = np.hstack([np.linalg.matrix_power(F, k) @ half for k in range(8)])
+    modes, sizes, _ = np.linalg.svd(reached)
+    Pi = modes / sizes**2 @ modes.T
+    assert np.abs(Pi).max() > 1e12
+    errors = draws.standard_normal((3, 5, 8)) @ reached.T
+    w = draws.standard_normal((3, 20_000, 1)) @ half.T
+    game = Martingale(F, half @ half.T, 0.01 * np.eye(4), Fitted(2.0, 3.0, Pi, 3.0))
+    bell, off = game.now((errors @ F.T)[:, :, None] + w[:, None])
+    assert off.mean(axis=2) == pytest.approx(game.after(errors, w), rel=1e-6)
+    assert (np.abs(bell.mean(axis=2) - game.bell_after(errors)) < 5 * bell.std(axis=2) / np.sqrt(20_000) + 1e-9).all()
+
+
 def test_a_bound_is_never_more_than_sending_always() -> None:
     """At a price that nothing is worth waiting for: the price, nearly."""
     price = 1e-3

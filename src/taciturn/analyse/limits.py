@@ -23,7 +23,6 @@ BOUNDED = Coverage(LINEAR_LOOP | STEPS | INTERVALS, "lower bounds and optimal sc
 LEVEL = 0.999  # default confidence level of a bound
 CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8
-MOST_WANDERING = 2  # states of disturbances that wander without limit
 FIRST = 1.5  # initial ratio of the price to the threshold with about the same rate
 FEW = 300  # number of errors to which the search for a price fits
 EASY = 0.97  # sends per step from which on the bound is the cost of sending every sample
@@ -173,13 +172,6 @@ def resets(loop: Loop) -> Reset:
             "the noise consists of jumps; expected Gaussian noise for optimal schedules and lower bounds"
         )
     BOUNDED.check(loop.parts)
-    wandering = int((loop.problem.lasting & (loop.problem.plant.W.diagonal() > 0)).sum())
-    source = loop.problem.source
-    if source is not None and source.exosystem is not None and wandering > MOST_WANDERING:
-        raise ProblemError(
-            f"the disturbances have {wandering} states that wander without limit, for which the error of a lower bound "
-            f"cannot be estimated reliably; expected at most {MOST_WANDERING}, such as one sinusoid or two constants"
-        )
     return loop.policy.theory.reset
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
+from taciturn._arrays import Array
 from taciturn._modes import root
-from taciturn.renewal.fitted import Fitted, squares
+from taciturn.renewal.fitted import Fitted
 
 BLOCK = 2**17  # numbers per block: larger blocks do not fit the cache, and their memory is allocated anew each time
 
@@ -29,12 +29,17 @@ class Martingale:
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, fitted: Fitted) -> None:
         """Compute the bell and its mean under the noise."""
-        self.F, self.half, self.Gamma, self.fitted = F, root(noise), Gamma, fitted
+        self.F, self.half, self.fitted = F, root(noise), fitted
+        # M is a martingale only if every form is computed from the same factors: Π may have entries of 1e10, of which
+        # the forms of correlated errors leave numbers of about 1
+        self.cost, self.power = root(Gamma).T, root(fitted.Pi).T
         self.depth = fitted.gain + fitted.height  # of φ at 0
-        bent = (2 * Gamma + fitted.height * fitted.Pi) / self.depth
-        spread = np.eye(len(F)) + noise @ bent
-        self.blurred = symmetrised(bent @ np.linalg.inv(spread))
-        self.less = float(np.linalg.det(spread)) ** -0.5
+        bent = np.concatenate([2**0.5 * self.cost, fitted.height**0.5 * self.power]) / self.depth**0.5
+        spread = bent @ self.half
+        values, vectors = np.linalg.eigh(spread @ spread.T)
+        widths = 1 + np.maximum(values, 0.0)
+        self.blurred = (vectors / np.sqrt(widths)).T @ bent @ F
+        self.less = float(np.prod(widths)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
         """Return the mean, over given noises, of the function φ minus its Gaussian part at the next check.
@@ -52,21 +57,22 @@ class Martingale:
     def _after(self, error: Array, w: Array) -> Array:
         mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
 
-        def spread(weight: Array) -> Array:
-            crossed = 2 * (mean @ weight) @ turned
-            crossed += squares(mean, weight)[:, :, None]
-            crossed += squares(w, weight)[:, None]
-            return crossed
+        def spread(factor: Array) -> Array:
+            before, added = mean @ factor.T, factor @ turned
+            found = 2 * before @ added
+            found += lengths(before)[:, :, None]
+            found += np.einsum("...ij,...ij->...j", added, added)[:, None]
+            return found
 
-        return self._off(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
+        return self._off(spread(self.cost), spread(self.power)).mean(axis=2)
 
     def bell_after(self, error: Array) -> Array:
         """Return the mean of the Gaussian part of the function φ at the next check, given the error before it."""
-        return -self.depth * self.less * np.exp(-0.5 * squares(error @ self.F.T, self.blurred))
+        return -self.depth * self.less * np.exp(-0.5 * lengths(error @ self.blurred.T))
 
     def now(self, error: Array) -> tuple[Array, Array]:
         """Return the Gaussian part of the function φ at each error, and the remaining part of φ."""
-        cost, power = squares(error, self.Gamma), squares(error, self.fitted.Pi)
+        cost, power = lengths(error @ self.cost.T), lengths(error @ self.power.T)
         bell = -self.depth * np.exp(-(cost + (0.5 * self.fitted.height) * power) / self.depth)
         return bell, self._off(cost, power)
 
@@ -84,3 +90,8 @@ class Martingale:
         np.minimum(cost, 0.0, out=cost)
         cost += bell
         return cost
+
+
+def lengths(vectors: Array) -> Array:
+    """Return the squared length of each vector, (…, n) to (…,)."""
+    return np.einsum("...i,...i->...", vectors, vectors)

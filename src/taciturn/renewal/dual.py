@@ -10,12 +10,11 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._display import Displayed
-from taciturn._modes import root
 from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError
-from taciturn.renewal._martingale import Martingale
+from taciturn.renewal._martingale import Martingale, lengths
 from taciturn.renewal._quasi_monte_carlo import Lattice
-from taciturn.renewal.fitted import Fitted, squares
+from taciturn.renewal.fitted import Fitted
 from taciturn.renewal.rare_sends import decayed
 
 ABREAST = 32  # batches that are computed together; their means are independent
@@ -286,7 +285,7 @@ class _Duel:
             sent = total - (check - 1) * self.gains
             lower = sent < least
             least, when = np.where(lower, sent, least), np.where(lower, check, when)
-            total = total + squares(error, game.Gamma)
+            total = total + lengths(error @ game.cost.T)
             # the minimum is certain if even the largest further saving does not lower it
             saves = total - check * self.gains - self.saved
             if check == self.longest:
@@ -353,7 +352,7 @@ def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random
 
 def _left_over(game: Martingale, gain: float, looks: int, draws: np.random.Generator) -> tuple[Array, Array]:
     """Return an upper bound of max_{t≤T} (g t − r_t), and g T − r_T, of paths without sends."""
-    n, weigh = len(game.F), root(game.Gamma).T
+    n, weigh = len(game.F), game.cost
     stride = max(1, looks // 64)
     entries, error = len(weigh), np.zeros((FREE, n))
     seen, rows = np.empty((looks * entries, FREE)), np.empty((looks * entries, n))
