@@ -160,6 +160,31 @@ def test_lower_bounds_hold_with_several_disturbances(shapes: str, theta: float) 
     assert bound - policy.cost_all_time > 0.7 * (found.cost.value - policy.cost_all_time)
 
 
+@pytest.mark.parametrize(
+    ("shape", "actuation", "noted"),
+    [
+        (("constant", None, None), "hold", False),
+        (("ramp", None, None), "hold", True),
+        (("ramp", None, None), "model", False),
+        (("sinusoid", 0.3, None), "hold", True),
+        (("matrix", None, [[0.9, 0.3], [-0.3, 0.9]]), "hold", False),  # decays
+        (("matrix", None, [[1.0, 0.1], [0.0, 0.9]]), "hold", False),  # comes to rest at a constant
+    ],
+)
+def test_a_held_input_that_cannot_follow_a_disturbance_is_noted(
+    shape: tuple[str, float | None, list[list[float]] | None], actuation: str, noted: bool
+) -> None:
+    """Its packets become more frequent: the rate at the end of a long run is above that at its start."""
+    name, frequency, matrix = shape
+    plant = plant_with(ExternalDisturbance([0.0, 0.3, 0.1], 1e-2, name, frequency, matrix=matrix))  # type: ignore[arg-type]
+    loop = close(plant, design.lqg(plant, COST, theta=0.5, actuation=actuation))  # type: ignore[arg-type]
+    notes = average(loop, steps=20_000).notes
+    assert any("by amounts that grow without limit" in note for note in notes) == noted
+    sends = simulate(loop, 40_000, seed=1).sends["actuator"]
+    first, last = sends[:2000].mean(), sends[-4000:].mean()
+    assert (last > first + 0.1) == noted
+
+
 def policies() -> dict[str, Policy]:
     """Return a policy of each kind that takes a disturbance, for the plant of the reference."""
     plant = plant_with(PUSH)

@@ -20,6 +20,7 @@ from taciturn._modes import SCATTER, eigenvalues, reach
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._worth import closure, paths
 
+FORGETS = 24  # 2^24 steps after which noise without a remaining effect is forgotten
 CANCELS = 1e-9  # relative residual of the equations for X and U
 
 
@@ -46,6 +47,26 @@ class Followed(Displayed):
     def weight(self, K: Array) -> Array:
         """Return a weight of the states for a weight of the deviations."""
         return self.T.T @ K @ self.T
+
+    def outputs(self, C: Array) -> Array:
+        """Return the outputs Cx at the states x = Xd that cost nothing, as a matrix of all states."""
+        return np.where(self.states, C - C[:, ~self.states] @ self.T[~self.states], 0.0)
+
+    def wanders(self, rows: Array, noise: Array) -> bool:
+        """Return whether a combination of the states d does not forget the noise that moves them.
+
+        Args:
+            rows: the combinations, (any, n).
+            noise: covariance of the noise of all states, (n, n).
+        """
+        d = self.states
+        late, seen = self.problem.A[np.ix_(d, d)], rows[:, d]
+        moved = np.diag(np.sqrt(np.diag(noise)[d]))
+        effects = [float(np.abs(seen @ moved).max(initial=0.0))]
+        for _ in range(FORGETS):
+            effects.append(float(np.abs(seen @ late @ moved).max(initial=0.0)))
+            late = late @ late
+        return effects[-1] > CANCELS * max(effects)
 
 
 def overlap(given: Quadratic, L: Array, K: Array, table: Array) -> float:

@@ -15,7 +15,7 @@ from taciturn._modes import eigenvalues, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._followed import followed
+from taciturn.lqg._followed import Followed, followed
 from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.coordinates import about, counted_from
@@ -88,9 +88,17 @@ class Discrete(Displayed):
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
-        given = Quadratic(self.plant.A, self.plant.B, self.Q, self.R, self.N)
-        change = followed(given)
-        return _dare.worth(*given).resting if change is None else change.states
+        return _dare.worth(*self.quadratic).resting if self.followed is None else self.followed.states
+
+    @property
+    def quadratic(self) -> Quadratic:
+        """The regulator problem of the plant and the weights."""
+        return Quadratic(self.plant.A, self.plant.B, self.Q, self.R, self.N)
+
+    @cached_property
+    def followed(self) -> Followed | None:
+        """The states and inputs at which disturbances and set-points cost nothing, or None if nothing is followed."""
+        return followed(self.quadratic)
 
     def slowest(self, closed: Array) -> float:
         """Return the modulus of the slowest mode of a closed loop, without the modes of the lasting states."""

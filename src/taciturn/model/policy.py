@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from taciturn._arrays import Array, array, number
 from taciturn._display import Displayed
 from taciturn._figure import Size
@@ -215,6 +217,14 @@ class Policy(Displayed):
         """The links on which a decision sends; without decisions, all links."""
         sends = [step for step in self.steps if isinstance(step, Send)]
         return tuple(step.link for step in sends if step.on is not None) or tuple(step.link for step in sends)
+
+    def holds(self, link: str) -> bool:
+        """Return whether the receiver of a link keeps the last received value in silence."""
+        received = [step for step in self.steps if isinstance(step, Assign) and step.on == Received(link)]
+        return any(
+            set(step.branches[0]) == {step.signal} and np.array_equal(step.branches[0][step.signal], np.eye(step.size))
+            for step in received
+        )
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:

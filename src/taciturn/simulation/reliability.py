@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from taciturn._arrays import Array
 from taciturn._modes import eigenvalues, lost_modes, persistent, root
 from taciturn.analyse.outcomes import outcomes
 from taciturn.errors import UnstableError
@@ -74,6 +75,12 @@ def find_doubts(
             "the disturbances or set-points wander without limit, and inputs are limited: eventually they need more "
             "input than there is, so cost and rates depend on the simulated time",
         )
+    if held := outruns(loop):
+        notes += (
+            f"the receiver of {' and '.join(held)} holds its value between packets, and the disturbances change this "
+            "value from step to step by amounts that grow without limit: cost and rates depend on the simulated time; "
+            "a receiver with a model (actuation or prediction 'model') follows the disturbances",
+        )
     if silent and comes_never_to_rest(loop):
         notes += (
             f"nothing was sent on {silent} in the {steps} steps simulated, and the plant does not come to "
@@ -97,14 +104,29 @@ def escapes(loop: Loop) -> bool:
 
 def wanders(loop: Loop) -> bool:
     """Return whether disturbances or set-points eventually need inputs beyond their limits."""
-    problem = loop.problem
-    source, limits = problem.source, problem.plant.saturation
-    if source is None or source.exosystem is None or limits is None or not limits.bounded:
-        return False
-    moved = problem.plant.W.diagonal() > 0
-    if isinstance(problem.plant.changes, SampledChanges):
-        moved[-problem.plant.changes.size :] = False
-    return bool((problem.lasting & moved).any())
+    limits, needs = loop.problem.plant.saturation, loop.problem.followed
+    return limits is not None and limits.bounded and needs is not None and needs.wanders(needs.U, _moved(loop))
+
+
+def outruns(loop: Loop) -> tuple[str, ...]:
+    """Return the links whose receiver holds a value that disturbances change by more and more from step to step."""
+    needs, plant, network = loop.problem.followed, loop.problem.plant, loop.policy.network
+    if needs is None:
+        return ()
+    change = plant.A - np.eye(plant.states)
+    inputs, outputs = needs.U @ change, needs.outputs(plant.C) @ change
+    values = {node: outputs[[*rows]] for node, rows in network.measurements(plant.outputs).values()}
+    values |= {node: inputs[[*rows]] for node, rows in network.applications(plant.inputs).values()}
+    held = (link for link in loop.policy.scheduled if loop.policy.holds(link))
+    return tuple(link for link in held if needs.wanders(values[link], _moved(loop)))
+
+
+def _moved(loop: Loop) -> Array:
+    """Return the covariance of the noise that moves the states, without that of a timetable, which repeats."""
+    plant, noise = loop.problem.plant, loop.problem.plant.W.copy()
+    if isinstance(plant.changes, SampledChanges):
+        noise[-plant.changes.size :] = 0.0
+    return noise
 
 
 def doubt_moments(loop: Loop) -> tuple[str, ...]:
