@@ -126,12 +126,12 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
         found = fair_clock(problem, policy).at(rate.value, rate.standard_error)
     except NoClockError as reason:
         return None, str(reason)
-    return (
-        found,
-        ""
-        if found is not None
-        else "periodic control is unstable, or cannot follow the disturbances, with every period and cycle that was tried",
-    )
+    if found is None:
+        return (
+            None,
+            "periodic control is unstable, or does not follow the disturbances, with all periods that were tried",
+        )
+    return found, ""
 
 
 def _applies_zero(policy: Policy) -> bool:
