@@ -301,11 +301,33 @@ def test_changing_set_points_are_in_the_units_of_the_outputs() -> None:
         assert other.input - point.u == pytest.approx(one.input, abs=1e-11)
 
 
-def test_a_set_point_at_the_operating_point_is_none() -> None:
-    """The levels of the point are no set-points to be followed."""
-    plant = follow(located(SEEN, somewhere(SEEN)), value=[3.0])
-    assert plant.exosystem is not None
-    assert not plant.exosystem.start.size
+def test_a_set_point_at_the_operating_point_changes_nothing() -> None:
+    """Cost and guarantee are those without set-points."""
+    point = somewhere(SEEN)
+    plants = [follow(located(SEEN, point), value=value) for value in (None, SEEN.C @ point.x)]
+    policies = [design.excess(plant, COST, theta=0.2) for plant in plants]
+    assert policies[0].cost_all_time == pytest.approx(policies[1].cost_all_time, rel=1e-12)
+    costs = [policy.guarantee.cost for policy in policies if policy.guarantee is not None]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-12)
+
+
+def test_the_simulated_plant_may_have_another_operating_point() -> None:
+    """With a set-point at that of the design: outputs are at the set-point, and inputs are those of the plant."""
+    tables: dict[str, Any] = {
+        "plant": {"A": [[0.9]], "B": [[0.2]], "C": [[1.0]], "W": [[1e-4]], "V": [[1e-4]], "dt": 1.0},
+        "cost": {"Q": [[1.0]], "R": [[0.1]]},
+        "policy": {"kind": "lqg", "theta": 0.2},
+        "disturbance": [{"enters": [1.0], "kind": "constant", "wander": 1e-6}],
+        "reference": {"value": [2.0]},
+    }
+    plant = dict(tables["plant"])
+    tables["plant"]["operating_point"] = {"x": [2.0], "u": [1.0]}
+    tables["plant"]["actual"] = {**plant, "operating_point": {"x": [2.5], "u": [1.5]}}
+    problem = taciturn.problem.parse(tables, "two points")
+    found = taciturn.simulate(problem.close(problem.design()), 20_000, seed=1)
+    assert found.measurement[2000:].mean() == pytest.approx(2.0, abs=2e-3)
+    needed = 1.5 + (0.1 * (2.0 - 2.5) - found.state[:, 1]) / 0.2  # with the disturbance
+    assert (found.input[:, 0] - needed)[2000:].mean() == pytest.approx(0.0, abs=5e-3)
 
 
 @pytest.mark.parametrize(

@@ -181,8 +181,7 @@ class Exosystem(Displayed):
             rest = np.zeros((1, len(S) - 1))
             enters.append(np.hstack([one.enters[:, None], np.tile(rest, (n, 1))]))
             seen.append(np.hstack([measured[:, None], np.tile(rest, (outputs, 1))]))
-        moved = bool(target.value.any()) or target.changes is not None
-        r = z if moved else 0  # states of the set-points
+        r = z if target.moved else 0  # states of the set-points
         S = block_diagonal(*parts, np.zeros((r, r)) if continuous else np.eye(r))
         q = len(S) - r
         noise = [np.zeros((r, r)) if target.changes is None else target.changes.noise]

@@ -166,6 +166,8 @@ class SetPoint(Displayed):
         outputs: C_z of the combinations z = C_z x, (z, n).
         value: their set-points, (z,); default 0. With steps at random times, those at the start.
         changes: how they change while the loop runs; None for constant set-points.
+        relative: whether they are relative to an operating point; then they are states of the exosystem also if all
+            are zero, as they are not at another operating point.
 
     Raises:
         ProblemError: the number of set-points is not that of the combinations, or a timetable and a value are given.
@@ -178,8 +180,15 @@ class SetPoint(Displayed):
     outputs: Array
     value: Array
     changes: Changes | None
+    relative: bool
 
-    def __init__(self, outputs: ArrayLike, value: ArrayLike | None = None, changes: Changes | None = None) -> None:
+    def __init__(
+        self,
+        outputs: ArrayLike,
+        value: ArrayLike | None = None,
+        changes: Changes | None = None,
+        relative: bool = False,
+    ) -> None:
         """Validate and store the arguments."""
         object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
         size = len(self.outputs)
@@ -196,10 +205,16 @@ class SetPoint(Displayed):
         given = np.zeros(size) if value is None else value
         object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
         object.__setattr__(self, "changes", changes)
+        object.__setattr__(self, "relative", relative)
+
+    @property
+    def moved(self) -> bool:
+        """Whether the set-points are states of the exosystem: they are not zero, or they change."""
+        return self.relative or bool(self.value.any()) or self.changes is not None
 
     def relative_to(self, state: Array) -> SetPoint:
         """Return the set-points relative to the combinations of a state, (n,)."""
         z = self.outputs @ state
         if isinstance(self.changes, Timetable):
-            return SetPoint(self.outputs, None, Timetable(self.changes.times, self.changes.values - z))
-        return SetPoint(self.outputs, self.value - z, self.changes)
+            return SetPoint(self.outputs, None, Timetable(self.changes.times, self.changes.values - z), True)
+        return SetPoint(self.outputs, self.value - z, self.changes, True)
