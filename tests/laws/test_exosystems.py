@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -304,6 +305,50 @@ def test_a_problem_file_states_them() -> None:
     assert load("two-mass").plant.exosystem is None
 
 
+PUSHED = {"enters": [1.0], "kind": "sinusoid", "wander": 1e-3}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"disturbance": [{"enters": [1.0]}]}, r"disturbance\[0\].wander is missing; expected it in each \[\[disturb"),
+        ({"disturbance": [PUSHED | {"size": 1}]}, r"disturbance\[0\].size is not a known key; expected one of enters"),
+        ({"disturbance": PUSHED}, r"\[disturbance\] is a single table; expected \[\[disturbance\]\] for each"),
+        ({"disturbance": [PUSHED | {"frequency": 4.0}]}, "frequency is 4; expected below π radians per step"),
+        ({"reference": {"integral_action": ["sensor", "sensor"]}}, "names 'sensor' twice"),
+        ({"reference": {"outputs": [[1.0, 0.0]]}}, "reference.outputs has 2 columns; expected 1, one per state"),
+        ({"cost.horizon": 5}, "the cost has a horizon; expected an average cost"),
+        ({"cost.discount": 0.9}, "the cost is discounted; expected an average cost"),
+        (
+            {"policy": {"kind": "event-pid", "delta": 0.1, "longest": 2.0}},
+            r"\[controller\] is missing, which event-pid",
+        ),
+    ],
+)
+def test_what_a_file_states_wrongly_is_named(changes: dict[str, Any], words: str) -> None:
+    """The key, what is wrong, and what is expected."""
+    tables: dict[str, Any] = {
+        "plant": {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "W": [[0.1]], "V": [[0.1]], "dt": 1.0},
+        "cost": {"Q": [[1.0]], "R": [[0.1]]},
+        "policy": {"kind": "excess", "theta": 0.1},
+        "reference": {"value": [1.0]},
+    }
+    for key, value in changes.items():
+        table, _, name = key.partition(".")
+        tables[table] = {**tables[table], name: value} if name else value
+    with pytest.raises(ProblemError, match=words):
+        parse(tables, "x").design()
+
+
+def test_a_disturbance_faster_than_the_sampling_is_refused() -> None:
+    """A sinusoid that a period aliases, and one disturbance needs no list."""
+    push = ExternalDisturbance([1.0], 1e-3, "sinusoid", 40.0)
+    plant = follow(ContinuousPlant([[-1.0]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]]), disturbances=push)
+    assert design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.1, period=0.05).model.states == 3
+    with pytest.raises(ProblemError, match=r"40 radians per second, .*; expected a frequency below π/period"):
+        design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.1, period=0.1)
+
+
 STEPS = RandomSteps(0.01, [[4.0, 1.0], [1.0, 9.0]])
 TIMES = Timetable([0, 7, 20, 31, 50], [[1, -2], [2, 0], [0, 0], [0, 5], [1, -2]])
 
@@ -384,7 +429,10 @@ def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
         ({"file": "none.csv"}, "none.csv cannot be read"),
         ({"steps": {"rate": 2.0, "covariance": [[1.0]]}}, "more than one step in each sampling period"),
         ({"steps": {"rate": 0.1, "covariance": [[0.0]]}}, "covariance is zero"),
-        ({"steps": {"rate": 0.1, "covariance": [[1.0, 0], [0, 1.0]]}}, "are for 2 set-points; expected 1"),
+        (
+            {"steps": {"rate": 0.1, "covariance": [[1.0, 0], [0, 1.0]]}},
+            r"covariance states changes of 2",
+        ),
     ):
         with pytest.raises(ProblemError, match=words):
             parse({**tables, "reference": reference}, "x").design()

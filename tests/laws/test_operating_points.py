@@ -15,7 +15,7 @@ from runtime.loops import differing_ticks, record
 from used import COST, KINDS, SEEN
 
 import taciturn
-from taciturn import Cost, Plant, Policy, Problem, ProblemError, Reference, design, linearise
+from taciturn import Cost, Network, Plant, Policy, Problem, ProblemError, Reference, design, linearise
 from taciturn.export.vector import record_loop
 from taciturn.model.equilibrium import equilibrium
 from taciturn.model.following import follow
@@ -354,6 +354,15 @@ def test_bad_points_are_refused_in_a_sentence(changes: dict[str, Any], message: 
     """Sizes, numbers, keys and limits."""
     with pytest.raises(ProblemError, match=message):
         taciturn.load("quadruple-tank").changed({f"plant.{key}": value for key, value in changes.items()})
+
+
+def test_a_range_that_excludes_the_point_is_refused() -> None:
+    """Otherwise every packet would carry the end of the range."""
+    plant = located(SEEN, OperatingPoint([2.0, 1.0], [3.0]))
+    policy = design.lqg(plant, COST, theta=0.2)
+    taciturn.close(plant, policy, Network(payload="int16", actuator_range=6.0))
+    with pytest.raises(ProblemError, match=r"actuator_range is \[2.5\], but at the operating point .* \[3.0\]"):
+        taciturn.close(plant, policy, Network(payload="int16", actuator_range=2.5))
 
 
 def test_a_function_that_does_not_rest_is_refused() -> None:

@@ -228,12 +228,14 @@ def _with_exosystem(
     """Return the problem of a plant with disturbances and set-points."""
     from taciturn.lqg.regulation import joined
 
-    if prediction is not None or cost.mission or plant.full_state:
-        got = "the actuator predicts between steps" if prediction else "the cost has a horizon or a discount"
-        got = "the full state is measured" if plant.full_state else got
-        raise ProblemError(
-            f"disturbances or set-points are given, and {got}; expected an average cost, C, and a held input"
-        )
+    refused = {
+        "the cost has a horizon; expected an average cost": cost.horizon is not None,
+        "the cost is discounted; expected an average cost": cost.discount < 1,
+        "the full state is measured without noise; expected C and V": plant.full_state,
+        "the actuator predicts between sampling instants; expected a held input": prediction is not None,
+    }
+    for got in (got for got, given in refused.items() if given):
+        raise ProblemError(f"disturbances or set-points are given, and {got}")
     alone = copy(plant)
     object.__setattr__(alone, "exosystem", None)
     return joined(discretise(alone, cost, period), plant, exosystem)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
-from taciturn._modes import lost_modes, reach
+from taciturn._modes import eigenvalues, lost_modes, reach
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.sampling import sample
@@ -98,6 +98,13 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     B, noise_cost = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost
     weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
     if isinstance(source, ContinuousPlant):
+        fastest = float(np.abs(eigenvalues(e.S).imag).max(initial=0.0))
+        if fastest * base.tick >= np.pi:
+            raise ProblemError(
+                f"a disturbance has the frequency {fastest:g} radians per second, which the sampling period "
+                f"{base.tick:g} cannot follow; expected a frequency below π/period = {np.pi / base.tick:.4g}, or a "
+                "shorter period"
+            )
         none = np.zeros((n + q, n + q))
         sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
         X, U = regulator_equations(plant.A, plant.B, sampled.A[n:, n:], sampled.A[:n, n:], e.outputs, e.F, weights)

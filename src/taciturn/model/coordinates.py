@@ -91,6 +91,11 @@ def in_units(policy: Policy) -> Policy:
     )
 
 
+def at_rest(policy: Policy) -> dict[str, Array]:
+    """Return the values of signals at the operating point, of which the steps of a policy compute deviations."""
+    return {} if policy.model.operating_point is None else _moves(policy, policy.model.operating_point)
+
+
 def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
     """Return what is added to each signal: the point to measurements, inputs and the estimate, and to their copies."""
     y, sizes = policy.model.C @ point.x, policy.sizes

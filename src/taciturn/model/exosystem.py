@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, pi, sin
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -112,6 +112,8 @@ class ExternalDisturbance(Displayed):
         if self.shape == "ramp":
             return np.array([[0.0, 1.0], [0.0, 0.0]]) + (0.0 if continuous else np.eye(2))
         w = self.frequency or 0.0
+        if not continuous and w >= pi:
+            raise ProblemError(f"disturbance.frequency is {w:g}; expected below π radians per step")
         return np.array([[0.0, w], [-w, 0.0]]) if continuous else np.array([[cos(w), sin(w)], [-sin(w), cos(w)]])
 
     @property

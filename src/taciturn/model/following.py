@@ -19,7 +19,7 @@ def follow(
     plant: AnyPlant,
     outputs: ArrayLike | None = None,
     value: ArrayLike | None = None,
-    disturbances: Sequence[ExternalDisturbance] = (),
+    disturbances: Sequence[ExternalDisturbance] | ExternalDisturbance = (),
     changes: Changes | None = None,
 ) -> AnyPlant:
     """Return a plant with disturbances that are to be compensated, and with set-points of some outputs.
@@ -30,7 +30,7 @@ def follow(
             default: the measured outputs C x.
         value: the set-points, (z,), in the units of the plant; default: z at its operating point. With steps at random
             times, those at the start.
-        disturbances: the disturbances.
+        disturbances: the disturbances, or the only one.
         changes: how the set-points change while the loop runs; None for constant set-points.
 
     Returns:
@@ -48,14 +48,17 @@ def follow(
         array([0., 2.])
     """
     instance("plant", plant, Plant, ContinuousPlant)
-    for one in disturbances:
+    listed = (disturbances,) if isinstance(disturbances, ExternalDisturbance) else disturbances
+    for one in listed:
         instance("disturbances", one, ExternalDisturbance)
     target = SetPoint(plant.C if outputs is None else outputs, value, changes)
     if target.outputs.shape[1] != len(plant.A):
-        raise ProblemError(f"outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state")
+        raise ProblemError(
+            f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
+        )
     point = plant.operating_point
     if point is not None and (value is not None or isinstance(changes, Timetable)):
         target = target.relative_to(point.x)
     found = copy(plant)
-    object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
+    object.__setattr__(found, "exosystem", Exosystem.of(listed, target, len(plant.C), plant.continuous))
     return found

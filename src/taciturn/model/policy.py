@@ -221,10 +221,8 @@ class Policy(Displayed):
     def holds(self, link: str) -> bool:
         """Return whether the receiver of a link keeps the last received value in silence."""
         received = [step for step in self.steps if isinstance(step, Assign) and step.on == Received(link)]
-        return any(
-            set(step.branches[0]) == {step.signal} and np.array_equal(step.branches[0][step.signal], np.eye(step.size))
-            for step in received
-        )
+        kept = [(step.size, step.branches[0].get(step.signal)) for step in received if len(step.branches[0]) == 1]
+        return any(isinstance(own, np.ndarray) and np.array_equal(own, np.eye(size)) for size, own in kept)
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:

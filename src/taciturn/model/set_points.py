@@ -195,8 +195,10 @@ class SetPoint(Displayed):
         if changes is not None:
             instance("changes", changes, RandomSteps, Timetable)
             if changes.size != size:
+                key = "file" if isinstance(changes, Timetable) else "steps.covariance"
                 raise ProblemError(
-                    f"the changes are for {changes.size} set-points; expected {size}, one for each of reference.outputs"
+                    f"reference.{key} states changes of {changes.size} set-points; expected {size}, one for each of "
+                    "reference.outputs"
                 )
         if isinstance(changes, Timetable):
             if value is not None:

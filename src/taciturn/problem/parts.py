@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from inspect import Parameter
 from typing import Any, cast
 
 import numpy as np
@@ -58,7 +59,11 @@ def used_tables(kind: Kind, network: Network, stated: Mapping[str, object]) -> d
     """
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
-    return {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
+    used = {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
+    needed = [name for name in used if kind.arguments[name].default is Parameter.empty]
+    for name in (name for name in needed if used[name] is None):
+        raise ProblemError(f"[{name}] is missing, which {kind.name} requires; expected this table")
+    return used
 
 
 def takes_losses(kind: Kind) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from taciturn._arrays import Array
@@ -78,11 +80,13 @@ def _changes(table: ReferenceTable) -> Changes | None:
     if table.file is None:
         return None
     try:
-        rows = np.loadtxt(table.file, delimiter=",", ndmin=2, encoding="utf-8")
+        with warnings.catch_warnings():  # of a file without rows, which Timetable refuses
+            warnings.simplefilter("ignore", UserWarning)
+            rows = np.loadtxt(table.file, delimiter=",", ndmin=2, encoding="utf-8")
     except (OSError, ValueError) as error:
         raise ProblemError(
-            f"reference.file {table.file} cannot be read ({error}); expected a text file with rows of a time and the "
-            "set-points from then on, separated by commas"
+            f"reference.file {table.file} cannot be read ({str(error).split(';')[0]}); expected a text file with rows "
+            "of a time and the set-points from then on, separated by commas"
         ) from None
     return Timetable(rows[:, 0], rows[:, 1:])
 
@@ -94,6 +98,8 @@ def _outputs_of(nodes: list[str], plant: Plant | ContinuousPlant, network: Netwo
         raise ProblemError(
             f"reference.integral_action names {node!r}; expected nodes that measure: {', '.join(measured)}"
         )
+    for node in (node for node in nodes if nodes.count(node) > 1):
+        raise ProblemError(f"reference.integral_action names {node!r} twice; expected each node once")
     return [output for node in nodes for output in measured[node]]
 
 

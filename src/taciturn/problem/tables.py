@@ -239,12 +239,14 @@ def first_mistake(error: ValidationError, root: type, within: Sequence[str] = ()
     whole = [*within, *place]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in whole).removeprefix(".")
     if extra:
-        names = _keys_at(root, [str(part) for part in place[:-1]])
+        names = _keys_at(root, [part for part in place[:-1] if isinstance(part, str)])
         return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(place[-1]), names)}"
     if first["type"] == "missing":
         kind = "the table" if len(whole) == 1 else "the key"
         shown = f"[{where}]" if len(whole) == 1 else where
-        return f"{kind} {shown} is missing; expected {_required([str(part) for part in whole])}"
+        return f"{kind} {shown} is missing; expected {_required(whole)}"
+    if first["type"] == "list_type" and isinstance(first["input"], dict):
+        return f"[{where}] is a single table; expected [[{where}]] for each"
     same = [mistake for mistake in mistakes if _place(root, mistake["loc"]) == place]
     texts = dict.fromkeys(ours(mistake["msg"]).removeprefix("expected ") for mistake in same)
     expected = f"expected {' or '.join(texts)}" if len(same) > 1 else ours(first["msg"])
@@ -269,9 +271,11 @@ def _place(root: type, location: Sequence[str | int]) -> list[str | int]:
 
 
 def _table_of(hint: Any) -> Any:
-    """Return the dataclass of a table, or the mapping of a table of tables, in a type that may have alternatives."""
-    kinds: tuple[Any, ...] = (hint, *get_args(hint))
-    return next((kind for kind in kinds if is_dataclass(kind) or get_origin(kind) is dict), object)
+    """Return the dataclass of a table, or the mapping of tables, in a list or in a type that may have alternatives."""
+    if is_dataclass(hint) or get_origin(hint) is dict:
+        return hint
+    found = (_table_of(kind) for kind in get_args(hint))
+    return next((kind for kind in found if kind is not object), object)
 
 
 def _keys_at(root: type, path: Sequence[str]) -> list[str]:
@@ -281,8 +285,11 @@ def _keys_at(root: type, path: Sequence[str]) -> list[str]:
     return [one.name for one in fields(table) if "refused" not in one.metadata]
 
 
-def _required(path: Sequence[str]) -> str:
-    return "a file with the tables [plant], [cost] and [policy]" if len(path) == 1 else f"it in [{'.'.join(path[:-1])}]"
+def _required(path: Sequence[str | int]) -> str:
+    if len(path) == 1:
+        return "a file with the tables [plant], [cost] and [policy]"
+    table = ".".join(part for part in path[:-1] if isinstance(part, str))
+    return f"it in each [[{table}]]" if isinstance(path[-2], int) else f"it in [{table}]"
 
 
 def suggest(word: str, names: Sequence[str], similarity: float = 0.5) -> str:
