@@ -188,6 +188,15 @@ def test_a_held_input_that_cannot_follow_a_disturbance_is_noted(
     assert (last > first + 0.1) == noted
 
 
+def test_held_values_follow_set_points_that_change() -> None:
+    """Of several nodes: set-points are no outputs of a sensor, and a timetable needs no more packets later."""
+    tank = load("quadruple-tank")
+    table = Timetable([0, 30, 60], [[0, 0], [2, -1], [0, 0]])
+    plant = follow(tank.plant, [[1.0, 0, 0, 0], [0, 1.0, 0, 0]], changes=table)
+    loop = close(plant, design.distributed(plant, tank.cost, theta=0.3, network=tank.network, period=4.0))
+    assert average(loop, steps=20_000).notes == ()
+
+
 def policies() -> dict[str, Policy]:
     """Return a policy of each kind that takes a disturbance, for the plant of the reference."""
     plant = plant_with(PUSH)

@@ -21,6 +21,7 @@ from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._worth import closure, paths
 
 FORGETS = 24  # 2^24 steps after which noise without a remaining effect is forgotten
+ROUNDS = 1e-12  # entry of X or U, relative to the largest, that counts as zero
 CANCELS = 1e-9  # relative residual of the equations for X and U
 
 
@@ -48,9 +49,16 @@ class Followed(Displayed):
         """Return a weight of the states for a weight of the deviations."""
         return self.T.T @ K @ self.T
 
+    @property
+    def inputs(self) -> Array:
+        """The inputs that cost nothing, without rounding errors of entries that are zero, (m, n)."""
+        return np.where(np.abs(self.U) > CANCELS * np.abs(self.U).max(), self.U, 0.0)
+
     def outputs(self, C: Array) -> Array:
-        """Return the outputs Cx at the states x = Xd that cost nothing, as a matrix of all states."""
-        return np.where(self.states, C - C[:, ~self.states] @ self.T[~self.states], 0.0)
+        """Return combinations Cx at the states x = Xd that cost nothing, as a matrix of all states."""
+        moved = C[:, ~self.states], self.T[~self.states]
+        found, size = C - moved[0] @ moved[1], (np.abs(C) + np.abs(moved[0]) @ np.abs(moved[1])).max(axis=1)
+        return np.where(self.states & (np.abs(found) > CANCELS * size[:, None]), found, 0.0)
 
     def wanders(self, rows: Array, noise: Array) -> bool:
         """Return whether a combination of the states d does not forget the noise that moves them.
@@ -126,6 +134,7 @@ def _cancelled(given: Quadratic, states: Bits) -> Followed | None:
     costs = np.hstack([np.kron(same, cost[:, :n]), np.kron(same, cost[:, n:])])
     matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    found[np.abs(found) < ROUNDS * np.abs(found).max(initial=0.0)] = 0.0
     if not found.any():  # they have no effect
         return None
     rest = np.vstack([found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T])

@@ -105,7 +105,8 @@ def escapes(loop: Loop) -> bool:
 def wanders(loop: Loop) -> bool:
     """Return whether disturbances or set-points eventually need inputs beyond their limits."""
     limits, needs = loop.problem.plant.saturation, loop.problem.followed
-    return limits is not None and limits.bounded and needs is not None and needs.wanders(needs.U, _moved(loop))
+    bounded = limits is not None and limits.bounded
+    return bounded and needs is not None and needs.wanders(needs.inputs, wandering_noise(loop))
 
 
 def outruns(loop: Loop) -> tuple[str, ...]:
@@ -114,14 +115,14 @@ def outruns(loop: Loop) -> tuple[str, ...]:
     if needs is None:
         return ()
     change = plant.A - np.eye(plant.states)
-    inputs, outputs = needs.U @ change, needs.outputs(plant.C) @ change
-    values = {node: outputs[[*rows]] for node, rows in network.measurements(plant.outputs).values()}
+    inputs, outputs = needs.inputs @ change, needs.outputs(plant.C) @ change
+    values = {node: outputs[[*rows]] for node, rows in network.measurements(plant.sensed).values()}
     values |= {node: inputs[[*rows]] for node, rows in network.applications(plant.inputs).values()}
     held = (link for link in loop.policy.scheduled if loop.policy.holds(link))
-    return tuple(link for link in held if needs.wanders(values[link], _moved(loop)))
+    return tuple(link for link in held if needs.wanders(values[link], wandering_noise(loop)))
 
 
-def _moved(loop: Loop) -> Array:
+def wandering_noise(loop: Loop) -> Array:
     """Return the covariance of the noise that moves the states, without that of a timetable, which repeats."""
     plant, noise = loop.problem.plant, loop.problem.plant.W.copy()
     if isinstance(plant.changes, SampledChanges):

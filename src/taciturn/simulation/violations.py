@@ -15,14 +15,12 @@ from taciturn._progress import Progress, Stages, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
 from taciturn.lqg._worth import closure
-from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits, Violation, Violations
-from taciturn.model.set_points import SampledChanges
 from taciturn.program.draws import GENERATOR
 from taciturn.simulation.average import check_effort, plain_average
 from taciturn.simulation.parts import Estimator, Part, sends
-from taciturn.simulation.reliability import escapes, expect_arrivals
+from taciturn.simulation.reliability import escapes, expect_arrivals, wandering_noise
 from taciturn.simulation.sampling import HUGE, Sampling
 from taciturn.simulation.splitting import COPIES, MOST_LEVELS, Splitting
 
@@ -37,7 +35,6 @@ LEVELS = 8  # levels for which the number of paths is chosen
 SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
 HOUR, MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
 GROWN = 1.35  # ratio of spreads above which a state has no stationary distribution; its standard error is 0.05
-REST = 1e-9  # relative size below which a combination does not follow a disturbance
 
 
 def violations(
@@ -317,24 +314,13 @@ class _Search:
 
     def _wanders(self) -> Bits:
         """Return the limits of combinations that follow a disturbance or another state that wanders without limit."""
-        problem, plant = self.loop.problem, self.loop.problem.plant
-        exosystem = None if problem.source is None else problem.source.exosystem
-        links = np.asarray(plant.A != 0, dtype=np.bool_)
-        if exosystem is None:
-            wandering = closure(problem.lasting & closure(np.diag(plant.W) > 0, links), links)
-            return np.asarray(self.rows[:, wandering].any(axis=1), dtype=np.bool_)
-        n = len(exosystem.E)
-        weights = np.block([[problem.Q[:n, :n], problem.N[:n]], [problem.N[:n].T, problem.R]])
-        S = plant.A[n:, n:]
-        X, _ = regulator_equations(
-            plant.A[:n, :n], plant.B[:n], S, plant.A[:n, n:], exosystem.outputs, exosystem.F, weights
-        )
-        random = np.diag(plant.W)[n:] > 0
-        if isinstance(plant.changes, SampledChanges):  # a timetable returns
-            random[-plant.changes.size :] = False
-        moving = closure(random, np.asarray(S != 0, dtype=np.bool_))
-        follows = self.rows[:, :n] @ X + self.rows[:, n:]
-        return np.asarray((np.abs(follows) > REST * np.abs(X).max(initial=1.0))[:, moving].any(axis=1), dtype=np.bool_)
+        problem, noise = self.loop.problem, wandering_noise(self.loop)
+        if problem.followed is not None:
+            rows = problem.followed.outputs(self.rows)
+            return np.array([problem.followed.wanders(row[None], noise) for row in rows])
+        links = np.asarray(problem.plant.A != 0, dtype=np.bool_)
+        wandering = closure(problem.lasting & closure(np.diag(noise) > 0, links), links)
+        return np.asarray(self.rows[:, wandering].any(axis=1), dtype=np.bool_)
 
 
 def _mean(values: Array, least: float) -> Estimate:
