@@ -66,7 +66,7 @@ def keep_controller(
         kept: the controller.
         price_at: function that returns δ per step, given the cost of the base per step.
         actuation: in silence, the receiver keeps the last value (``"hold"``), predicts it (``"model"``), or the
-            actuator applies 0 (``"zero"``).
+            actuator applies 0, or the input at rest (``"zero"``).
         link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
         network: the network; losses of the link must be acknowledged.
         every: q, the number of steps between packets of the base.

@@ -94,7 +94,7 @@ def route_over(
         problem: the discrete-time problem.
         controller: the controller.
         actuation: in silence, the receiver keeps its last value (``"hold"``), predicts it (``"model"``), or the
-            actuator applies 0 (``"zero"``).
+            actuator applies 0, or the input at rest (``"zero"``).
         lossy: whether the network acknowledges packets, and the node that decides uses the acknowledgements.
         copied: the filter whose estimates a receiver that predicts gets, if its prediction enters the value: over links
             that drop packets, and for a base that is silent in some steps.

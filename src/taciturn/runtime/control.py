@@ -45,7 +45,7 @@ def to_control(
     Set-points that change are inputs ``setpoint[i]`` of a policy. In a loop they are outputs and the last states of the
     plant, which w moves; the last entries of v add to them.
 
-    The system of a plant excludes its noise, initial state and input limit. The output u of a policy or loop is
+    The system of a plant excludes its noise, disturbances, set-points, initial state and limits of inputs. The output u of a policy or loop is
     clipped. If an actuator predicts between steps, u is the state of its model at the beginning of the step, as in
     ``policy.model``.
 
