@@ -45,9 +45,9 @@ def to_control(
     Set-points that change are inputs ``setpoint[i]`` of a policy. In a loop they are outputs and the last states of the
     plant, which w moves; the last entries of v add to them.
 
-    The system of a plant excludes its noise, disturbances, set-points, initial state and limits of inputs. The output u of a policy or loop is
-    clipped. If an actuator predicts between steps, u is the state of its model at the beginning of the step, as in
-    ``policy.model``.
+    The system of a plant excludes its noise, disturbances, set-points, initial state and limits of inputs. The output u
+    of a policy or loop is clipped. If an actuator predicts between steps, u is the state of its model at the beginning
+    of the step, as in ``policy.model``.
 
     The state of a policy consists of the stored values of its nodes and, as last entry, the number of the step. At
     step 0 the stored values are replaced by their correct start values, so the default initial state 0 of
