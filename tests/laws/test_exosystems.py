@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance
 from taciturn.model.following import follow
-from taciturn.model.set_points import RandomSteps, SetPoint, Timetable
+from taciturn.model.set_points import SetPoint, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
 from taciturn.study.describe import describe
@@ -186,15 +185,6 @@ def test_a_held_input_that_cannot_follow_a_disturbance_is_noted(
     sends = simulate(loop, 40_000, seed=1).sends["actuator"]
     first, last = sends[:2000].mean(), sends[-4000:].mean()
     assert (last > first + 0.1) == noted
-
-
-def test_held_values_follow_set_points_that_change() -> None:
-    """Of several nodes: set-points are no outputs of a sensor, and a timetable needs no more packets later."""
-    tank = load("quadruple-tank")
-    table = Timetable([0, 30, 60], [[0, 0], [2, -1], [0, 0]])
-    plant = follow(tank.plant, [[1.0, 0, 0, 0], [0, 1.0, 0, 0]], changes=table)
-    loop = close(plant, design.distributed(plant, tank.cost, theta=0.3, network=tank.network, period=4.0))
-    assert average(loop, steps=20_000).notes == ()
 
 
 def policies() -> dict[str, Policy]:
@@ -356,95 +346,6 @@ def test_a_disturbance_faster_than_the_sampling_is_refused() -> None:
     assert design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.1, period=0.05).model.states == 3
     with pytest.raises(ProblemError, match=r"40 radians per second, .*; expected a frequency below π/period"):
         design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.1, period=0.1)
-
-
-STEPS = RandomSteps(0.01, [[4.0, 1.0], [1.0, 9.0]])
-TIMES = Timetable([0, 7, 20, 31, 50], [[1, -2], [2, 0], [0, 0], [0, 5], [1, -2]])
-
-
-def changing(changes: RandomSteps | Timetable) -> Plant:
-    """Return the plant of the reference with a disturbance and set-points that change."""
-    value = None if isinstance(changes, Timetable) else (1.0, -2.0)
-    return follow(Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, [PUSH], changes)
-
-
-@pytest.mark.parametrize("changes", [STEPS, TIMES], ids=["steps", "timetable"])
-def test_set_points_that_change_cost_their_transients(changes: RandomSteps | Timetable) -> None:
-    """The cost with every sample and the identity are exact: a simulation of the plant agrees."""
-    plant = changing(changes)
-    constant = design.all_time(plant_with(PUSH), COST).cost_all_time
-    policy = design.excess(plant, COST, delta=0.1)
-    assert constant is not None
-    assert policy.cost_all_time is not None
-    assert policy.cost_all_time > 1.5 * constant
-    always, loop = close(plant, design.all_time(plant, COST)), close(plant, policy)
-    assert loop.nominal
-    plain = average(always, plain_average(always), seed=1, steps=2_000_000).cost
-    assert abs(plain.value - policy.cost_all_time) < 4 * plain.standard_error
-    whole = average(loop, plain_average(loop), seed=1, steps=2_000_000).cost
-    squares = average(loop, completed_squares(loop), seed=2, steps=200_000).cost
-    error = np.hypot(whole.standard_error, squares.standard_error)
-    assert abs(whole.value - squares.value) < 4 * error
-    assert squares.value < policy.cost_all_time + 0.1
-
-
-@pytest.mark.parametrize("sensors", [("hold", "hold"), ("model", "model")])
-def test_sensors_that_decide_need_not_know_the_set_points(sensors: tuple[str, str]) -> None:
-    """Only the controller is given them; the bound of the whole holds."""
-    plant = changing(STEPS)
-    policy = design.distributed(plant, COST, theta=0.5, prediction=sensors[0], actuation=sensors[1])  # type: ignore[arg-type]
-    found = average(close(plant, policy), seed=1, steps=200_000)
-    assert policy.guarantee is not None
-    assert policy.cost_all_time is not None
-    assert policy.cost_all_time < found.cost.value < policy.guarantee.cost
-    path = simulate(close(plant, policy), ticks=20_000, seed=3)
-    apart = path.state[:, :3] @ C.T - path.state[:, -2:]
-    means = apart.reshape(50, -1, 2).mean(axis=1)
-    assert (np.abs(means.mean(axis=0)) < 4 * means.std(axis=0, ddof=1) / np.sqrt(50)).all()
-
-
-def test_a_timetable_is_followed_from_its_first_row() -> None:
-    """The last states are the set-points, which the measurement does not contain."""
-    plant = changing(TIMES)
-    path = simulate(close(plant, design.excess(plant, COST, delta=0.1)), 60)
-    assert path.state[[0, 6, 7, 31, 49, 50], -2:].tolist() == [[1, -2], [1, -2], [2, 0], [0, 5], [0, 5], [1, -2]]
-    assert path.measurement.shape == (60, 2)
-
-
-def test_a_change_between_sampling_instants_takes_effect_at_the_next() -> None:
-    """And its size is unchanged."""
-    table = Timetable([0, 0.24, 1.0], [[0.0], [3.0], [0.0]]).sampled(0.1).table
-    assert table[:, 0].tolist() == [0, 0, 3, 0, 0, 0, 0, 0, 0, -3]
-    assert RandomSteps(0.5, [[2.0]]).sampled(0.1).noise == pytest.approx(0.1)
-
-
-def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
-    """As steps at random times, or as a timetable in a file."""
-    tables = {
-        "plant": {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "W": [[0.1]], "V": [[0.1]], "dt": 1.0},
-        "cost": {"Q": [[1.0]], "R": [[0.1]]},
-        "policy": {"kind": "excess", "theta": 0.1},
-    }
-    (tmp_path / "levels.csv").write_text("# s, level\n0, 1\n20, 3\n50, 1\n")
-    steps = {"rate": 0.01, "covariance": [[4.0]]}
-    path = str(tmp_path / "levels.csv")
-    for reference, noise in (({"steps": steps}, 0.04), ({"file": path}, 0.16)):
-        plant = parse({**tables, "reference": reference}, "x").plant
-        assert plant.exosystem is not None
-        assert plant.exosystem.W[-1, -1] == pytest.approx(noise)
-    for reference, words in (
-        ({"steps": steps, "file": path}, "reference.steps and reference.file are given"),
-        ({"file": path, "value": [1.0]}, "reference.value and reference.file are given"),
-        ({"file": "none.csv"}, "none.csv cannot be read"),
-        ({"steps": {"rate": 2.0, "covariance": [[1.0]]}}, "more than one step in each sampling period"),
-        ({"steps": {"rate": 0.1, "covariance": [[0.0]]}}, "covariance is zero"),
-        (
-            {"steps": {"rate": 0.1, "covariance": [[1.0, 0], [0, 1.0]]}},
-            r"covariance states changes of 2",
-        ),
-    ):
-        with pytest.raises(ProblemError, match=words):
-            parse({**tables, "reference": reference}, "x").design()
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.theory import ErrorGain, Guarantee
 
+PULLED = " + 2γ√(what silence adds), γ of the timetable"
 LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
 
 
@@ -78,14 +79,15 @@ def less_noise(problem: Discrete, share: str) -> str:
 
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
     """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
-    problem, all_time = certainty.problem, certainty.cost_all_time
+    problem, all_time, pull = certainty.problem, certainty.cost_all_time, certainty.pull
     return Guarantee(
-        problem.per_unit(all_time + per_silence),
-        "J ≤ J_all + δ(1 − rate), δ the most that silence can cost; mean-square stable",
+        problem.per_unit(all_time + per_silence + 2 * pull * sqrt(per_silence)),
+        f"J ≤ J_all + δ(1 − rate){PULLED if pull else ''}, δ the most that silence can cost; mean-square stable",
         source,
         problem.per_unit(all_time),
         per_silence / problem.tick,
         more_sends=True,
+        pull=pull / sqrt(problem.tick),
     )
 
 
@@ -106,8 +108,16 @@ def bound_by_state(
 
     Returns:
         The guarantee, and a note if σ is too large for a guarantee.
+
+    Raises:
+        ProblemError: the plant has disturbances or set-points, with which the state, and so the threshold, grows.
     """
     problem = certainty.problem
+    if problem.source is not None and problem.source.exosystem is not None:
+        raise ProblemError(
+            "disturbances or set-points are given, and the trigger compares the error with the size of the state, "
+            "which grows with them; expected a trigger with a constant threshold, such as excess or absolute"
+        )
     mu = float(np.linalg.eigvalsh(certainty.square)[-1])
     least = problem.Q - problem.N @ np.linalg.pinv(problem.R, hermitian=True) @ problem.N.T
     q = least_eigenvalue(symmetrised(least))

@@ -20,10 +20,9 @@ from taciturn._display import Displayed
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
-from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._followed import overlap
+from taciturn.lqg._followed import transients
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import Filter, expect_known_start, filter_checked
+from taciturn.lqg.kalman import Filter, expect_known_start, filter_given
 from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
@@ -51,6 +50,8 @@ class CertaintyEquivalentDesign(Displayed):
         estimation: policy steps of the filter.
         cost_all_time: cost of sending at every step, per step, without the inter-sample noise cost.
         settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
+        pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
+            error e of the input, in the norm of the inverse of H; 0 for other set-points.
     """
 
     problem: Discrete
@@ -59,6 +60,12 @@ class CertaintyEquivalentDesign(Displayed):
     estimation: FilterSteps
     cost_all_time: float
     settling: float
+    pull: float = 0.0
+
+    @property
+    def timed(self) -> bool:
+        """True if the set-points change at known times, so that neither identity nor closed form holds."""
+        return self.pull > 0
 
     @property
     def corrections(self) -> Array:
@@ -110,19 +117,22 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_average(kind, problem.cost)
     plant = problem.plant
     regulator = regulate_checked(plant.A, plant.B, problem.Q, problem.R, problem.N, 1.0)
-    steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
+    steady = filter_given(plant.A, plant.C, plant.W, plant.V, plant.set_points)
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
+    pull = 0.0
     if isinstance(plant.changes, SampledChanges):
-        given = Quadratic(plant.A, plant.B, problem.Q, problem.R, problem.N)
-        cost += overlap(given, regulator.L, regulator.K, plant.changes.table)
+        found = transients(problem.quadratic, regulator.L, regulator.K, regulator.H, plant.changes.table)
+        cost, pull = cost + found[0], found[1]
     left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
     square = regulator.L.T @ regulator.H @ regulator.L
     doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
     refuse_uncertain(float(cost), float(doubt))
     settling = 1 / (1 - max(regulator.slowest, steady.slowest))
-    return CertaintyEquivalentDesign(problem, regulator, steady, estimate_state(plant, steady), float(cost), settling)
+    return CertaintyEquivalentDesign(
+        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull
+    )
 
 
 def expect_average(kind: str, cost: Cost) -> None:
@@ -211,8 +221,16 @@ def certainty_policy(
         reset: the error that a send resets.
         slower: time constant of the loop relative to that of sending every sample.
         notes: remarks that a reader of the results should know.
+
+    If set-points change at known times, the error of the input is correlated with the changes. Then no identity holds,
+    and only a bound that allows for this, by ``pull``.
     """
-    problem = certainty.problem
+    problem, fixed_rates = certainty.problem, fixed_rates or {}
+    if certainty.timed:
+        if closed_form is not None and closed_form.cost != problem.per_unit(certainty.cost_all_time):
+            closed_form, fixed_rates = None, {**closed_form.rates, **fixed_rates}
+        identity, reset = None, None
+        guarantee = guarantee if guarantee is not None and guarantee.pull else None
     policy = Policy(
         kind=kind,
         steps=steps,
@@ -227,7 +245,7 @@ def certainty_policy(
             innovations=certainty.estimation.innovations,
             closed_form=closed_form,
             reset=reset,
-            fixed_rates=fixed_rates or {},
+            fixed_rates=fixed_rates,
             covers=_covered(problem, closed_form),
         ),
         sites=COLLOCATED,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
+from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, lost_modes, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
@@ -250,6 +250,33 @@ def forgetting(
 
 
 @kept
+def filter_given(A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
+    """Return the steady Kalman filter of a plant whose last states, such as set-points, are its last outputs.
+
+    Nothing else depends on these states, and their outputs have no noise: the filter takes them over, also those that
+    never move.
+
+    Args:
+        A, C, W, V: the matrices of the plant, which were already checked.
+        given: number of these states and outputs.
+    """
+    if not given:
+        return filter_checked(A, C, W, V)
+    n, p = len(A) - given, len(C) - given
+    found, unit = filter_checked(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p]), np.eye(given)
+    moved, none = W[n:, n:], np.zeros((given, given))
+    return _frozen(
+        Filter(
+            block_diagonal(found.prior, moved),
+            block_diagonal(found.posterior, none),
+            block_diagonal(found.gain, unit),
+            block_diagonal(found.innovation, moved),
+            block_diagonal(found.error, none),
+            found.slowest,
+        )
+    )
+
+
 def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
     """Return the steady Kalman filter, as :func:`steady_filter` does, for matrices that were already checked."""
     n, p = A.shape[0], C.shape[0]

@@ -97,6 +97,8 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
     B, noise_cost = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost
     weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
+    changes = None if e.changes is None else e.changes.sampled(base.tick)
+    given = 0 if changes is None else changes.size  # the controller is given the last states
     if isinstance(source, ContinuousPlant):
         fastest = float(np.abs(eigenvalues(e.S).imag).max(initial=0.0))
         if fastest * base.tick >= np.pi:
@@ -109,13 +111,12 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
         X, U = regulator_equations(plant.A, plant.B, sampled.A[n:, n:], sampled.A[:n, n:], e.outputs, e.F, weights)
         T = np.hstack([np.eye(n), -X])
+        T[:, n + q - given :] = 0.0  # set-points do not change between sampling instants
         cost = base.cost
         noise_cost = sample(source.A, source.B, cost.Q, cost.R, cost.N, T @ W @ T.T, base.tick).noise_cost
         A, W = sampled.A, sampled.W
     else:
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
-    changes = None if e.changes is None else e.changes.sampled(base.tick)
-    given = 0 if changes is None else changes.size  # the controller is given the last states
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(A, seen, n, e)

@@ -91,6 +91,8 @@ class ExternalDisturbance(Displayed):
         object.__setattr__(self, "frequency", checked)
         seen = None if measured is None else array("disturbance.measured", measured, (None,), "(outputs,)")
         object.__setattr__(self, "measured", seen)
+        if not self.enters.any() and (seen is None or not seen.any()):
+            raise ProblemError("disturbance.enters and measured are zero; expected an effect on a state or output")
 
     def dynamics(self, continuous: bool) -> Array:
         """Return S; the first state is the value of the disturbance.

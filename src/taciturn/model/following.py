@@ -51,6 +51,10 @@ def follow(
     listed = (disturbances,) if isinstance(disturbances, ExternalDisturbance) else disturbances
     for one in listed:
         instance("disturbances", one, ExternalDisturbance)
+    if plant.exosystem is not None:
+        raise ProblemError(
+            "the plant already has disturbances or set-points; expected all of them in one call, for the plant without"
+        )
     target = SetPoint(plant.C if outputs is None else outputs, value, changes)
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(

@@ -121,6 +121,11 @@ class Timetable(Displayed):
             ProblemError: the timetable has too many sampling steps, or one that lasts less than a period.
         """
         steps = np.ceil(self.times / period * (1 - 1e-12)).astype(int)
+        if abs(self.times[-1] / period - steps[-1]) > 1e-9 * steps[-1]:
+            raise ProblemError(
+                f"reference.file lasts {self.times[-1]:g}, which is no multiple of the sampling step {period:g}, so "
+                f"that it would shift with each repetition; expected for example {steps[-1] * period:g}"
+            )
         if steps[-1] > LONGEST:
             raise ProblemError(
                 f"reference.file lasts {steps[-1]} sampling steps; expected at most {LONGEST}: shorten the timetable"
@@ -166,7 +171,7 @@ class SetPoint(Displayed):
         outputs: C_z of the combinations z = C_z x, (z, n).
         value: their set-points, (z,); default 0. With steps at random times, those at the start.
         changes: how they change while the loop runs; None for constant set-points.
-        relative: whether they are relative to an operating point; then they are states of the exosystem also if all
+        counted: whether they count from an operating point; then they are states of the exosystem also if all
             are zero, as they are not at another operating point.
 
     Raises:
@@ -180,14 +185,14 @@ class SetPoint(Displayed):
     outputs: Array
     value: Array
     changes: Changes | None
-    relative: bool
+    counted: bool
 
     def __init__(
         self,
         outputs: ArrayLike,
         value: ArrayLike | None = None,
         changes: Changes | None = None,
-        relative: bool = False,
+        counted: bool = False,
     ) -> None:
         """Validate and store the arguments."""
         object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
@@ -207,12 +212,12 @@ class SetPoint(Displayed):
         given = np.zeros(size) if value is None else value
         object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
         object.__setattr__(self, "changes", changes)
-        object.__setattr__(self, "relative", relative)
+        object.__setattr__(self, "counted", counted)
 
     @property
     def moved(self) -> bool:
         """Whether the set-points are states of the exosystem: they are not zero, or they change."""
-        return self.relative or bool(self.value.any()) or self.changes is not None
+        return self.counted or bool(self.value.any()) or self.changes is not None
 
     def relative_to(self, state: Array) -> SetPoint:
         """Return the set-points relative to the combinations of a state, (n,)."""

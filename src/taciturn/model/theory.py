@@ -35,6 +35,8 @@ class Guarantee(Displayed):
         deciders: the largest cost δ of silence by group of links that are decided together, in a bound
             base + (Σ√(δ(1 − r)))² with the rate r at which all links of a group send.
         weights: share of each link in the rate of a bound that depends on one rate; default: one link has it all.
+        pull: γ of set-points that change at known times, with which an error of the input is correlated: if S is what
+            silence adds to the base, the bound is base + S + 2γ√S; 0 for other set-points.
         more_sends: whether the bound also holds if packets are sent in further steps, since it limits the cost of each
             silent step and a packet ends silence.
     """
@@ -47,6 +49,7 @@ class Guarantee(Displayed):
     deciders: Mapping[tuple[str, ...], float] = field(default_factory=lambda: {})
     weights: Mapping[str, float] = field(default_factory=lambda: {})
     more_sends: bool = False
+    pull: float = 0.0
 
     def at_rates(self, rates: Mapping[str, Estimate], link: str) -> Estimate | None:
         """Return the bound that depends on the rates, with the error that the errors of the rates cause.
@@ -73,25 +76,30 @@ class Guarantee(Displayed):
             shares = self.weights or {link: 1.0}
             rate = sum(share * rates[name].value for name, share in shares.items())
             error = sum(share * rates[name].standard_error for name, share in shares.items())
-            return Estimate(
-                self.base + self.per_silence * (1 - rate), abs(self.per_silence) * error, rates[link].method
-            )
+            bound = self._with(self.per_silence * (1 - rate))
+            later = self._with(self.per_silence * (1 - rate + error))
+            return Estimate(bound, abs(later - bound), rates[link].method)
         bound = self._of(values)
         moved = [self._of({**values, name: rate.value - rate.standard_error}) - bound for name, rate in rates.items()]
         return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)
 
     def _of(self, rates: Mapping[str, float]) -> float:
-        """Return base + (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
+        """Return the bound with S = (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
         assert self.base is not None
         silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
-        return self.base + sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
+        return self._with(sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2)
+
+    def _with(self, added: float) -> float:
+        """Return base + S + 2γ√S for what silence adds."""
+        assert self.base is not None
+        return self.base + added + 2 * self.pull * sqrt(max(added, 0.0))
 
     def at_rate(self, rate: float) -> float | None:
         """Return the bound base + per_silence·(1 − rate) at a rate in sends per step.
 
         It is None if there is no such bound, or if the bound depends on the rates of several links (``at_rates``).
         """
-        return None if self.base is None or self.deciders else self.base + self.per_silence * (1 - rate)
+        return None if self.base is None or self.deciders else self._with(self.per_silence * (1 - rate))
 
 
 @dataclass(frozen=True, repr=False)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -90,6 +90,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "limits": ("limits", "plant"),
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
+TABLES = frozenset(one.name for one in fields(File)) - {"policy"}  # tables of a file that are replaced as a whole
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -245,26 +246,24 @@ class Problem(Displayed):
     def changed(self, values: Mapping[str, object]) -> Problem:
         """Return the problem with new values of ``[policy]`` keys or dotted keys (``plant.dt``).
 
-        None removes a key, or a table such as ``controller``.
+        None removes a key, or a table such as ``controller``; a value of a table's name replaces the table.
 
         Raises:
             ProblemError: if a key does not exist or a value is invalid.
         """
-        parameters, tables = dict(self.parameters), _copied(self.source or {})
-        touched: set[str] = set()
+        parameters, tables, touched = dict(self.parameters), _copied(self.source or {}), set[str]()
+        instance("values", values, Mapping)
         for name, value in values.items():
-            *path, key = name.split(".")
+            *path, key = str(name).split(".")
             divided = path[1:] if path[:1] == ["policy"] else path  # such as shares.level-1
             if len(divided) == 1 and _holds_numbers(self.record, divided[0]):
                 held = {**cast("Mapping[str, object]", parameters.get(divided[0]) or {}), key: value}
                 parameters[divided[0]] = {one: number for one, number in held.items() if number is not None}
-            elif value is None and name in tables and name not in parameters:
-                del tables[name]
+            elif name in (TABLES if value is not None and self.source else tables) and name not in parameters:
+                tables[name] = value
                 touched.add(name)
             elif not path or path == ["policy"]:
                 parameters[key] = value
-                if value is None:
-                    del parameters[key]
             elif path[0] == "policy":
                 raise ProblemError(f"{name} is not a key; expected a key of [policy], such as policy.{path[1]}")
             elif self.source is None:
@@ -277,14 +276,15 @@ class Problem(Displayed):
                 for part in path:
                     found: object = table.setdefault(part, {})
                     if not isinstance(found, dict):
-                        raise ProblemError(
-                            f"{name} is not a key: {part} is {quoted(found)}; expected a key such as plant.dt"
-                        )
+                        got = f"{part} is {quoted(found)}"
+                        raise ProblemError(f"{name} is not a key: {got}; expected a key such as plant.dt")
                     table = cast("dict[str, Any]", found)
                 table[key] = value
                 if value is None:
                     del table[key]
-        tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}
+        parameters = {key: value for key, value in parameters.items() if value is not None}
+        tables = {name: table for name, table in tables.items() if table is not None}
+        tables |= {"policy": {"kind": parameters.pop("kind", self.kind), **parameters}}
         if touched:
             parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual), self.own)
             kept = [name for name, read in PARTS.items() if touched.isdisjoint(read)]

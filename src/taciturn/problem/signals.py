@@ -16,7 +16,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.reference import Reference
 from taciturn.model.set_points import Changes, RandomSteps, SetPoint, Timetable
-from taciturn.problem.tables import File, ReferenceTable
+from taciturn.problem.tables import DisturbanceEntry, File, ReferenceTable
 
 SLOW = 1e-3  # distance from a mode of a constant, relative to the pace of the plant
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
@@ -63,12 +63,17 @@ def with_exosystem(
     acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
     rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
     target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value, _changes(points))
-    given = [
-        ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
-        for one in file.disturbance or ()
-    ]
+    given = [_disturbance(place, one) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
     return follow(plant, target.outputs, points.value, given, target.changes)
+
+
+def _disturbance(place: int, one: DisturbanceEntry) -> ExternalDisturbance:
+    """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
+    try:
+        return ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
+    except ProblemError as error:
+        raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
 
 def _changes(table: ReferenceTable) -> Changes | None:
@@ -82,11 +87,11 @@ def _changes(table: ReferenceTable) -> Changes | None:
     try:
         with warnings.catch_warnings():  # of a file without rows, which Timetable refuses
             warnings.simplefilter("ignore", UserWarning)
-            rows = np.loadtxt(table.file, delimiter=",", ndmin=2, encoding="utf-8")
+            rows = np.loadtxt(table.file, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise ProblemError(
-            f"reference.file {table.file} cannot be read ({str(error).split(';')[0]}); expected a text file with rows "
-            "of a time and the set-points from then on, separated by commas"
+            f"reference.file {table.file} cannot be read ({str(error).split(';')[0]}); expected rows of a time and "
+            "the set-points from then on, separated by commas, without a header"
         ) from None
     return Timetable(rows[:, 0], rows[:, 1:])
 

@@ -93,6 +93,10 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(f"the loop differs from the design: {differences[0]}")
     if nodes.tracking is not None:
         raise NoClockError("the policy follows a stored reference")
+    if certainty.timed:
+        raise NoClockError(
+            "the set-points change at known times, and the cost of periodic control is computed for other changes only"
+        )
     least = certainty.problem.per_unit(certainty.cost_all_time)
     if nodes.theory.periodic is None and abs(least - nodes.cost_all_time) > ALIKE * abs(least):
         if problem.own is None:

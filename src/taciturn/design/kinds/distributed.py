@@ -9,7 +9,7 @@ from math import sqrt
 from taciturn._arrays import choice, flag, instance
 from taciturn.analyse.outcomes import MOST_LINKS, outcomes
 from taciturn.design.anti_windup import within_limits
-from taciturn.design.bounds import shares_of, threshold_of
+from taciturn.design.bounds import PULLED, shares_of, threshold_of
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps
 from taciturn.design.estimation import ESTIMATE
@@ -143,7 +143,7 @@ def _policy(
     sensors = ContributionSteps(certainty, network, prediction, thresholds)
     inputs = InputSteps(certainty, network, actuation, thresholds)
     lossy = _lossy(network)
-    told = all(network.acknowledges(link) for link in lossy)
+    told = all(network.acknowledges(link) for link in lossy) and not certainty.timed
     covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
     sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
     policy = Policy(
@@ -201,15 +201,17 @@ def _thresholds(
 
 def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[str, ...], float]) -> Guarantee:
     """Return J ≤ J_all + (Σ√δ_l)² and, at the rates, J ≤ J_all + (Σ√(δ_l(1 − r_l)))², by Minkowski's inequality."""
-    problem, all_time = certainty.problem, certainty.cost_all_time
+    problem, all_time, pull = certainty.problem, certainty.cost_all_time, certainty.pull
+    added = sum(sqrt(delta) for delta in thresholds.values())
     return Guarantee(
-        problem.per_unit(all_time + sum(sqrt(delta) for delta in thresholds.values()) ** 2),
-        "J ≤ J_all + (Σ√(δ_l(1 − r_l)))², δ_l the most that the error of link l can cost, r_l its rate; mean-square "
-        "stable",
+        problem.per_unit(all_time + added**2 + 2 * pull * added),
+        f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
+        "its rate; mean-square stable",
         "khashooei2017",
         problem.per_unit(all_time),
         deciders={group: delta / problem.tick for group, delta in thresholds.items()},
         more_sends=True,
+        pull=pull / sqrt(problem.tick),
     )
 
 

@@ -1,0 +1,255 @@
+"""Set-points that change while the loop runs: costs of their transients, bounds, timetables, and refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from counts import few
+from systems import make_system, well_posed
+
+from taciturn import ContinuousPlant, Cost, Plant, average, close, design, load, simulate
+from taciturn.design.certainty import design_certainty
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
+from taciturn.model.set_points import RandomSteps, Timetable
+from taciturn.problem import parse
+from taciturn.simulation.average import completed_squares, plain_average
+
+A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
+B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])
+C = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+COST = Cost(C.T @ C + 0.1 * np.eye(3), 0.1 * np.eye(2))
+PUSH = ExternalDisturbance([0.0, 0.3, 0.1], 1e-3)
+
+
+def plant_with(*disturbances: ExternalDisturbance, value: tuple[float, ...] = (1.0, -2.0)) -> Plant:
+    """Return the plant with disturbances and set-points."""
+    return follow(Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, disturbances)
+
+
+def test_held_values_follow_set_points_that_change() -> None:
+    """Of several nodes: set-points are no outputs of a sensor, and a timetable needs no more packets later."""
+    tank = load("quadruple-tank")
+    table = Timetable([0, 30, 60], [[0, 0], [2, -1], [0, 0]])
+    plant = follow(tank.plant, [[1.0, 0, 0, 0], [0, 1.0, 0, 0]], changes=table)
+    loop = close(plant, design.distributed(plant, tank.cost, theta=0.3, network=tank.network, period=4.0))
+    assert average(loop, steps=20_000).notes == ()
+
+
+STEPS = RandomSteps(0.01, [[4.0, 1.0], [1.0, 9.0]])
+TIMES = Timetable([0, 7, 20, 31, 50], [[1, -2], [2, 0], [0, 0], [0, 5], [1, -2]])
+
+
+def changing(changes: RandomSteps | Timetable) -> Plant:
+    """Return the plant of the reference with a disturbance and set-points that change."""
+    value = None if isinstance(changes, Timetable) else (1.0, -2.0)
+    return follow(Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, [PUSH], changes)
+
+
+@pytest.mark.parametrize("changes", [STEPS, TIMES], ids=["steps", "timetable"])
+def test_set_points_that_change_cost_their_transients(changes: RandomSteps | Timetable) -> None:
+    """The cost with every sample and the identity are exact: a simulation of the plant agrees."""
+    plant = changing(changes)
+    constant = design.all_time(plant_with(PUSH), COST).cost_all_time
+    policy = design.excess(plant, COST, delta=0.1)
+    assert constant is not None
+    assert policy.cost_all_time is not None
+    assert policy.cost_all_time > 1.5 * constant
+    always, loop = close(plant, design.all_time(plant, COST)), close(plant, policy)
+    assert loop.nominal
+    plain = average(always, plain_average(always), seed=1, steps=2_000_000).cost
+    assert abs(plain.value - policy.cost_all_time) < 4 * plain.standard_error
+    whole = average(loop, plain_average(loop), seed=1, steps=2_000_000)
+    assert policy.guarantee is not None
+    bound = policy.guarantee.at_rates(whole.rates, "actuator")
+    assert bound is not None
+    assert whole.cost.value < bound.value + 4 * whole.cost.standard_error
+    if isinstance(changes, Timetable):  # with whose changes an error of the input is correlated
+        assert policy.theory.identity is None
+        return
+    squares = average(loop, completed_squares(loop), seed=2, steps=200_000).cost
+    error = np.hypot(whole.cost.standard_error, squares.standard_error)
+    assert abs(whole.cost.value - squares.value) < 4 * error
+    assert squares.value < policy.cost_all_time + 0.1
+
+
+@pytest.mark.parametrize("sensors", [("hold", "hold"), ("model", "model")])
+def test_sensors_that_decide_need_not_know_the_set_points(sensors: tuple[str, str]) -> None:
+    """Only the controller is given them; the bound of the whole holds."""
+    plant = changing(STEPS)
+    policy = design.distributed(plant, COST, theta=0.5, prediction=sensors[0], actuation=sensors[1])  # type: ignore[arg-type]
+    found = average(close(plant, policy), seed=1, steps=200_000)
+    assert policy.guarantee is not None
+    assert policy.cost_all_time is not None
+    assert policy.cost_all_time < found.cost.value < policy.guarantee.cost
+    path = simulate(close(plant, policy), ticks=20_000, seed=3)
+    apart = path.state[:, :3] @ C.T - path.state[:, -2:]
+    means = apart.reshape(50, -1, 2).mean(axis=1)
+    assert (np.abs(means.mean(axis=0)) < 4 * means.std(axis=0, ddof=1) / np.sqrt(50)).all()
+
+
+def test_a_timetable_is_followed_from_its_first_row() -> None:
+    """The last states are the set-points, which the measurement does not contain."""
+    plant = changing(TIMES)
+    path = simulate(close(plant, design.excess(plant, COST, delta=0.1)), 60)
+    assert path.state[[0, 6, 7, 31, 49, 50], -2:].tolist() == [[1, -2], [1, -2], [2, 0], [0, 5], [0, 5], [1, -2]]
+    assert path.measurement.shape == (60, 2)
+
+
+def test_a_change_between_sampling_instants_takes_effect_at_the_next() -> None:
+    """And its size is unchanged."""
+    table = Timetable([0, 0.24, 1.0], [[0.0], [3.0], [0.0]]).sampled(0.1).table
+    assert table[:, 0].tolist() == [0, 0, 3, 0, 0, 0, 0, 0, 0, -3]
+    assert RandomSteps(0.5, [[2.0]]).sampled(0.1).noise == pytest.approx(0.1)
+
+
+def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
+    """As steps at random times, or as a timetable in a file."""
+    tables = {
+        "plant": {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "W": [[0.1]], "V": [[0.1]], "dt": 1.0},
+        "cost": {"Q": [[1.0]], "R": [[0.1]]},
+        "policy": {"kind": "excess", "theta": 0.1},
+    }
+    (tmp_path / "levels.csv").write_text("# s, level\n0, 1\n20, 3\n50, 1\n")
+    steps = {"rate": 0.01, "covariance": [[4.0]]}
+    path = str(tmp_path / "levels.csv")
+    for reference, noise in (({"steps": steps}, 0.04), ({"file": path}, 0.16)):
+        plant = parse({**tables, "reference": reference}, "x").plant
+        assert plant.exosystem is not None
+        assert plant.exosystem.W[-1, -1] == pytest.approx(noise)
+    for reference, words in (
+        ({"steps": steps, "file": path}, "reference.steps and reference.file are given"),
+        ({"file": path, "value": [1.0]}, "reference.value and reference.file are given"),
+        ({"file": "none.csv"}, "none.csv cannot be read"),
+        ({"steps": {"rate": 2.0, "covariance": [[1.0]]}}, "more than one step in each sampling period"),
+        ({"steps": {"rate": 0.1, "covariance": [[0.0]]}}, "covariance is zero"),
+        (
+            {"steps": {"rate": 0.1, "covariance": [[1.0, 0], [0, 1.0]]}},
+            r"covariance states changes of 2",
+        ),
+    ):
+        with pytest.raises(ProblemError, match=words):
+            parse({**tables, "reference": reference}, "x").design()
+
+
+@pytest.mark.parametrize("seed", few(range(100), 3))
+def test_a_timetable_pulls_at_errors_of_the_input(seed: int) -> None:
+    """The bound contains the derivative of the cost of the noise-free loop with respect to each error of the input."""
+    rng = np.random.default_rng(seed)
+    system = make_system(seed, int(rng.integers(1, 5)), int(rng.integers(1, 3)), int(rng.integers(1, 3)), False)
+    if not (well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T)):
+        pytest.skip("the random plant is hardly controllable")
+    base, steps = system.plant, int(rng.integers(2, 7))
+    values = rng.standard_normal((steps, 1))
+    table = Timetable(range(steps + 1), np.vstack([values, values[:1]]))
+    plant = follow(base, rng.standard_normal((1, base.states)), changes=table)
+    problem = discretise(plant, system.cost, None)
+    found = design_certainty("excess", problem)
+    assert found.timed
+    n, followed, moves = base.states, problem.followed, np.diff(table.values, axis=0)
+    assert followed is not None
+    shift = followed.T[:n, n:] @ moves.T  # of the deviation from (Xd, Ud), by each change
+    L, cost = found.regulator.L[:, :n], system.cost
+    closed = base.A + base.B @ L
+
+    def periodic_cost(errors: np.ndarray) -> float:
+        """Return the cost per step of the loop without noise, with errors of the input that repeat."""
+        x, power = np.zeros(n), np.linalg.matrix_power(closed, steps)
+        for k in range(steps):
+            x = closed @ x + base.B @ errors[k] + shift[:, k]
+        x, total = np.linalg.solve(np.eye(n) - power, x), 0.0
+        for k in range(steps):
+            u = L @ x + errors[k]
+            total += x @ cost.Q @ x + u @ cost.R @ u + 2 * x @ cost.N @ u
+            x = base.A @ x + base.B @ u + shift[:, k]
+        return total / steps
+
+    none, square = np.zeros((steps, base.inputs)), 0.0
+    for k in range(steps):
+        unit = np.eye(steps * base.inputs).reshape(-1, steps, base.inputs)[k * base.inputs : (k + 1) * base.inputs]
+        slopes = np.array([periodic_cost(one) - periodic_cost(none - one) for one in unit]) * steps / 4  # of 2e'g
+        square += slopes @ np.linalg.solve(found.regulator.H, slopes) / steps
+    assert found.pull == pytest.approx(np.sqrt(square), rel=1e-6)
+
+
+@pytest.mark.parametrize("theta", few([0.5, 0.05, 3.0], 1))
+@pytest.mark.parametrize("seed", few(range(40), 2))
+def test_bounds_hold_with_timetables(seed: int, theta: float) -> None:
+    """Held inputs are correlated with the changes; the bound allows for this, in advance and at the rate."""
+    rng = np.random.default_rng(seed)
+    system = make_system(seed, int(rng.integers(1, 4)), int(rng.integers(1, 3)), int(rng.integers(1, 3)), False)
+    if not (well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T)):
+        pytest.skip("the random plant is hardly controllable")
+    table = Timetable([0, 4, 9, 12], [[0.0], [5.0], [-3.0], [0.0]])
+    plant = follow(system.plant, rng.standard_normal((1, system.plant.states)), changes=table)
+    for policy in (
+        design.excess(plant, system.cost, theta=theta),
+        design.distributed(plant, system.cost, theta=theta),
+    ):
+        found, guarantee = average(close(plant, policy), seed=seed, steps=200_000), policy.guarantee
+        assert guarantee is not None
+        sharper = guarantee.at_rates(found.rates, policy.scheduled[0])
+        assert sharper is not None
+        slack = 4 * found.cost.standard_error + 1e-9 * guarantee.cost
+        assert found.cost.value <= min(sharper.value + 4 * sharper.standard_error, guarantee.cost) + slack
+
+
+def test_the_error_of_a_held_input_is_correlated_with_a_timetable() -> None:
+    """Nearly without noise: completed squares would give .3486, and the bound would be .3492 at the rate."""
+    plant = follow(Plant([[0.7]], [[1.0]], [[1e-8]], [[1.0]], [[1e-8]]), changes=Timetable([0, 3, 6], [[0], [1], [0]]))
+    policy = design.excess(plant, Cost([[1.0]], [[0.1]]), delta=0.003434)
+    found = average(close(plant, policy), steps=100_000).cost
+    assert found.value == pytest.approx(0.37513, abs=2e-4)  # an independent simulation
+    assert policy.guarantee is not None
+    assert found.value < policy.guarantee.cost < 0.42
+    clocked = design.periodic(plant, Cost([[1.0]], [[0.1]]), every=2)
+    assert clocked.theory.closed_form is None
+    assert average(close(plant, clocked), steps=100_000).rates["actuator"].value == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("period", few([0.5, 0.1, 1.0, 2.0], 1))
+@pytest.mark.parametrize("steps", [False, True])
+def test_set_points_do_not_change_between_sampling_instants(period: float, steps: bool) -> None:
+    """So the inter-sample noise cost is that of the noise alone, and a change costs K Δr²."""
+    tank = ContinuousPlant([[-1.0]], [[1.0]], [[1e-8]], C=[[1.0]], V=[[1e-8]])
+    changes = RandomSteps(0.1, [[1.0]]) if steps else Timetable([0, 10, 20], [[0.0], [1.0], [0.0]])
+    cost = Cost([[1.0]], [[0.1]])
+    problem = discretise(follow(tank, changes=changes), cost, period)
+    alone = discretise(tank, cost, period)
+    K = design_certainty("lqg", alone).regulator.K.item()
+    assert problem.noise_cost == pytest.approx(alone.noise_cost, rel=1e-9)
+    found = design.lqg(follow(tank, changes=changes), cost, theta=0.0, period=period).cost_all_time
+    assert found == pytest.approx(K * 0.1, rel=2e-3)  # transients hardly overlap, and there is hardly any noise
+
+
+def test_one_of_two_set_points_may_never_change() -> None:
+    """With random steps and with a timetable; the controller is given both."""
+    tank = load("quadruple-tank")
+    levels = [[1.0, 0, 0, 0], [0, 1.0, 0, 0]]
+    for one, nearly in (
+        (RandomSteps(0.002, [[4.0, 0], [0, 0]]), RandomSteps(0.002, [[4.0, 0], [0, 1e-9]])),
+        (Timetable([0, 40, 80], [[0, 1], [2, 1], [0, 1]]), Timetable([0, 40, 80], [[0, 1], [2, 1 + 1e-6], [0, 1]])),
+    ):
+        costs = [
+            design.excess(follow(tank.plant, levels, changes=changes), tank.cost, theta=0.3, period=4.0).cost_all_time
+            for changes in (one, nearly)
+        ]
+        assert costs[0] == pytest.approx(costs[1], rel=1e-5)
+
+
+def test_what_set_points_that_change_are_refused() -> None:
+    """A timetable that would shift, disturbances that would be replaced, and thresholds that would grow."""
+    tank = ContinuousPlant([[-1.0]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
+    cost, table = Cost([[1.0]], [[1.0]]), Timetable([0, 10, 20], [[0.0], [1.0], [0.0]])
+    with pytest.raises(ProblemError, match=r"reference.file lasts 20, .* step 0.3, .*; expected for example 20.1"):
+        design.lqg(follow(tank, changes=table), cost, theta=0.1, period=0.3)
+    with pytest.raises(ProblemError, match="already has disturbances or set-points; expected all of them in one call"):
+        follow(follow(tank, changes=table), value=[1.0])
+    with pytest.raises(ProblemError, match=r"size of the state, which grows with them; expected a trigger with a const"):
+        design.relative(follow(tank, value=[1.0]), cost, sigma=0.1, period=0.5)
+    with pytest.raises(ProblemError, match=r"disturbance\.enters and measured are zero"):
+        ExternalDisturbance([0.0], 1e-3)
