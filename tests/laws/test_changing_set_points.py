@@ -249,7 +249,7 @@ def test_what_set_points_that_change_are_refused() -> None:
         design.lqg(follow(tank, changes=table), cost, theta=0.1, period=0.3)
     with pytest.raises(ProblemError, match="already has disturbances or set-points; expected all of them in one call"):
         follow(follow(tank, changes=table), value=[1.0])
-    with pytest.raises(ProblemError, match=r"size of the state, which grows with them; expected a trigger with a const"):
+    with pytest.raises(ProblemError, match=r"size of the state, which grows with them; expected a trigger with"):
         design.relative(follow(tank, value=[1.0]), cost, sigma=0.1, period=0.5)
     with pytest.raises(ProblemError, match=r"disturbance\.enters and measured are zero"):
         ExternalDisturbance([0.0], 1e-3)

@@ -97,8 +97,8 @@ class Nodes:
         policy: policy of the nodes.
         network: network between the nodes; default: the network of the design.
         seed: seed of packet drops and of the policy's random draws; the draws of a step depend only on seed and step.
-        estimate: estimate of the state before the first measurement, (n,); default: the mean of the problem, at
-            which predictions of other nodes start in any case.
+        estimate: estimate of the state before the first measurement, with disturbances and set-points, (n,); default:
+            the mean of the problem, at which predictions of other nodes start in any case.
         start_input: input before the first step, (m,), from which the loop takes over without a jump: inputs that are
             held start with it, and if the model has constant disturbances, their estimate is that for which the first
             command is this input, if the first measurement is as predicted. If not, ``notes`` states this.
