@@ -241,6 +241,19 @@ def test_one_of_two_set_points_may_never_change() -> None:
         assert costs[0] == pytest.approx(costs[1], rel=1e-5)
 
 
+def test_tables_are_changed_as_a_whole() -> None:
+    """Also those that the file did not have; a later change of a key keeps them."""
+    push = {"enters": [-1.0, 0.0, 0.0, 0.0], "wander": 1e-4}
+    found = load("quadruple-tank").changed({"disturbance": [push], "reference": {"value": [1.0, -1.0]}})
+    assert found.plant.exosystem is not None
+    assert found.plant.exosystem.start.tolist() == [0.0, 1.0, -1.0]
+    without = found.changed({"disturbance": None}).plant.exosystem
+    assert without is not None
+    assert without.start.tolist() == [1.0, -1.0]
+    with pytest.raises(ProblemError, match=r"values is \[1\]; expected a Mapping"):
+        found.changed([1])  # type: ignore[arg-type]
+
+
 def test_what_set_points_that_change_are_refused() -> None:
     """A timetable that would shift, disturbances that would be replaced, and thresholds that would grow."""
     tank = ContinuousPlant([[-1.0]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])

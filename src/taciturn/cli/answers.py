@@ -74,7 +74,8 @@ def evaluate(
         typer.echo(found)
         note_seed(seed, found.drawn)
     if not found.reached and steps is not None:
-        refuse(f"the loop has not settled within {found.steps} steps; give more --steps")
+        unless = ", unless a note states why there is no average" if found.notes else ""
+        refuse(f"the loop has not settled within {found.steps} steps; give more --steps{unless}")
     if not found.reached and time is not None and found.seconds > time:
         refuse(
             f"the standard error was not reached within --time {time:g} s; reached "

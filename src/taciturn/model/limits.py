@@ -162,6 +162,10 @@ def _bounds(name: str, value: ArrayLike | None, size: int, side: int) -> Array:
     except (TypeError, ValueError):
         given = np.full(0, np.nan)
     none = given == side * np.inf
+    if (given == -side * np.inf).any():
+        raise ProblemError(
+            f"limits.{name} contains {-side * np.inf:g}; expected numbers, or {side * np.inf:g} for no limit"
+        )
     array(f"limits.{name}", np.where(none, 0.0, given) if given.size else value, (size,), "(combinations,)")
     return frozen(given)
 
