@@ -249,7 +249,6 @@ def forgetting(
     return 1 / (1 - max(regulated, slowest))
 
 
-@kept
 def filter_given(A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
     """Return the steady Kalman filter of a plant whose last states, such as set-points, are its last outputs.
 
@@ -277,6 +276,7 @@ def filter_given(A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
     )
 
 
+@kept
 def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
     """Return the steady Kalman filter, as :func:`steady_filter` does, for matrices that were already checked."""
     n, p = A.shape[0], C.shape[0]
