@@ -373,7 +373,6 @@ def test_a_file_states_limits_of_its_outputs_or_of_combinations(tmp_path: Any) -
         ("outputs = [[1.0]]\nhigh = [1.0]", "limits.outputs has 1 columns; expected 2, one for each state"),
         ("high = [1.0, 2.0]", "limits.high has shape (2,); expected (1,)"),
         ("high = 1.0", "limits.high is 1.0; expected a list"),
-        ("high = [-inf, 1.0]", "limits.high contains -inf; expected numbers, or inf for no limit"),
     ],
 )
 def test_a_wrong_table_of_limits_is_one_sentence(tmp_path: Any, table: str, words: str) -> None:
