@@ -259,7 +259,7 @@ class Problem(Displayed):
             if len(divided) == 1 and _holds_numbers(self.record, divided[0]):
                 held = {**cast("Mapping[str, object]", parameters.get(divided[0]) or {}), key: value}
                 parameters[divided[0]] = {one: number for one, number in held.items() if number is not None}
-            elif name in (TABLES if value is not None and self.source else tables) and name not in parameters:
+            elif isinstance(value, Mapping | list | None) and name in (TABLES if value and self.source else tables):
                 tables[name] = value
                 touched.add(name)
             elif not path or path == ["policy"]:

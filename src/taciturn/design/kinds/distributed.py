@@ -143,7 +143,8 @@ def _policy(
     sensors = ContributionSteps(certainty, network, prediction, thresholds)
     inputs = InputSteps(certainty, network, actuation, thresholds)
     lossy = _lossy(network)
-    told = all(network.acknowledges(link) for link in lossy) and not certainty.timed
+    told = all(network.acknowledges(link) for link in lossy)
+    square = Identity(lossless, (Form((EXCESS,), certainty.regulator.H / problem.tick),))
     covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
     sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
     policy = Policy(
@@ -156,7 +157,7 @@ def _policy(
             noise_cost=problem.noise_cost,
             settling=certainty.settling,
             guarantee=None if lossy else _guarantee(certainty, thresholds),
-            identity=Identity(lossless, (Form((EXCESS,), certainty.regulator.H / problem.tick),)) if told else None,
+            identity=square if told and not certainty.timed else None,
             innovations=sensors.innovations() if told else None,
             sums=sums if told else {},
             covers=covers | BURSTS if lossy and told else covers,
