@@ -16,7 +16,7 @@ from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.model.theory import ErrorGain, Guarantee
+from taciturn.model.theory import ErrorGain, Guarantee, with_silence
 
 PULLED = " + 2γ√(what silence adds), γ of the timetable"
 LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
@@ -81,7 +81,7 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
     """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
     problem, all_time, pull = certainty.problem, certainty.cost_all_time, certainty.pull
     return Guarantee(
-        problem.per_unit(all_time + per_silence + 2 * pull * sqrt(per_silence)),
+        problem.per_unit(with_silence(all_time, per_silence, pull)),
         f"J ≤ J_all + δ(1 − rate){PULLED if pull else ''}, δ the most that silence can cost; mean-square stable",
         source,
         problem.per_unit(all_time),

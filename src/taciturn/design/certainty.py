@@ -20,7 +20,6 @@ from taciturn._display import Displayed
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
-from taciturn.lqg._followed import transients
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start, filter_given
 from taciturn.lqg.periodic import Held
@@ -122,9 +121,9 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
     pull = 0.0
-    if isinstance(plant.changes, SampledChanges):
-        found = transients(problem.quadratic, regulator.L, regulator.K, regulator.H, plant.changes.table)
-        cost, pull = cost + found[0], found[1]
+    if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
+        added, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
+        cost += added
     left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
     square = regulator.L.T @ regulator.H @ regulator.L
     doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))

@@ -77,46 +77,42 @@ class Followed(Displayed):
             late = late @ late
         return effects[-1] > CANCELS * max(effects)
 
+    def transients(self, L: Array, K: Array, H: Array, table: Array) -> tuple[float, float]:
+        """Return the effects of set-points that change at known times, which are no noise of mean zero.
 
-def transients(given: Quadratic, L: Array, K: Array, H: Array, table: Array) -> tuple[float, float]:
-    """Return the effects of set-points that change at known times, which are no noise of mean zero.
+        A change moves the deviation ξ = x − Xd by m = −XΔ, before the transient of the change before it has ended. So
+        the cost-to-go of the regulator is ξ'Kξ + 2h'ξ + constant with h_k = (A + BL)'(K m_k + h_{k+1}), and an error e
+        of the input adds e'He + 2e'g with g_k = B'(K m_k + h_{k+1}).
 
-    A change moves the deviation ξ = x − Xd by m = −XΔ, before the transient of the change before it has ended. So the
-    cost-to-go of the regulator is ξ'Kξ + 2h'ξ + constant with h_k = (A + BL)'(K m_k + h_{k+1}), and an error e of the
-    input adds e'He + 2e'g with g_k = B'(K m_k + h_{k+1}).
+        Args:
+            L: gain of the regulator.
+            K: cost-to-go of the regulator.
+            H: weight of the error of the input.
+            table: change of the set-points, the last states, from each step to the next, repeated, (steps, z).
 
-    Args:
-        given: the problem, whose last states are the set-points.
-        L: gain of the regulator.
-        K: cost-to-go of the regulator.
-        H: weight of the error of the input.
-        table: change of the set-points from each step to the next, repeated, (steps, z).
-
-    Returns:
-        The cost per step beyond that of unrelated changes, which cost tr(X'KX ΔΔ') each, and the root mean square of g
-        in the norm of the inverse of H.
-    """
-    change = followed(given)
-    if change is None:
-        return 0.0, 0.0
-    x = ~change.states
-    A, B, Q, R, N = change.problem
-    gain, weight = L[:, x], K[np.ix_(x, x)]
-    closed = A[np.ix_(x, x)] + B[x] @ gain
-    stage = Q[np.ix_(x, x)] + gain.T @ R @ gain + N[x] @ gain + (N[x] @ gain).T
-    moves = table @ change.T[x][:, -table.shape[1] :].T  # of the deviation, by each change
-    before, later, power, unit = np.zeros(len(closed)), np.zeros(len(closed)), np.eye(len(closed)), np.eye(len(closed))
-    for first, last in zip(moves, moves[::-1], strict=True):
-        before, later, power = closed @ before + first, closed.T @ (weight @ last + later), closed @ power
-    deviation, ahead = np.linalg.solve(unit - power, before), np.linalg.solve(unit - power.T, later)
-    cost, pulls = 0.0, np.empty((len(moves), B.shape[1]))
-    for k, (first, last) in enumerate(zip(moves, moves[::-1], strict=True)):
-        cost += float(deviation @ stage @ deviation) - float(first @ weight @ first)
-        deviation = closed @ deviation + first
-        ahead = weight @ last + ahead
-        pulls[k], ahead = B[x].T @ ahead, closed.T @ ahead
-    square = float(np.einsum("ki,ij,kj", pulls, np.linalg.pinv(H, hermitian=True), pulls))
-    return cost / len(table), sqrt(max(square, 0.0) / len(table))
+        Returns:
+            The cost per step beyond that of unrelated changes, which cost tr(X'KX ΔΔ') each, and the root mean square
+            of g in the norm of the inverse of H.
+        """
+        x = ~self.states
+        A, B, Q, R, N = self.problem
+        gain, weight = L[:, x], K[np.ix_(x, x)]
+        closed = A[np.ix_(x, x)] + B[x] @ gain
+        stage = Q[np.ix_(x, x)] + gain.T @ R @ gain + N[x] @ gain + (N[x] @ gain).T
+        moves = table @ self.T[x][:, -table.shape[1] :].T  # of the deviation, by each change
+        none, unit = np.zeros(len(closed)), np.eye(len(closed))
+        before, later, power = none, none, unit
+        for first, last in zip(moves, moves[::-1], strict=True):
+            before, later, power = closed @ before + first, closed.T @ (weight @ last + later), closed @ power
+        deviation, ahead = np.linalg.solve(unit - power, before), np.linalg.solve(unit - power.T, later)
+        cost, pulls = 0.0, np.empty((len(moves), B.shape[1]))
+        for k, (first, last) in enumerate(zip(moves, moves[::-1], strict=True)):
+            cost += float(deviation @ stage @ deviation) - float(first @ weight @ first)
+            deviation = closed @ deviation + first
+            ahead = weight @ last + ahead
+            pulls[k], ahead = B[x].T @ ahead, closed.T @ ahead
+        square = float(np.einsum("ki,ij,kj", pulls, np.linalg.pinv(H, hermitian=True), pulls))
+        return cost / len(table), sqrt(max(square, 0.0) / len(table))
 
 
 def followed(given: Quadratic) -> Followed | None:

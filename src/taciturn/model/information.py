@@ -29,7 +29,6 @@ from taciturn.model.policy import (
 )
 from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
-from taciturn.model.wire import Encoding
 
 INFORMED = Coverage(STEPS | TRACKING | INTERVALS, "the check of the information pattern does not know")
 Site: TypeAlias = frozenset[str]
@@ -62,9 +61,8 @@ def check_network(policy: Policy, network: Network) -> None:
                 f"{network.key(link, name)} is {law.intervals[name]}, but the decisions of this {policy.kind} keep "
                 f"{kept[name]}; expected the limits of the design, or the loop of `close`, whose policy keeps these"
             )
-    for (_, link), (encoding, size) in packet_shapes(policy, network).items():
-        if encoding.name == "int16" and size:
-            _expect_within_range(policy, network, link, encoding)
+    packet_shapes(policy, network)
+    _expect_within_ranges(policy, network)
     carrying = links_of(policy)
     if network.rounded and not any(told_by(policy, link) for link in carrying):
         raise ProblemError(
@@ -214,13 +212,14 @@ def _reads(step: Assign | Evaluate | Apply | Decide | Send) -> list[tuple[Sequen
     return [(form.reads, (form.Psi, form.constant)) for form in forms]
 
 
-def _expect_within_range(policy: Policy, network: Network, link: str, encoding: Encoding) -> None:
+def _expect_within_ranges(policy: Policy, network: Network) -> None:
     """Raise an error if a packet cannot carry the values at the operating point."""
     moves = at_rest(policy)
-    (send,) = (step for step in policy.steps if isinstance(step, Send) and step.link == link)
-    values = np.concatenate([moves.get(name, np.zeros(policy.sizes[name])) for name in send.payload])
-    if (np.abs(values) > np.array(encoding.full_scale)).any():
-        raise ProblemError(
-            f"{network.key(link, 'range')} is {list(encoding.full_scale)}, but at the operating point a packet of the "
-            f"{link} link carries {values.tolist()}; expected a range above these values"
-        )
+    for step in (step for step in policy.steps if isinstance(step, Send)):
+        largest = network.encoding(step.link).full_scale
+        values = np.concatenate([moves.get(name, np.zeros(policy.sizes[name])) for name in step.payload])
+        if largest and (np.abs(values) > np.array(largest)).any():
+            raise ProblemError(
+                f"{network.key(step.link, 'range')} is {list(largest)}, but at the operating point a packet of the "
+                f"{step.link} link carries {values.tolist()}; expected a range above these values"
+            )

@@ -76,8 +76,8 @@ class Guarantee(Displayed):
             shares = self.weights or {link: 1.0}
             rate = sum(share * rates[name].value for name, share in shares.items())
             error = sum(share * rates[name].standard_error for name, share in shares.items())
-            bound = self._with(self.per_silence * (1 - rate))
-            later = self._with(self.per_silence * (1 - rate + error))
+            bound = with_silence(self.base, self.per_silence * (1 - rate), self.pull)
+            later = with_silence(self.base, self.per_silence * (1 - rate + error), self.pull)
             return Estimate(bound, abs(later - bound), rates[link].method)
         bound = self._of(values)
         moved = [self._of({**values, name: rate.value - rate.standard_error}) - bound for name, rate in rates.items()]
@@ -87,19 +87,22 @@ class Guarantee(Displayed):
         """Return the bound with S = (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
         assert self.base is not None
         silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
-        return self._with(sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2)
-
-    def _with(self, added: float) -> float:
-        """Return base + S + 2γ√S for what silence adds."""
-        assert self.base is not None
-        return self.base + added + 2 * self.pull * sqrt(max(added, 0.0))
+        added = sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
+        return with_silence(self.base, added, self.pull)
 
     def at_rate(self, rate: float) -> float | None:
         """Return the bound base + per_silence·(1 − rate) at a rate in sends per step.
 
         It is None if there is no such bound, or if the bound depends on the rates of several links (``at_rates``).
         """
-        return None if self.base is None or self.deciders else self._with(self.per_silence * (1 - rate))
+        if self.base is None or self.deciders:
+            return None
+        return with_silence(self.base, self.per_silence * (1 - rate), self.pull)
+
+
+def with_silence(base: float, added: float, pull: float) -> float:
+    """Return the bound base + S + 2γ√S, with S = ``added`` and γ = ``pull`` of a ``Guarantee``."""
+    return base + added + 2 * pull * sqrt(max(added, 0.0))
 
 
 @dataclass(frozen=True, repr=False)

@@ -55,13 +55,13 @@ class Martingale:
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
 
     def _after(self, error: Array, w: Array) -> Array:
-        mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
+        mean = error @ self.F.T
 
         def spread(factor: Array) -> Array:
-            before, added = mean @ factor.T, factor @ turned
-            found = 2 * before @ added
+            before, added = mean @ factor.T, w @ factor.T
+            found = 2 * before @ np.swapaxes(added, 1, 2)
             found += lengths(before)[:, :, None]
-            found += np.einsum("...ij,...ij->...j", added, added)[:, None]
+            found += lengths(added)[:, None]
             return found
 
         return self._off(spread(self.cost), spread(self.power)).mean(axis=2)

@@ -23,7 +23,7 @@ from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.theory import Guarantee, Identity, Theory
+from taciturn.model.theory import Guarantee, Identity, Theory, with_silence
 from taciturn.model.trigger import Form
 
 MOST_SETS = 4  # actuator links of which the controller compares all sets
@@ -203,9 +203,9 @@ def _thresholds(
 def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[str, ...], float]) -> Guarantee:
     """Return J ≤ J_all + (Σ√δ_l)² and, at the rates, J ≤ J_all + (Σ√(δ_l(1 − r_l)))², by Minkowski's inequality."""
     problem, all_time, pull = certainty.problem, certainty.cost_all_time, certainty.pull
-    added = sum(sqrt(delta) for delta in thresholds.values())
+    added = sum(sqrt(delta) for delta in thresholds.values()) ** 2
     return Guarantee(
-        problem.per_unit(all_time + added**2 + 2 * pull * added),
+        problem.per_unit(with_silence(all_time, added, pull)),
         f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
         "its rate; mean-square stable",
         "khashooei2017",
