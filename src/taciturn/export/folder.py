@@ -20,8 +20,18 @@ from taciturn.export.library import named, print_library
 from taciturn.export.node import EXPORTED, CNode, CoreSizes, identifier, print_node, table
 from taciturn.export.vector import RecordedRun, record_loop
 from taciturn.loop import Loop
-from taciturn.model.places import inputs_at, outputs_at, place_of, receiver_of, roles, sender_of, wire_links
+from taciturn.model.places import (
+    inputs_at,
+    outputs_at,
+    place_of,
+    plant_links,
+    receiver_of,
+    roles,
+    sender_of,
+    wire_links,
+)
 from taciturn.model.policy import Send
+from taciturn.model.wire import SETPOINT
 from taciturn.program.c import REAL, c_literal, constant_array
 
 CORE_SOURCES = tuple(
@@ -238,6 +248,11 @@ def _print_readme(
             f"{wire_links(loop.policy).index(link)}: from `{sender_of(loop.policy, link)}` to "
             f"`{receiver_of(loop.policy, link)}`"
             for link in dict.fromkeys(step.link for step in loop.policy.steps if isinstance(step, Send))
+        )
+        + "".join(
+            f", {wire_links(loop.policy).index(link)}: set-points to `{ends.measures}`"
+            for link, ends in plant_links(loop.policy).items()
+            if link == SETPOINT
         ),
         mission="" if horizon is None else _MISSION.format(horizon=horizon),
         snippets="\n".join(_snippet(loop, one) for one in nodes),

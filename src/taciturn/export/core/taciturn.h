@@ -212,8 +212,8 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 /* Set the key of a link by its number (of three nodes: TAC_SENSOR_LINK or TAC_ACTUATOR_LINK), also while the node runs:
  * `key` authenticates the packets that the node sends, and packets with `key` or `other` are accepted. To change a key
  * without a stop, let all nodes accept the new key first, then use it, then accept it alone. `other` may be {NULL, 0}.
- */
-void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
+ * Return false, without effect, if no node receives or sends on a link with this number. */
+bool tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
 
 /* Set the watchdog: after `ticks` steps without a packet, the node is degraded, and the input is `safe_input`, or the
  * last input if NULL. With 0 steps, as after tac_start, there is no watchdog. For a node that receives packets. */

@@ -224,7 +224,7 @@ static void count_refusal(tac_counters *counters, tac_verdict verdict) {
 static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t size, tac_packet *packet) {
   unsigned link = (size > (size_t)LINK_AT) ? datagram[LINK_AT] : 0U;
   const tac_key *keys = node->keys[(link < (unsigned)TAC_LINKS) ? link : 0U];
-  bool has_key = keys[0].bytes != NULL;
+  bool has_key = link < (unsigned)TAC_LINKS && keys[0].bytes != NULL;
   tac_verdict verdict;
   for (unsigned i = 0U; !has_key && keys[0].bytes == NULL && i < (unsigned)TAC_LINKS; i++) {
     keys = node->keys[i];

@@ -233,9 +233,13 @@ void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input) {
   node->safe_input = safe_input;
 }
 
-void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
-  node->keys[link][0] = key;
-  node->keys[link][1] = other;
+bool tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
+  bool known = link < (uint8_t)TAC_LINKS;
+  if (known) {
+    node->keys[link][0] = key;
+    node->keys[link][1] = other;
+  }
+  return known;
 }
 
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
@@ -243,7 +247,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   unsigned given = tac_set_points(data);
   for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     const tac_key none = {NULL, 0U};
-    tac_set_keys(node, (uint8_t)link, key, none);
+    (void)tac_set_keys(node, (uint8_t)link, key, none);
   }
   node->epoch = epoch;
   node->loop = loop;

@@ -183,9 +183,9 @@ class DeviceNode(Node):
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
 
     def set_keys(self, keys: Keys) -> None:
-        """Give the keys of the links between nodes to the device, if they have changed."""
+        """Give the keys of the links between nodes and of set-points to the device, if they have changed."""
         for code, link in enumerate(self.wire.links):
-            found = () if link in self.wire.plant else keys.of(link)
+            found = () if link in self.wire.plant and link != SETPOINT else keys.of(link)
             if found and found != self._keys.get(link):
                 self._keys[link] = found
                 first, other = [Key(key, len(key)) for key in found] + [Key(None, 0)] * (2 - len(found))
