@@ -71,8 +71,8 @@ def _from_input(policy: Policy, network: Network, u: Array) -> tuple[Policy, tup
             "expected start_input of the controller ([controller] pid), or no start_input"
         )
     for signal, (node, rows) in policy.applied.items():
-        copies = {signal, f"{HELD}_{node}"} & policy.sizes.keys()
-        memories |= {name: u[[*rows]] for name in copies}
+        copies = dict.fromkeys((signal, f"{HELD}_{node}"))  # in one order: fingerprints contain the start values
+        memories |= {name: u[[*rows]] for name in copies if name in policy.sizes}
     if HELD in policy.sizes:
         memories[HELD] = u
     policy, prior = replace(policy, initial=memories), _prior(policy)
