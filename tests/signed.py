@@ -2,7 +2,8 @@
 
 Prints JSON: for each problem the digest of its data, the fingerprint of its policy, the digests of the description of
 its packets, of the program of its loop and of its nodes in C, and the token of its co-simulation unit. With ``--all``
-it does so for a problem of each kind and the built-in ones. They must be the same in every process, whatever the seed of its hashes.
+it does so for a problem of each kind and the built-in ones. They must be the same in every process, whatever the seed
+of its hashes.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
-from taciturn._files import write_whole
+from taciturn._files import delete_parts, read_whole, write_whole
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.program.names import text_of
@@ -24,6 +24,7 @@ Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
 IDLE = 0.25  # seconds between checks for a stop request
 WAIT = 0.3, 0.55  # default fractions of a step for which controller and actuators wait
+LARGEST_STATE = 1 << 26  # bytes of a saved state; those of nodes have some kilobytes
 QUIET = 0.05  # seconds without datagrams after which no more are expected
 
 
@@ -94,12 +95,13 @@ class FileStorage:
     """
 
     def __init__(self, path: Path) -> None:
-        """Check that the folder exists."""
+        """Check that the folder exists, and delete incomplete files, which a killed process has left."""
         if not path.parent.is_dir():
             raise ProblemError(
                 f"the state cannot be saved in {path.parent}, which is not a folder; expected an existing folder"
             )
         self._path = path
+        delete_parts(path)
 
     def __str__(self) -> str:
         """Return the name of the file."""
@@ -108,7 +110,7 @@ class FileStorage:
     def read(self) -> bytes | None:
         """Return the content of the file, or None if it does not exist."""
         try:
-            return self._path.read_bytes() if self._path.exists() else None
+            return read_whole(self._path, LARGEST_STATE) if self._path.exists() else None
         except OSError as error:
             raise ProblemError(
                 f"the saved state {self._path} cannot be read ({error}); expected a saved state of this node"
@@ -191,7 +193,8 @@ def log_line(
     if given is not None:
         line["u"] = list(given)
     line |= {"degraded": int(node.degraded), "reasons": dict(node.reasons)}
-    return line | {"silent": int(node.silent), "waiting": node.waiting}
+    line |= {"silent": int(node.silent), "silent_links": list(node.silent_links)}
+    return line | {"waiting": node.waiting}
 
 
 def name_of_part(log: Path) -> Path:
