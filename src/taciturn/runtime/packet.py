@@ -141,7 +141,8 @@ class Wire:
             if shape is not None:
                 expected = f"{shape.entries} finite numbers, none beyond {LARGEST:.2g}"
             raise ProblemError(
-                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected {expected}"
+                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
+                f"{expected}"
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 
@@ -159,8 +160,9 @@ class Wire:
     def decode(self, datagram: bytes) -> Packet | str:
         """Return the packet in a datagram, or the reason why the datagram is rejected.
 
-        ``"malformed"``: the length or a field is invalid, or a number is not finite or beyond 3.4e38. ``"corrupted"``: the CRC is wrong. ``"foreign"``: the version
-        or the policy differs, or only one of sender and receiver uses a key. ``"forged"``: the tag is wrong.
+        ``"malformed"``: the length or a field is invalid, or a number is not finite or beyond 3.4e38. ``"corrupted"``:
+        the CRC is wrong. ``"foreign"``: the version or the policy differs, or only one of sender and receiver uses a
+        key. ``"forged"``: the tag is wrong.
         """
         found = self._open(datagram)
         if isinstance(found, str):

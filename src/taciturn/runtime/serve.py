@@ -347,8 +347,8 @@ class NodeServer:
             self._held.add(node.loop)
             self._say(
                 f"step {node.tick} of the {node.role} has results that are not finite or beyond {LARGEST:.2g}: the "
-                "node keeps its last input, sends no data in such steps, starts its memory again, and is degraded; expected "
-                "measurements and packets in the range for which the policy was designed: is a sensor broken?"
+                "node keeps its last input, sends no data in such steps, starts its memory again, and is degraded; "
+                "expected measurements and packets in the range for which the policy was designed: is a sensor broken?"
             )
 
     def _report_silence(self, node: Node, known: Sequence[str]) -> None:
