@@ -132,6 +132,16 @@ class Node:
         self._sent_at: dict[str, int] = {}  # last step with a packet, by link
         self.options: dict[Option, float] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle contains: all but the compiled functions."""
+        return {name: value for name, value in vars(self).items() if name not in ("_parts", "_draw")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Restore a pickle, and compile the functions."""
+        vars(self).update(state)
+        compiled = _compile(self.policy, self.role, self.network)
+        self._parts, self._draw = compiled.parts, compiled.draw
+
     @property
     def measures(self) -> bool:
         """True if the node contains the sensor, so that each step requires a measurement."""
