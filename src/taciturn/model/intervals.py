@@ -38,7 +38,8 @@ def steps_since(link: str) -> str:
 def longest_silence(network: Network, link: str) -> int | None:
     """Return the number of steps after which a packet of a running sender must have arrived.
 
-    It is ``max_interval`` on a link without losses, and otherwise None: a lost packet is then no sign of a dead sender.
+    It is ``max_interval`` on a link without losses, and otherwise None, because a link that drops packets may drop this
+    one.
     """
     law = network.links[link]
     return None if law.mean_loss else law.max_interval

@@ -23,7 +23,7 @@ from taciturn.program.ops import Precision
 FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
-MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is told"
+MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
 def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
@@ -103,11 +103,11 @@ class Informed(TimeStep):
     Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter predicts
     the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn;
     ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy
-    enters its ``change_of``. These are inputs, as a memory may be merged with another one or be left out.
+    enters its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
     """
 
     def correct(self, signals: Iterable[str]) -> None:
-        """Add the change to memories into which copies of inputs have entered, if the applied input is told."""
+        """Add the change to memories into which copies of inputs have entered, if the applied input is known."""
         for signal in sorted(signals):
             held = self.read(signal)
             changes = self.supplied(change_of(signal), len(held))

@@ -187,15 +187,15 @@ class Nodes:
             integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
-            ProblemError: an argument has the wrong size, or is not finite; an output is not measured and no filter
-                predicts it; set-points are given to a policy for constant ones; an applied input is given in the first
-                step, or for a policy whose nodes do not use it; or a fate is that of another link.
+            ProblemError: an argument has the wrong size, or is not finite or beyond 3.4e38; or the results of the step
+                are, and the nodes are then as before the step; an output is not measured and no filter predicts it;
+                set-points are given to a policy for constant ones; an applied input is given in the first step, or for
+                a policy whose nodes do not use it; or a fate is that of another link.
         """
         y, known = self._completed(measurement)
-        if reference is not None:
-            self._follow(reference)
+        points = self.reference if reference is None else self._followed(reference)
         changes = self._changes(None if applied is None else _checked("applied", applied, self.policy.model.inputs))
-        inputs = [*y, *self.reference, *self._told(fates or {}), *(known if self._predicts else ()), *changes]
+        inputs = [*y, *points, *self._told(fates or {}), *(known if self._predicts else ()), *changes]
         memory, values = self.turns.turn(self.tick, self._memory, inputs)
         if not (np.isfinite(memory).all() and fits(_values(values, self.turns.outputs.items(), APPLIED))):
             raise ProblemError(
@@ -203,7 +203,7 @@ class Nodes:
                 f"{y}; expected numbers in the range for which the policy was designed. The nodes are as before the "
                 "step: hold the last input, or reset them"
             )
-        self._memory = memory
+        self._memory, self.reference = memory, points
         self.tick += 1
         places = self.turns.outputs.items()
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
@@ -212,7 +212,7 @@ class Nodes:
         return _values(values, places, APPLIED)
 
     def _changes(self, applied: Array | None) -> list[float]:
-        """Return what replaces the controller's copies of the last input by the input that was applied, if it is told.
+        """Return what replaces the controller's copies of the last input by the input that was applied, if it is given.
 
         That is 1, and the changes of all signals into which copies have entered; or 0 and no changes.
         """
@@ -252,14 +252,14 @@ class Nodes:
         arrives = {link: 1.0 if flag(f"fates[{link!r}]", arrived) else -1.0 for link, arrived in fates.items()}
         return [arrives.get(link, 0.0) for link in self.links]
 
-    def _follow(self, reference: ArrayLike) -> None:
-        """Set the set-points."""
+    def _followed(self, reference: ArrayLike) -> list[float]:
+        """Return the set-points."""
         if not self.reference:
             raise ProblemError(
                 f"reference is given, and the set-points of this {self.policy.kind} are constant; expected [reference] "
                 "with steps or file, which state how they change"
             )
-        self.reference = _checked("reference", reference, len(self.reference)).tolist()
+        return _checked("reference", reference, len(self.reference)).tolist()
 
 
 def _checked(name: str, given: ArrayLike, size: int) -> Array:
