@@ -211,7 +211,7 @@ def j_all_is_that_of_an_attempt_on_every_link(system: System, network: Network, 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taciturn.analyse.outcomes.MOST", 1e6)
         assume(found is None or (found.F.shape[1] <= 12 and found.growth(2) < 0.8 and found.growth(4) < 0.9))
-    simulated = average(loop, plain_average(loop), seed=system.seed, steps=200_000).cost
+    simulated = average(loop, plain_average(loop), seed=system.seed, steps=scaled(200_000, 60_000)).cost
     assert abs(simulated.value - policy.cost_all_time) <= 5 * simulated.standard_error
 
 
