@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import re
 import secrets
 import shutil
 import stat
 import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from taciturn._ending import at_once
@@ -40,6 +41,14 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
         raise
 
 
+def delete_parts(path: Path) -> None:
+    """Delete the incomplete files that killed processes have left next to a file that one process alone writes."""
+    written = re.compile(rf"{re.escape(path.name)}\.[0-9a-f]{{16}}{re.escape(PART)}")
+    with suppress(OSError):
+        for part in [one for one in path.parent.iterdir() if written.fullmatch(one.name)]:
+            part.unlink()
+
+
 @contextmanager
 def temporary_folder() -> Generator[Path]:
     """Provide a folder that is removed after the block, even if the process must end immediately."""
@@ -54,6 +63,16 @@ def check_regular(path: Path) -> None:
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
 
 
+def read_whole(path: Path, most: int) -> bytes:
+    """Return the content of a regular file with at most ``most`` bytes.
+
+    Raises:
+        OSError: the file is not regular, cannot be read, or is larger.
+    """
+    check_regular(path)
+    return _limited(path, most)
+
+
 def read_text(path: Path, most: int) -> str:
     """Return the UTF-8 text of a file with at most ``most`` bytes; a byte-order mark is accepted.
 
@@ -61,8 +80,12 @@ def read_text(path: Path, most: int) -> str:
         OSError: the file cannot be read, or is larger.
         UnicodeDecodeError: the file is not UTF-8 text.
     """
+    return _limited(path, most).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _limited(path: Path, most: int) -> bytes:
     with path.open("rb") as file:
         content = file.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it has more than {most:,} bytes", str(path))
-    return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    return content

@@ -271,7 +271,7 @@ def test_the_watchdog_makes_the_input_safe_and_lets_it_go() -> None:
         assert node.silent
         assert node.degraded
         assert node.step(4).input == expected
-        assert node.reasons["silent"] == 1
+        assert node.reasons["silent actuator"] == 1
         assert node.step(5, packets=[Packet("mark", "actuator", 5, 0)]).input == (2.0,)
 
 
@@ -313,7 +313,8 @@ def test_a_tick_is_gone_through_once() -> None:
     assert node.step(2, measurement=[9.0, 0.0]).packets == ()
     after = node.save()
     assert first.packets
-    assert {k: v for k, v in after.items() if k != "counters"} == {k: v for k, v in before.items() if k != "counters"}
+    apart = {"counters", "digest"}
+    assert {k: v for k, v in after.items() if k not in apart} == {k: v for k, v in before.items() if k not in apart}
     assert after["counters"]["repeated"] == 2
 
 
