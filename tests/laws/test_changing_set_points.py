@@ -124,7 +124,7 @@ def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
     for reference, words in (
         ({"steps": steps, "file": path}, "reference.steps and reference.file are given"),
         ({"file": path, "value": [1.0]}, "reference.value and reference.file are given"),
-        ({"file": "none.csv"}, "none.csv cannot be read"),
+        ({"file": "none.csv"}, "'none.csv' cannot be read"),
         ({"steps": {"rate": 2.0, "covariance": [[1.0]]}}, "more than one step in each sampling period"),
         ({"steps": {"rate": 0.1, "covariance": [[0.0]]}}, "covariance is zero"),
         (
