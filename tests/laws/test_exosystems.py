@@ -40,7 +40,7 @@ A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
 B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])
 C = np.array([[1.0, 0, 0], [0, 0, 1.0]])
 COST = Cost(C.T @ C + 0.1 * np.eye(3), 0.1 * np.eye(2))
-KEPT = "which a given controller and the options of excess do not use"
+KEPT, OPTIONS = "which a given controller does not use", "which LQG with these options does not use; expected"
 PUSH = ExternalDisturbance([0.0, 0.3, 0.1], 1e-3)
 
 
@@ -246,12 +246,12 @@ def test_what_cannot_be_compensated_or_seen_is_refused(
     [
         (
             lambda plant: design.excess(plant, COST, delta=0.1, link="sensor"),
-            KEPT,
+            OPTIONS,
         ),
-        (lambda plant: design.excess(plant, COST, delta=0.1, every=2), KEPT),
+        (lambda plant: design.excess(plant, COST, delta=0.1, every=2), OPTIONS),
         (
             lambda plant: design.excess(plant, COST, delta=0.1, network=Network("tcp", actuator_loss=0.1)),
-            KEPT,
+            OPTIONS,
         ),
         (
             lambda plant: design.distributed(plant, COST, theta=0.1, network=Network("tcp", sensor_loss=0.1)),

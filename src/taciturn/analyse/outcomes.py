@@ -116,6 +116,7 @@ def outcomes(loop: Loop) -> Outcomes | None:
 
     The result is None if no link drops packets, or if the loop is not a jump linear map.
     """
+    loop = loop.deviations
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     links = [link for link in loop.network.links if link in sent and loop.network.loss(link) > 0]
     if not links:

@@ -149,6 +149,15 @@ def expect_average(kind: str, cost: Cost) -> None:
             )
 
 
+def expect_constant_set_points(kind: str, plant: Plant) -> None:
+    """Raise a ``ProblemError`` if the set-points of a plant change while the loop runs."""
+    if plant.changes is not None:
+        raise ProblemError(
+            f"the set-points change (reference.steps or file), which {kind} does not use; expected constant "
+            "set-points, or the kind excess or distributed"
+        )
+
+
 def control_steps(
     plant: Plant,
     estimation: FilterSteps,

@@ -139,8 +139,8 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
                 f"probability {outage:.4g}, and in this step the squared cost grows by a factor of {growth**4:.4g}. So "
                 "the standard error is meaningless, and the average is probably too small",
             )
-    found, known = outcomes(loop), loop.policy.theory.fourth
-    if found is None and known is not None and known >= 1 and loop.nominal:
+    found, known = outcomes(loop), loop.deviations.policy.theory.fourth
+    if found is None and known is not None and known >= 1 and loop.deviations.nominal:
         return (_infinite(known, " if every packet is sent"),)
     if found is None or (growth := found.growth(4)) < 1:
         return ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
 
@@ -64,7 +64,7 @@ class Averages(Displayed):
     """
 
     cost: Estimate
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     steps: int
     burn_in: int
     reached: bool

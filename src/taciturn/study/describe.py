@@ -19,6 +19,7 @@ from taciturn.model.kept import pids_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Evaluate, Policy
 from taciturn.model.saturation import limit_entries
+from taciturn.model.set_points import RandomSteps, SampledChanges, Timetable
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
@@ -387,6 +388,8 @@ def _plain(value: object) -> Any:
     """Return a value in a form that JSON supports: a table as its index and entries, infinity as "inf" or "-inf"."""
     if isinstance(value, Scheduled):
         return {"by": value.by, "values": value.values.tolist()}
+    if isinstance(value, RandomSteps | Timetable | SampledChanges):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):

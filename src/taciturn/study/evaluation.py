@@ -98,7 +98,7 @@ class Evaluation(Tabular):
     statement: str | None
     cost_bound: float | None
     cost_bound_at_rate: float | None
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     seed: int
     seconds: float
     steps: int
@@ -119,9 +119,9 @@ class Evaluation(Tabular):
     trusted: bool = True
     bound_error: float = 0.0
     after_step: AfterStep | None = None
-    power: Mapping[str, Estimate] = field(default_factory=lambda: {})
-    life: Mapping[str, Estimate] = field(default_factory=lambda: {})
-    prices: Mapping[str, float] = field(default_factory=lambda: {})
+    power: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
+    life: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
+    prices: Mapping[str, float] = field(hash=False, default_factory=lambda: {})
     cost_lqg: float | None = None
     without_limits: WithoutLimits | None = None
     violations: Violations | None = None

@@ -120,13 +120,13 @@ def _with_every_attempt(
     prediction: Actuation,
     actuation: Actuation,
 ) -> float:
-    """Return the cost per step of an attempt on every link in every step, without limits of the inputs."""
-    plant = plant.unlimited
+    """Return the cost per step of an attempt on every link in every step of the linear loop, with exact packets."""
+    plant = plant.linear
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     thresholds = _thresholds(network, 0.0, None, False)
     policy = _policy(certainty, network, prediction, actuation, thresholds, certainty.cost_all_time)
-    found = outcomes(close(plant, policy))
-    assert found is not None  # the policy is linear
+    found = outcomes(close(plant, policy, network.delivery))
+    assert found is not None  # the loop is a jump linear map
     return found.cost()
 
 

@@ -10,7 +10,7 @@ from taciturn._arrays import instance, number
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.certainty import SEND, design_certainty, expect_average
+from taciturn.design.certainty import SEND, design_certainty, expect_average, expect_constant_set_points
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
 from taciturn.design.kept import REMEDY, lqg_observer
 from taciturn.design.kept_loop import KeptLoop
@@ -114,14 +114,10 @@ def _filter(
 ) -> Policy:
     """Return LQG control of the values that were sent last."""
     problem = discretise(plant, cost, period)
+    expect_constant_set_points("send-on-delta", problem.plant)
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     bands = DeadBands(network, plant, delta, shares)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V + np.diag(bands.of_outputs**2 / 3))
-    if plant.changes is not None:
-        raise ProblemError(
-            "the set-points change (reference.steps or file), which send-on-delta does not use; expected constant "
-            "set-points, or the kind excess or distributed"
-        )
     filtered = Filtered(plant, steady.gain, certainty.regulator.L)
     unknown = ~resting_states(plant)  # without set-points, which have no errors
     alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
@@ -160,7 +156,7 @@ def _keep(
     kind = "send-on-delta"
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
-    loop = KeptLoop.of(plant, cost, period, kept)
+    loop = KeptLoop.of(plant, cost, period, kept, controller is None)
     route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start)
     size = len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
