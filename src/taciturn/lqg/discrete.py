@@ -44,6 +44,8 @@ class Discrete(Displayed):
         prediction: the model of an actuator that predicts, or None; the input of ``plant`` is the state of this model.
         source: the plant before it was sampled.
         rest: the state and input from which the cost counts deviations; None for zero.
+        instants: whether the cost is that of the deviations at the sampling instants, because disturbances let the
+            integral of the cost grow without limit; otherwise it is the integral, or a sum over the steps.
     """
 
     plant: Plant
@@ -58,11 +60,12 @@ class Discrete(Displayed):
     prediction: Prediction | None = None
     source: Plant | ContinuousPlant | None = None
     rest: OperatingPoint | None = None
+    instants: bool = False
 
     def summary(self) -> Mapping[str, object]:
         """Return the fields by name, with the number of inputs of the plant before it was sampled."""
         shown = {**super().summary(), "plant": self.short()}
-        return {name: value for name, value in shown.items() if name not in ("source", "rest")}
+        return {name: value for name, value in shown.items() if name not in ("source", "rest", "instants")}
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
