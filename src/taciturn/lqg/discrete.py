@@ -26,6 +26,11 @@ from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 from taciturn.model.saturation import limit_entries
 
+INSTANTS = (
+    "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
+    "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
+    "at the sampling instants; nothing is claimed for the integral, or for another period"
+)
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
 
@@ -123,6 +128,11 @@ class Discrete(Displayed):
     def gaussian(self) -> bool:
         """True if all noise is Gaussian: the plant has no jumps, and no set-points that change."""
         return self.jumps is None and self.plant.changes is None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A remark on what the cost counts, if it is not the integral of the stage cost."""
+        return (INSTANTS,) if self.instants else ()
 
     @property
     def ticks(self) -> float:

@@ -35,6 +35,7 @@ from taciturn.model.set_points import Timetable
 SOLVED = 1e-9  # relative residual of the equations
 BEYOND = 1e-9  # rounding of an input at its limit
 FREE = 1e-10  # relative singular value below which a direction is free
+ROUNDS = 1e-12  # entry of U, relative to the largest of its input, that counts as zero
 STILL = 1e-9  # relative rate of change of an input that counts as zero
 
 
@@ -119,6 +120,7 @@ def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array,
 
 def _is_still(U: Array, S: Array) -> bool:
     """Return whether the modes of d that do not decay leave Ud at rest, so that U S d is zero or decays."""
+    U = np.where(np.abs(U) > ROUNDS * np.abs(U).max(axis=1, keepdims=True, initial=0.0), U, 0.0)
     moved = U @ S
     moved = np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
     seen = invariant(unit_columns(moved.T), [S.T])
@@ -143,7 +145,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
     B, noise_cost, instants = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost, False
     weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
-    stage = np.zeros((n + q + m, n + q + m))  # of (ξ, d, μ)
+    stage = np.insert(np.insert(weights, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
     changes = None if e.changes is None else e.changes.sampled(base.tick)
     given = 0 if changes is None else changes.size  # the controller is given the last states
     if isinstance(source, ContinuousPlant):
@@ -168,16 +170,12 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         A, W = sampled.A, sampled.W
     else:
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
-    if isinstance(source, Plant) or instants:
-        of = np.r_[:n, n + q : n + q + m]
-        stage[np.ix_(of, of)] = weights
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(A, seen, n, e)
     deviation = np.eye(n + q + m)
     deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
     whole = symmetrised(deviation.T @ stage @ deviation)
-    states = n + q
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
@@ -194,7 +192,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     if isinstance(source, Plant):
         object.__setattr__(with_all, "alone", source)
     return replace(
-        base, plant=with_all, Q=whole[:states, :states], N=whole[:states, states:], noise_cost=noise_cost,
+        base, plant=with_all, Q=whole[: n + q, : n + q], N=whole[: n + q, n + q :], noise_cost=noise_cost,
         source=source, instants=instants,
     )  # fmt: skip
 
