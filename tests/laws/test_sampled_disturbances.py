@@ -23,6 +23,7 @@ from taciturn import (
     PID,
     ContinuousPlant,
     Cost,
+    Jumps,
     Network,
     Nodes,
     Policy,
@@ -40,6 +41,7 @@ from taciturn.model.following import follow
 from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import plain_average
+from taciturn.study.channel.loop_classes import gather
 from taciturn.study.describe import describe
 from taciturn.study.tuning.periods import tune_period
 
@@ -439,6 +441,26 @@ def test_disturbances_that_need_no_other_input_between_samples_leave_the_integra
     assert not problem.instants
     assert np.allclose(np.block([[problem.Q, problem.N], [problem.N.T, problem.R]]), weight, atol=1e-12)
     assert problem.noise_cost == pytest.approx(between, rel=1e-9)
+
+
+def test_loops_on_a_channel_name_the_cost_at_the_sampling_instants() -> None:
+    """And are not added to loops whose cost is the integral."""
+    rule = {"kind": "excess", "theta": 0.1, "period": 0.5}
+    loops = {
+        name: parse({**TABLES, "disturbance": [push], "policy": rule}, "tables")
+        for name, push in (("swings", SINUSOID), ("rests", TABLES["disturbance"][0]))
+    }
+    assert gather(loops | {"rests": loops["swings"]}, [1])[0].count == 1
+    with pytest.raises(ProblemError, match="is per second at the sampling instants, but the cost of rests is per sec"):
+        gather(loops, [1])
+
+
+def test_jumps_with_disturbances_are_refused() -> None:
+    """Jumps would move the plant, and Gaussian noise the disturbance."""
+    jumping = ContinuousPlant([[-1.0]], [[1.0]], C=[[1.0]], V=[[0.1]], jumps=Jumps(2.0, [[0.1]], "normal"))
+    plant = follow(jumping, None, None, ExternalDisturbance([1.0], 0.1))
+    with pytest.raises(ProblemError, match="the plant has jumps; expected Gaussian noise W"):
+        design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.1, period=0.5)
 
 
 def test_lower_bounds_are_above_the_cost_of_every_sample_and_below_that_of_the_policy() -> None:

@@ -246,6 +246,8 @@ def _with_exosystem(
         "the cost is discounted; expected an average cost": cost.discount < 1,
         "the full state is measured without noise; expected C and V": plant.full_state,
         "the actuator predicts between sampling instants; expected a held input": prediction is not None,
+        "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
+        and plant.jumps is not None,
     }
     for got in (got for got, given in refused.items() if given):
         raise ProblemError(f"disturbances or set-points are given, and {got}")
