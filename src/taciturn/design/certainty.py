@@ -9,7 +9,7 @@ the next state.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeAlias
 
@@ -36,6 +36,7 @@ from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 Actuation: TypeAlias = Literal["hold", "model"]
 COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
+AT_INSTANTS = "J and J_all at the sampling instants"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -231,7 +232,8 @@ def certainty_policy(
         notes: remarks that a reader of the results should know.
 
     If set-points change at known times, the error of the input is correlated with the changes. Then no identity holds,
-    and only a bound that allows for this, by ``pull``.
+    and only a bound that allows for this, by ``pull``. If the cost is that at the sampling instants, the statement of
+    the bound says so.
     """
     problem, fixed_rates = certainty.problem, fixed_rates or {}
     if certainty.timed:
@@ -239,6 +241,8 @@ def certainty_policy(
             closed_form, fixed_rates = None, {**closed_form.rates, **fixed_rates}
         identity, reset = None, None
         guarantee = guarantee if guarantee is not None and guarantee.pull else None
+    if problem.instants and guarantee is not None:
+        guarantee = replace(guarantee, statement=f"{guarantee.statement}; {AT_INSTANTS}")
     policy = Policy(
         kind=kind,
         steps=steps,

@@ -64,7 +64,7 @@ def find_doubts(
         settled: whether the initial transient has decayed.
     """
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
-    notes: tuple[str, ...] = ()
+    notes = loop.problem.remarks
     if escapes(loop):
         notes += (
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "

@@ -186,6 +186,7 @@ def _evaluated(
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
     except OutOfTime:
         notes += (f"no cost without limits: the time limit of {request.time_limit:g} s passed",)
+    notes = tuple(dict.fromkeys(loop.problem.remarks + notes))
     compared = loop.nominal and per_tick.value > 0 and _predicts(policy)
     return Evaluation(
         policy=policy.kind,
