@@ -82,8 +82,8 @@ def average(
 
     The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
     are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
-    mean intervals between sends, and until nearly every path has sent. Earlier windows are also dropped if the latest
-    window differs from them.
+    mean intervals between sends, and until nearly every path has sent. Windows of steps that differ from the later ones
+    are also dropped (``simulation.settled``).
 
     Args:
         loop: the closed loop.
