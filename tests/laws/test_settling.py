@@ -9,8 +9,10 @@ import pytest
 from counts import few
 
 from taciturn.problem import Problem, parse
+from taciturn.program.names import Sent
 from taciturn.simulation.average import average, plain_average
 from taciturn.simulation.parts import Part
+from taciturn.simulation.reliability import drifts_of
 from taciturn.simulation.sampling import Sampling
 from taciturn.simulation.settled import History
 from taciturn.simulation.violations import violations
@@ -50,6 +52,57 @@ Q = [[0.05, 0], [0, 0]]
 R = [[1.0]]
 [policy]
 kind = "excess"
+theta = 0.5
+"""
+FOLLOWED = """
+[plant]
+A = [[0.9]]
+B = [[1.0]]
+C = [[1.0]]
+W = [[0.1]]
+V = [[0.1]]
+dt = 1.0
+[cost]
+Q = [[1.0]]
+R = [[1.0]]
+[nodes.s]
+measures = true
+[nodes.c]
+controls = true
+[nodes.a]
+applies = true
+[reference]
+value = [0.0]
+steps = {rate = 0.05, covariance = [[1.0]]}
+[policy]
+kind = "distributed"
+theta = 0.4
+"""
+UNREGULATED = """
+[plant]
+A = [[0.9, 0.0], [0.0, 0.8]]
+B = [[1.0], [0.0]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+W = [[0.1, 0], [0, 0.1]]
+V = [[0.1, 0], [0, 0.1]]
+dt = 1.0
+[cost]
+Q = [[1.0, 0], [0, 0.0]]
+R = [[0.1]]
+[nodes.s0]
+measures = [0]
+[nodes.s1]
+measures = [1]
+[nodes.c]
+controls = true
+applies = true
+[[disturbance]]
+enters = [0.3, 0.5]
+wander = 0.01
+[reference]
+outputs = [[1.0, 0.0]]
+[policy]
+kind = "distributed"
 theta = 0.5
 """
 SURE = 4.0  # standard errors
@@ -115,6 +168,49 @@ def test_a_loop_that_settles_within_the_steps_is_not_refused() -> None:
     assert not any("settled" in note for note in short.notes)
     error = np.hypot(short.cost.standard_error, long.cost.standard_error)
     assert abs(short.cost.value - long.cost.value) <= SURE * error
+
+
+@pytest.mark.parametrize("prediction", ["hold", "model"])
+@pytest.mark.parametrize(("text", "link", "others"), [(FOLLOWED, "s", ["a"]), (UNREGULATED, "s1", ["s0"])])
+def test_a_rate_that_depends_on_the_size_of_what_wanders_is_no_average(
+    text: str, link: str, others: list[str], prediction: str
+) -> None:
+    """An output that follows a set-point or a disturbance makes its sensor send more and more; the others are free."""
+    problem = parse(tomllib.loads(text), "wandering").changed({"prediction": prediction})
+    loop = problem.close(problem.design())
+    assert drifts_of(loop) == (link,)
+    found = average(loop, seed=2)
+    assert not found.settled
+    assert not found.reached
+    assert any(f"the decision on {link} depends on the size" in note for note in found.notes)
+    assert set(found.rates) == {link, *others}
+    assert average(loop, seed=2, steps=100_000).settled is False
+
+
+@pytest.mark.parametrize(("text", "link", "prediction"), [(FOLLOWED, "s", "model"), (UNREGULATED, "s1", "hold")])
+def test_a_rate_without_average_rises(text: str, link: str, prediction: str) -> None:
+    """On the same paths, ten thousand steps later, and by many standard errors."""
+    problem = parse(tomllib.loads(text), "wandering").changed({"prediction": prediction})
+    loop = problem.close(problem.design())
+    part = Part(loop, plain_average(loop))
+    sampling, row = Sampling([part], 1, None, None), part.names.index(Sent(link))
+    states = [loop.start(part.estimator.program, 256, 1)]
+    sums = list[np.ndarray]()
+    for _ in range(3):
+        found, states = sampling._advance(states, 10_000)  # pyright: ignore[reportPrivateUsage]
+        sums.append(found[row] / 10_000)
+    change = sums[2] - sums[0]
+    assert change.mean() > SURE * change.std() / np.sqrt(256)
+
+
+def test_rates_of_links_that_measure_deviations_are_averages() -> None:
+    """A held input that follows a random walk changes by its last step alone, and a sensor that is told nothing else."""
+    problem = parse(tomllib.loads(FOLLOWED), "constant").changed({"reference": {"value": [3.0]}})
+    assert drifts_of(problem.close(problem.design())) == ()
+    held = parse(tomllib.loads(UNREGULATED), "held")
+    held = held.changed({"nodes": {"s": {"measures": True}, "c": {"controls": True}, "a": {"applies": True}}})
+    held = held.changed({"nodes.s.site": "c"})
+    assert drifts_of(held.close(held.design())) == ()
 
 
 def decaying(amplitude: float, constant: float, paths: int, lengths: list[int]) -> History:

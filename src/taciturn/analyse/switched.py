@@ -44,7 +44,7 @@ from taciturn.program.quadratic import as_form, read_polynomials
 
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
-# the properties of a loop that its step represents, or refuses where it meets them (_FixedStep)
+# the properties of a loop that its step represents, or refuses where it meets them (FixedStep)
 CERTIFIED = (LINEAR_LOOP - EXOSYSTEM) | JUMPS | MEMORIES | BELLS | DRAWS
 
 
@@ -149,7 +149,7 @@ def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[S
         ProblemError: the step is not linear.
     """
     plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
-    begins = [partial(_FixedStep, loop.policy.kind, case) for case in cases]
+    begins = [partial(FixedStep, loop.policy.kind, case) for case in cases]
     if whole or innovations is None:
         programs = [loop.whole_program(supplied=True, begin=begin) for begin in begins]
         name, read, moves, observed, hidden = "v", _factor(plant.V), _factor(plant.W), "x", 0.0
@@ -207,7 +207,7 @@ class _Collected(Builder):
         return self.collect(following, sums, outputs or {})
 
 
-class _FixedStep(TimeStep):
+class FixedStep(TimeStep):
     """The time step of a loop for a fixed decision and fixed arrivals; refuses what is not linear."""
 
     def __init__(self, kind: str, case: Case, builder: Builder, *rest: Any) -> None:

@@ -21,7 +21,7 @@ from taciturn.program.ir import Program
 from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import Part, sends
-from taciturn.simulation.reliability import comes_never_to_rest
+from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
 from taciturn.simulation.settled import History
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
@@ -35,6 +35,7 @@ SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial tr
 KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
 SILENT = 1e-3  # largest share of paths without a late send in the burn-in
 MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
+DRIFTING_STEPS = 20_000_000  # of a loop that has no average
 DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
 HUGE = 1e150  # a limit whose square is still finite
 CHUNK = 1 << 24  # steps between two reports of progress
@@ -123,7 +124,8 @@ class Sampling:
 
         The iteration ends at the given absolute standard error or number of steps.
         """
-        budget = steps or MOST_OPERATIONS
+        drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
+        budget = steps or (DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         most = (
             SIMULATED_PATHS
@@ -154,7 +156,7 @@ class Sampling:
             measured, pace = history.steps - dropped, self._pace(means[self.counted].mean(axis=1))
             long_enough = forgotten and settled and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
-            if steps is None and long_enough and self._is_precise(cost, target):
+            if steps is None and (drifts or (long_enough and self._is_precise(cost, target))):
                 yield Averages(cost, rates, self.steps, dropped, True, tail=self._tail(means))
                 return
             reached = left <= window and steps is not None and long_enough
