@@ -204,7 +204,7 @@ def test_a_rate_without_average_rises(text: str, link: str, prediction: str) -> 
 
 
 def test_rates_of_links_that_measure_deviations_are_averages() -> None:
-    """A held input that follows a random walk changes by its last step alone, and a sensor that is told nothing else."""
+    """Constant set-points do not wander, and a held input that follows a random walk changes by its last step alone."""
     problem = parse(tomllib.loads(FOLLOWED), "constant").changed({"reference": {"value": [3.0]}})
     assert drifts_of(problem.close(problem.design())) == ()
     held = parse(tomllib.loads(UNREGULATED), "held")

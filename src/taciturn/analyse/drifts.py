@@ -6,8 +6,9 @@ other states approach the response z = Πd that satisfies
     F_zz Π + F_zd = Π S.
 
 A trigger compares quadratic forms. Let η be the rows of their difference. If η(Π, I)d does not forget the noise that
-moves d, the difference grows without limit although everything is sent: the longer the loop has run, the more a decision
-depends on the size of d alone. Its rate then has no average below its limit, which is usually to send every sample.
+moves d, the difference grows without limit although everything is sent: the longer the loop has run, the more the
+decision depends on the size of d alone. Its rate then has no average below its limit, which is usually to send every
+sample.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:
     except ProblemError:
         return ()
     F = np.array([values[op] for op in program.following])[:, :states]
-    d = np.flatnonzero(needs.states)  # the states of the plant come first
+    d: list[int] = np.flatnonzero(needs.states).tolist()  # the states of the plant come first
     response = _response(F, d)
     if response is None:
         return ()
@@ -68,9 +69,9 @@ def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _response(F: Array, d: Array) -> Array | None:
+def _response(F: Array, d: list[int]) -> Array | None:
     """Return all states as a response to the states d in the long run, (states, q), or None if there is none."""
-    rest, size = np.setdiff1d(np.arange(len(F)), d), balancing(np.abs(F))
+    rest, size = [i for i in range(len(F)) if i not in d], balancing(np.abs(F))
     F = F / size[:, None] * size  # so that an entry that is a rounding error can be told from a small one
     q, response = len(d), np.zeros((len(F), len(d)))
     response[d] = np.eye(q)
@@ -79,7 +80,7 @@ def _response(F: Array, d: Array) -> Array | None:
     S, same = F[np.ix_(d, d)], np.eye(q)
     matrix = np.kron(same, F[np.ix_(rest, rest)]) - np.kron(S.T, np.eye(len(rest)))
     right = -F[np.ix_(rest, d)].T.ravel()
-    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    found: Array = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
     if np.abs(matrix @ found - right).max() > CANCELS * max(1.0, float(np.abs(found).max())):
         return None
     response[rest] = found.reshape(q, len(rest)).T
@@ -96,13 +97,15 @@ def _rows(form: Array) -> Array:
 
 
 class _Compared(FixedStep):
-    """A fixed decision, of whose triggers only the quadratic terms count: memories and random thresholds are bounded."""
+    """A fixed decision, of whose trigger only the quadratic terms count: memories and random numbers are bounded."""
 
     def take(self, step: Step) -> None:
+        """Take a memory of a quadratic form or a random number as zero."""
         if isinstance(step, Evaluate | Draw):
             self.signals[step.signal] = [self.builder.constant(0.0)]
         else:
             super().take(step)
 
     def form(self, form: Form) -> int:
+        """Return the quadratic terms of a form."""
         return super().form(Form(form.signals if form.Psi is not None else (), form.Psi, form.constant))
