@@ -455,6 +455,17 @@ def test_loops_on_a_channel_name_the_cost_at_the_sampling_instants() -> None:
         gather(loops, [1])
 
 
+def test_a_fault_of_a_node_is_over_before_a_slow_disturbance_has_decayed() -> None:
+    """The simulation waits for the disturbance, a node after a fault does not."""
+    fast, slow = (follow(PLANT, C, None, matrix([[-rate]])) for rate in (5.0, 1e-3))
+    for kind in KINDS.values():
+        quick, late = (kind(plant).theory for plant in (fast, slow))
+        assert quick.recovers == quick.settling
+        if kind is not KINDS["periodic"]:
+            assert late.settling > 1000
+            assert late.recovers < 50
+
+
 def test_jumps_with_disturbances_are_refused() -> None:
     """Jumps would move the plant, and Gaussian noise the disturbance."""
     jumping = ContinuousPlant([[-1.0]], [[1.0]], C=[[1.0]], V=[[0.1]], jumps=Jumps(2.0, [[0.1]], "normal"))

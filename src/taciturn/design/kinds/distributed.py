@@ -156,6 +156,7 @@ def _policy(
             cost_all_time=problem.per_unit(all_time),
             noise_cost=problem.noise_cost,
             settling=certainty.settling,
+            recovery=certainty.recovery,
             guarantee=None if lossy else _guarantee(certainty, thresholds),
             identity=square if told and not certainty.timed else None,
             innovations=sensors.innovations() if told else None,
