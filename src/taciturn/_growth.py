@@ -21,10 +21,14 @@ from taciturn._arrays import Array
 
 STEPS = 4096  # largest number of steps from which the growth is computed
 ACCURACY = 1e-3  # relative accuracy of the logarithm of the growth, if it is computed from steps
-PRECISE = 1e-5  # relative error of an eigenvalue of Arnoldi's method that is accepted
+PRECISE = 1e-6  # relative error of an eigenvalue of Arnoldi's method that is accepted
 BASIS = 64  # largest dimension of a Krylov space
 LOOKS = 4  # dimensions between two computations of eigenvalues
-FROM = (0, 64, 512)  # steps from whose moments a Krylov space starts; steps enlarge the share of the largest eigenvalues
+FROM = (
+    0,
+    64,
+    512,
+)  # steps from whose moments a Krylov space starts; steps enlarge the share of the largest eigenvalues
 VANISHES = 1e-14  # relative size of a new direction that is a rounding error
 
 
