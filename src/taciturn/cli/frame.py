@@ -208,7 +208,9 @@ def _run() -> None:
         _end_broken(error)
     except MemoryError:
         refuse("the computation needs more memory than there is; expected fewer steps, runs or states")
-    except ArithmeticError as error:
+    except (ArithmeticError, ValueError) as error:
+        if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":  # numpy may not be imported
+            raise
         refuse(
             f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
             "expected numbers nearer to 1: scale the problem"

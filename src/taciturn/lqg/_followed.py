@@ -22,6 +22,7 @@ import numpy as np
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, eigenvalues, reach
+from taciturn.errors import ProblemError
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._worth import closure, paths
 
@@ -148,6 +149,11 @@ def _cancelled(given: Quadratic, states: Bits, most: float) -> Followed | None:
     moves = np.hstack([np.kron(same, A[np.ix_(x, x)]) - np.kron(S.T, np.eye(n)), np.kron(same, B[x])])
     costs = np.hstack([np.kron(same, cost[:, :n]), np.kron(same, cost[:, n:])])
     matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise ProblemError(
+            "the effects of disturbances or set-points on each other differ by a factor beyond the range of numbers; "
+            "expected effects nearer to 1, such as a faster or a constant disturbance"
+        )
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     found[np.abs(found) < ROUNDS * np.abs(found).max(initial=0.0)] = 0.0
     if not found.any():  # they have no effect

@@ -18,9 +18,10 @@ from dataclasses import replace
 import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, symmetrised
-from taciturn._modes import SCATTER, eigenvalues, lost_modes, pace, reach
+from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
+from taciturn.lqg._worth import paths
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.sampling import Sampled, sample, sample_moving
 from taciturn.model.coordinates import counted_from
@@ -34,6 +35,7 @@ from taciturn.model.set_points import Timetable
 
 SOLVED = 1e-9  # relative residual of the equations
 BEYOND = 1e-9  # rounding of an input at its limit
+CRUMB = 1e-13  # entry of X or U, relative to the largest for the same state of d, that is a rounding error
 FREE = 1e-10  # relative singular value below which a direction is free
 ROUNDS = 1e-12  # entry of U, relative to the largest of its input, that counts as zero
 STILL = 1e-9  # relative rate of change of an input that counts as zero
@@ -93,7 +95,18 @@ def regulator_equations(
     if free.shape[1]:
         found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
     X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
+    both = np.asarray(np.vstack([X, U]), dtype=np.float64)
+    least = CRUMB * _sizes(both, S)
+    X, U = (np.where(np.abs(part) > least, part, 0.0) for part in (X, U))  # the cost has no weight on crumbs of d
     return X * state[:, None], U * unit[:, None]
+
+
+def _sizes(found: Array, S: Array) -> Array:
+    """Return the largest effect of the states of each disturbance, in the units of each of its states, (q,)."""
+    unit = balancing(S)
+    together = paths(np.asarray((S != 0) | (S.T != 0), dtype=np.bool_))
+    largest = np.abs(found * unit).max(axis=0, initial=0.0)
+    return np.where(together, largest, 0.0).max(axis=1, initial=0.0) / unit
 
 
 def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:

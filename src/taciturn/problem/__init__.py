@@ -23,6 +23,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from taciturn._arrays import Array as Array
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
@@ -195,6 +197,11 @@ class Problem(Displayed):
             key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
             text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
+        except np.linalg.LinAlgError as error:
+            raise ProblemError(
+                f"{self.name or 'the problem'}: a computation with matrices fails ({error}); expected numbers nearer "
+                "to 1: scale the problem"
+            ) from None
 
     def _others(self) -> str:
         """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""

@@ -6,13 +6,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from taciturn._arrays import instance, number
+from taciturn._arrays import Array, Bits, instance, number
+from taciturn.design._fixed_point import least_value
 from taciturn.design.anti_windup import within_limits
-from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.certainty import SEND, design_certainty, expect_average, expect_constant_set_points
+from taciturn.design.certainty import (
+    SEND,
+    CertaintyEquivalentDesign,
+    design_certainty,
+    expect_average,
+    expect_constant_set_points,
+)
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
-from taciturn.design.kept import REMEDY, lqg_observer
+from taciturn.design.kept import lqg_observer
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import actuator_base, route_over
@@ -132,7 +138,7 @@ def _filter(
             cost_all_time=problem.per_unit(certainty.cost_all_time),
             noise_cost=problem.noise_cost,
             settling=1 / (1 - max(certainty.regulator.slowest, steady.slowest)),
-            guarantee=bound_by_errors(problem, advantage(base, REMEDY).cost, errors),
+            guarantee=bound_by_errors(problem, _with_every_sample(certainty, steady.gain, unknown), errors),
             errors=errors,
             covers=THEORY,
         ),
@@ -142,6 +148,24 @@ def _filter(
         network=network,
     )
     return within_limits(policy)
+
+
+def _with_every_sample(certainty: CertaintyEquivalentDesign, gain: Array, unknown: Bits) -> float:
+    """Return the cost per step with every sample of LQG whose filter has another gain, tr(KW) + E[e'L'HLe].
+
+    Only the estimation error e is computed, whose modes decay; disturbances and set-points need not.
+
+    Args:
+        certainty: LQG.
+        gain: gain of the filter, (n, p).
+        unknown: the states that the filter estimates; it knows the others.
+    """
+    plant, place = certainty.problem.plant, np.ix_(unknown, unknown)
+    A, C, G, square = plant.A[place], plant.C[:, unknown], gain[unknown], certainty.square[place]
+    corrected, seen = np.eye(len(A)) - G @ C, G @ plant.V @ G.T
+    prior, _ = least_value((A @ corrected).T, plant.W[place] + A @ seen @ A.T)
+    after = corrected @ prior @ corrected.T + seen
+    return float(np.sum(certainty.regulator.K * plant.W) + np.sum(square * after))
 
 
 def _keep(
