@@ -12,6 +12,7 @@ from drawn import DATED, FIXED, over
 from hypothesis import strategies as st
 from imports import ROOT, distances, imported
 from measured import TIMES, agree_together, average, longer
+from planted import DEFECTS
 from selection import TURNS, in_turn, order, reach
 
 from taciturn import Plant, close, design
@@ -132,3 +133,12 @@ def test_a_bias_that_no_system_shows_is_seen_in_many() -> None:
 def test_the_commit_whose_full_counts_ran_is_named() -> None:
     """As git writes it, in the file that ``.ci/full`` writes."""
     assert len(Path(ROOT / ".ci" / "fully-checked").read_text(encoding="utf-8").split()[0]) == 40
+
+
+@pytest.mark.parametrize("name", DEFECTS)
+def test_defects_can_be_planted(name: str) -> None:
+    """The line that a defect changes is there once (``planted`` plants it and looks which test finds it)."""
+    defect = DEFECTS[name]
+    text = (ROOT / "src" / "taciturn" / defect.file).read_text(encoding="utf-8")
+    assert text.count(defect.right) == 1
+    assert defect.wrong not in text
