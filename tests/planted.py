@@ -59,8 +59,8 @@ DEFECTS = {
     # of designs
     "the bound at a rate counts nine tenths of what silence adds": Planted(
         "model/theory.py",
-        "self.per_silence * (1 - rate), self.pull)",
-        "self.per_silence * 0.9 * (1 - rate), self.pull)",
+        "return with_silence(self.base, self.per_silence * (1 - rate), self.pull)",
+        "return with_silence(self.base, 0.9 * self.per_silence * (1 - rate), self.pull)",
     ),
     "a threshold that is a share of the cost is 2 % too large": Planted(
         "design/bounds.py", "LARGEST_PARAMETER, closed=True) * cost", "LARGEST_PARAMETER, closed=True) * cost * 1.02"
