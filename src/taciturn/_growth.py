@@ -28,7 +28,7 @@ FROM = (
     0,
     64,
     512,
-)  # steps from whose moments a Krylov space starts; steps enlarge the share of the largest eigenvalues
+)  # steps after which a Krylov space starts; they enlarge the share of the largest eigenvalues
 VANISHES = 1e-14  # relative size of a new direction that is a rounding error
 
 
@@ -63,7 +63,7 @@ def growth(move: Callable[[Array], Array], moments: Array) -> float:
 
 
 def _largest(move: Callable[[Array], Array], start: Array) -> float | None:
-    """Return the largest modulus of an eigenvalue by Arnoldi's method, or None if its error is not known to be small."""
+    """Return the largest modulus of an eigenvalue by Arnoldi's method, or None if its error may be large."""
     basis = np.zeros((BASIS + 1, start.size))
     H = np.zeros((BASIS + 1, BASIS))
     basis[0] = start.ravel() / np.linalg.norm(start)
