@@ -20,6 +20,7 @@ from taciturn._modes import (
     root,
     uncontrollable_modes,
 )
+from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
@@ -266,6 +267,7 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
 
     A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
     """
+    check_time()
     found = _dare.solve(A, B, Q, R, N)
     if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
         change = followed(Quadratic(A, B, Q, R, N))
