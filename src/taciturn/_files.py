@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import secrets
 import shutil
 import stat
 import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -40,6 +41,14 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def delete_parts(path: Path) -> None:
+    """Delete the incomplete files that killed processes have left next to a file that one process alone writes."""
+    written = re.compile(rf"{re.escape(path.name)}\.[0-9a-f]{{16}}{re.escape(PART)}")
+    with suppress(OSError):
+        for part in [one for one in path.parent.iterdir() if written.fullmatch(one.name)]:
+            part.unlink()
 
 
 @contextmanager

@@ -56,9 +56,10 @@ class Rest(Displayed):
 
     def begun(self, policy: Policy) -> Policy:
         """Return a policy whose memories of the input start with the input before the start."""
-        names = {name for step in policy.steps for name in assigned(step)} & {HELD, "command", "input"}
         if not self.before.any():
             return policy
+        signals = {name for step in policy.steps for name in assigned(step)}
+        names = [name for name in ("command", HELD, "input") if name in signals]  # fingerprints contain their order
         return replace(policy, initial={**dict.fromkeys(names, self.before), **policy.initial})
 
 

@@ -46,12 +46,14 @@ class Description(Displayed):
         nodes: the policy that the nodes run (for ``optimal``, a policy with the same nodes), or None if the policy has
             no sampling steps.
         violated_assumptions: differences between the loop and its design; if there are any, no guarantee holds.
+        remarks: what the cost counts, if it is not the integral of the stage cost.
     """
 
     problem: Problem
     policy: AnyPolicy
     nodes: Policy | None
     violated_assumptions: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def diagram(self) -> Diagram | None:
@@ -75,7 +77,7 @@ class Description(Displayed):
     def notes(self) -> tuple[str, ...]:
         """Warnings and remarks."""
         told = () if isinstance(self.policy, OptimalPolicy) else self.policy.notes
-        return told + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
+        return told + self.remarks + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn show --json``."""
@@ -236,7 +238,8 @@ def describe(problem: Studied) -> Description:
     if isinstance(policy, EventPolicy):
         return Description(problem, policy, None, ())
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    return Description(problem, policy, nodes, problem.close(nodes).violated_assumptions)
+    loop = problem.close(nodes)
+    return Description(problem, policy, nodes, loop.violated_assumptions, loop.problem.remarks)
 
 
 def _gains(policy: Policy) -> dict[str, Matrix]:

@@ -187,6 +187,7 @@ def _evaluated(
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
     except OutOfTime:
         notes += (f"no cost without limits: {late_text()}",)
+    notes = tuple(dict.fromkeys(loop.problem.remarks + notes))
     known = guarantee is not None or fair is not None or no_clock != late_text()
     compared = loop.nominal and per_tick.value > 0 and _predicts(policy) and known
     return Evaluation(

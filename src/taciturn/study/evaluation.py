@@ -44,8 +44,8 @@ class Evaluation(Tabular):
 
     Args:
         policy: kind of the policy.
-        unit: unit of time or run that the cost refers to: ``"step"`` or ``"second"``, or ``"mission"`` for a finite
-            horizon or a discount.
+        unit: unit that the cost refers to: ``"step"``, ``"second"``, or ``"second at the sampling instants"`` if the
+            integral has no average, or ``"mission"`` for a finite horizon or a discount.
         base_rate: rate of sending at every step, or None if sends may occur at any time.
         cost: cost per step or per second, or the total of a finite-horizon run.
         cost_all_time: exact cost of sending at every step, or None if the simulated plant is not the one of the design.

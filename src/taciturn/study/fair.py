@@ -115,7 +115,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
         ticked = _holding(*given, certainty.estimation_cost, p.noise_cost, p.tick)
     near = NEAR if p.plant.states <= SMALL else 0
-    if not continuous:
+    if not continuous or p.instants:  # costs at the sampling instants of another period count something else
         return ticked
     actuation = actuation_of(nodes)
     if problem.plant.full_state and actuation == "hold":  # neither filter nor model runs between the sends

@@ -72,7 +72,8 @@ class Tradeoff(Tabular):
         points: points in the order of the grid.
         periodic: curves of fair periodic control by actuation, that is, of time-triggered control with the measurements
             and the actuation of the policy; empty if plant, cost or period differ between points.
-        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
+            instants"`` or ``"mission"``.
         guarantee: the theorem that proves the bounds, or None.
     """
 

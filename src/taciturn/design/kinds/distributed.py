@@ -10,7 +10,7 @@ from taciturn._arrays import choice, flag, instance
 from taciturn.analyse.outcomes import MOST_LINKS, outcomes
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import PULLED, shares_of, threshold_of
-from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
+from taciturn.design.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.inputs import InputSteps
@@ -156,6 +156,7 @@ def _policy(
             cost_all_time=problem.per_unit(all_time),
             noise_cost=problem.noise_cost,
             settling=certainty.settling,
+            recovery=certainty.recovery,
             guarantee=None if lossy else _guarantee(certainty, thresholds),
             identity=square if told and not certainty.timed else None,
             innovations=sensors.innovations() if told else None,
@@ -207,7 +208,7 @@ def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[s
     return Guarantee(
         problem.per_unit(with_silence(all_time, added, pull)),
         f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
-        "its rate; mean-square stable",
+        f"its rate; mean-square stable{f'; {AT_INSTANTS}' if problem.instants else ''}",
         "khashooei2017",
         problem.per_unit(all_time),
         deciders={group: delta / problem.tick for group, delta in thresholds.items()},

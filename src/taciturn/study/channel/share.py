@@ -26,7 +26,7 @@ from taciturn.study.channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game
 from taciturn.study.evaluate import SURE
 from taciturn.study.printed import sharing_text
 from taciturn.study.sweeping.workers import idle
-from taciturn.study.units import TimeUnit, time_unit
+from taciturn.study.units import Unit, cost_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ class Sharing(Tabular):
     Args:
         scheduler: rule that decides which loops send.
         capacity: largest number of sends per step.
-        unit: unit of time that the costs refer to.
+        unit: unit that the costs refer to.
         shares: results of the loops, for each problem.
         cost: sum of the costs over all loops.
         cost_all_time: sum of the costs if all loops could send at every check.
@@ -97,7 +97,7 @@ class Sharing(Tabular):
 
     scheduler: SchedulerName
     capacity: int
-    unit: TimeUnit
+    unit: Unit
     shares: tuple[Share, ...]
     cost: Estimate
     cost_all_time: float
@@ -313,7 +313,7 @@ def share_channel(
     return Sharing(
         scheduler=scheduler,
         capacity=capacity,
-        unit=time_unit(next(iter(problems.values()))),
+        unit=cost_unit(next(iter(problems.values()))),
         shares=tuple(shares),
         cost=mean(measured.costs.sum(axis=1)).scaled(1.0, base),
         cost_all_time=base,
