@@ -23,6 +23,7 @@ from taciturn._arrays import Array, pushed
 from taciturn._display import Displayed
 from taciturn._growth import growth, normal_moments
 from taciturn._modes import radius
+from taciturn._progress import check_time
 from taciturn.analyse.reduction import relevant
 from taciturn.analyse.switched import attempt_of, read_steps, refuse_loops
 from taciturn.errors import ProblemError, UnstableError
@@ -106,6 +107,7 @@ class Outcomes(Displayed):
 
     def _moved(self, moments: Array, power: int) -> Array:
         """Return the moments after a step without noise, from those before it."""
+        check_time()
         each = [pushed(F, moments, power) for F in self.F]
         before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
         return np.tensordot(self.turns.T, np.stack(before), 1)

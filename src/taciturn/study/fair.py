@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import OutOfTime, late_text
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.clocked import predicted_cost
 from taciturn.design.estimation import ESTIMATE
@@ -130,6 +131,8 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
         found = fair_clock(problem, policy).at(rate.value, rate.standard_error)
     except NoClockError as reason:
         return None, str(reason)
+    except OutOfTime:
+        return None, late_text()
     if found is None:
         return (
             None,
