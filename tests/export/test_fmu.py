@@ -24,7 +24,7 @@ from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from parity.loops import with_functions
-from runtime.test_nodes import PARTICULAR
+from runtime.test_nodes import PARTICULAR, long
 from runtime.test_nodes import build as build_loop
 from systems import make_system
 
@@ -356,6 +356,6 @@ def test_units_decide_as_the_loop_for_100_000_ticks(name: str, tmp_path: Path) -
     loop = build_loop(name)
     unit = make_unit(loop, tmp_path / "unpacked")
     assert validate_fmu(str(tmp_path / "unpacked.fmu")) == []
-    vector = record(loop, 100_000)
+    vector = record(loop, long(name))
     library = tmp_path / "unpacked" / str(unit.binary)
     assert drive(build_driver(tmp_path), library, unit, loop, vector) == len(vector.sent) > 0

@@ -13,7 +13,7 @@ from tempfile import mkdtemp
 
 import numpy as np
 import pytest
-from counts import few
+from counts import few, scaled
 from export.devices import CORE, HERE, STRICT, Device, Library, compile_node, needs_compiler, write_sizes
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -214,7 +214,8 @@ def test_no_datagram_crashes_a_node_in_c(tmp_path: Path, of: tuple[bool, str]) -
 @pytest.mark.parametrize("keyed", [False, True], ids=["plain", "keyed"])
 def test_ten_million_datagrams_crash_no_node_in_c(tmp_path: Path, keyed: bool) -> None:
     """Ten million in two halves, one with a key, of which none is accepted that was not written with it."""
-    _assert_fate(mutate(tmp_path, 5_000_000, 7, keyed, "float64"), 5_000_000, keyed)
+    count = scaled(5_000_000, 500_000)
+    _assert_fate(mutate(tmp_path, count, 7, keyed, "float64"), count, keyed)
 
 
 def _assert_fate(fate: dict[str, int], count: int, keyed: bool) -> None:

@@ -163,6 +163,35 @@ def test_above_the_critical_loss_the_mean_square_grows() -> None:
         design.excess(plant, cost, theta=0.1, network=Network("tcp", actuator_loss=1.01 * critical))
 
 
+def test_the_refusal_of_losses_names_the_first_critical_loss_although_more_losses_would_do() -> None:
+    """Kronecker products over the states of a bursty link: the growth crosses 1, and again above the stated losses."""
+    plant = Plant(
+        [[-0.0142, -0.3564, -1.3022], [-0.1074, -0.2382, 0.944], [0.7669, 0.3285, 1.293]],
+        [[1.5396, 0.4733], [-2.0879, -0.9474], [0.0851, -1.2168]],
+        [[0.143, -0.0247, -0.0275], [-0.0247, 0.1097, -0.0101], [-0.0275, -0.0101, 0.0905]],
+        [[1.019, -0.3098, 0.1015], [-0.6566, 1.6158, -0.8068]],
+        [[0.0536, -0.0291], [-0.0291, 0.0669]],
+    )
+    weights = [[0.9304, 0.5693, -0.231], [0.5693, 0.8247, 0.1365], [-0.231, 0.1365, 2.0541]]
+    cost = Cost(weights, [[1.1088, 0.2931], [0.2931, 1.6347]], [[0.1805, -0.105], [0.284, 0.3367], [0.883, 0.2465]])
+    network = Network("tcp", actuator_burst=Burst(0.08, 0.3, 0.02, 0.7))
+    with pytest.raises(UnstableError, match=r"expected a loss below 0\.7335 times as much"):
+        design.excess(plant, cost, theta=0.2, network=network)
+    problem = discretise(plant, cost, None)
+    base = actuator_base(problem, lqg_observer("excess", problem))
+    silent, arrives = base.silent, base.silent @ base.replaced
+
+    def growth(factor: float) -> float:
+        turns, losses = np.array([[0.92, 0.08], [0.3, 0.7]]), (0.02 * factor, 0.7 * factor)
+        each = [p * np.kron(silent, silent) + (1 - p) * np.kron(arrives, arrives) for p in losses]
+        blocks = [[turns[m, after] * each[m] for m in range(2)] for after in range(2)]
+        return float(np.abs(np.linalg.eigvals(np.block(blocks))).max())
+
+    assert max(growth(factor) for factor in np.linspace(0.0, 0.733, 40)) < 1
+    assert growth(0.7334) < 1 < growth(0.7336)
+    assert growth(1.0) > 1 > growth(1.3)
+
+
 def test_a_guarantee_needs_finite_fourth_moments() -> None:
     """Near the critical loss the variance of the cost is infinite: identity and simulation remain, with a warning."""
     plant, cost = Plant([[1.3]], [[1.0]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]])

@@ -44,7 +44,7 @@ from taciturn.program.quadratic import as_form, read_polynomials
 
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
-# the properties of a loop that its step represents, or refuses where it meets them (_FixedStep)
+# the properties of a loop that its step represents, or refuses where it meets them (FixedStep)
 CERTIFIED = (LINEAR_LOOP - EXOSYSTEM) | JUMPS | MEMORIES | BELLS | DRAWS
 
 
@@ -149,7 +149,7 @@ def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[S
         ProblemError: the step is not linear.
     """
     plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
-    begins = [partial(_FixedStep, loop.policy.kind, case) for case in cases]
+    begins = [partial(FixedStep, loop.policy.kind, case) for case in cases]
     if whole or innovations is None:
         programs = [loop.whole_program(supplied=True, begin=begin) for begin in begins]
         name, read, moves, observed, hidden = "v", _factor(plant.V), _factor(plant.W), "x", 0.0
@@ -207,17 +207,19 @@ class _Collected(Builder):
         return self.collect(following, sums, outputs or {})
 
 
-class _FixedStep(TimeStep):
+class FixedStep(TimeStep):
     """The time step of a loop for a fixed decision and fixed arrivals; refuses what is not linear."""
 
     def __init__(self, kind: str, case: Case, builder: Builder, *rest: Any) -> None:
+        """Keep the decisions of the case, and the name of the policy kind for messages."""
         super().__init__(_Collected(builder.precision), *rest)
         self._kind, self._case, self._option = kind, case, 0
 
     def draw_losses(self, policy: Policy, network: Network) -> None:
-        pass
+        """Draw nothing: the case lists the links that drop packets."""
 
     def take(self, step: Step) -> None:
+        """Refuse steps that are not linear, and take the option of the case."""
         if isinstance(step, Evaluate | Apply | Draw):
             self._refuse(_beyond(step))
         if isinstance(step, Decide):
@@ -225,15 +227,19 @@ class _FixedStep(TimeStep):
         super().take(step)
 
     def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
+        """Return the option of the case instead of the least one."""
         return [i == self._option for i in range(len(values) - 1)]
 
     def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
+        """Return the option of the case instead of the first one within a limit."""
         return self.least(values, allowed)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
+        """Return whether a packet is sent, on a link that does not drop it in this case."""
         return sent and link not in self._case.lost
 
     def form(self, form: Form) -> int:
+        """Refuse triggers that are not quadratic."""
         if form.bell is not None:
             self._refuse("triggers on the exponential of a quadratic form")
         if form.plus:
@@ -241,11 +247,13 @@ class _FixedStep(TimeStep):
         return super().form(form)
 
     def number(self, value: float | Scheduled) -> Coefficient:
+        """Refuse constants that vary."""
         if isinstance(value, Scheduled):
             self._refuse(f"decides by the {value.by}")
         return super().number(value)
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
+        """Refuse matrices that vary."""
         if isinstance(matrix, Scheduled):
             if (matrix.values != matrix.values[0]).any():
                 self._refuse(f"has matrices that vary with the {matrix.by}")
@@ -253,6 +261,7 @@ class _FixedStep(TimeStep):
         return super().coefficients(matrix)
 
     def happened(self, condition: Condition) -> list[Truth]:
+        """Refuse packets of the previous step."""
         if not isinstance(condition, str) and condition.link not in self.arrived:
             self._refuse("uses a packet of the previous step")
         return super().happened(condition)

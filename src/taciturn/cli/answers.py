@@ -82,9 +82,10 @@ def evaluate(
             f"{found.cost.standard_error + found.cost.error:.3g}; give a longer --time or a larger --standard-error"
         )
     if not found.settled:
+        why = "a note states why there is no average, or " if found.notes else ""
         refuse(
-            f"the loop has not settled within {found.steps} steps: its time constants, or the intervals between sends, "
-            "take too many steps; choose a longer period"
+            f"the loop has not settled within {found.steps} steps: {why}its time constants, or the intervals between "
+            "sends, take too many steps; choose a longer period"
         )
     if not found.reached:
         wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"

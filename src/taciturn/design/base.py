@@ -25,11 +25,13 @@ import numpy as np
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import mode_text, radius
+from taciturn._progress import check_time
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
 from taciturn.model.losses import stationary
 
 WIDTH = 1e-6  # accuracy of the critical loss
+SCANS = 32  # losses that are tried, up to the largest, before the critical one is bisected
 GROWTH = 1e-6  # growth per step above which a loop is unstable, although its cost is finite
 
 
@@ -162,13 +164,21 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
 
 
 def critical_scale(base: Base, attempts: Attempts) -> float:
-    """Return the largest factor of the losses with which the mean square of the base does not grow; 0 for none."""
-    low, high = 0.0, 1 / float(attempts.losses.max())
-    if repeated_value(base, attempts.scaled(0.0)) is None:
-        return 0.0
-    if repeated_value(base, attempts.scaled(high)) is not None:
-        return high
+    """Return the largest factor of the losses up to which the mean square of the base does not grow; 0 for none.
+
+    The growth need not be monotone: with losses above a range that is too high, it may decay again, for example where
+    the gain moves the plant faster than zero input. So the losses are raised step by step from zero.
+    """
+    most = 1 / float(attempts.losses.max())
+    low = 0.0
+    for high in np.linspace(0.0, most, SCANS + 1).tolist():
+        if repeated_value(base, attempts.scaled(high)) is None:
+            break
+        low = high
+    else:
+        return most
     while high - low > WIDTH * high:
+        check_time()
         middle = (low + high) / 2
         low, high = (middle, high) if repeated_value(base, attempts.scaled(middle)) is not None else (low, middle)
     return low

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -56,7 +56,7 @@ class NodeData(Displayed):
     network: Network
     program: NodeProgram
     layout: Layout
-    constants: list[float]
+    constants: list[float] = field(hash=False)
     precision: Precision
     seed: int
 

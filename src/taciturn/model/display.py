@@ -58,9 +58,18 @@ class DisplayedPlant(Displayed):
     @property
     def unlimited(self) -> Self:
         """The plant without limits of its inputs."""
+        return self._without("input_limit", "input_rate")
+
+    @property
+    def linear(self) -> Self:
+        """The plant of the design: linear, and without limits of its inputs."""
+        return self._without("input_limit", "input_rate", "function")
+
+    def _without(self, *names: str) -> Self:
         found = copy(self)
-        for name in ("input_limit", "input_rate"):
-            object.__setattr__(found, name, None)
+        for name in names:
+            if getattr(self, name, None) is not None:
+                object.__setattr__(found, name, None)
         return found
 
     @property

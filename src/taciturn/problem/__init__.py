@@ -23,12 +23,15 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from taciturn._arrays import Array as Array
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
-from taciturn._files import read_text
+from taciturn._files import read_text, why_unreadable
 from taciturn._plugins import problem_folders
 from taciturn._pydantic import ValidationError, validate
+from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
@@ -194,6 +197,11 @@ class Problem(Displayed):
             key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
             text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
+        except np.linalg.LinAlgError as error:
+            raise ProblemError(
+                f"{self.name or 'the problem'}: a computation with matrices fails ({error}); expected numbers nearer "
+                "to 1: scale the problem"
+            ) from None
 
     def _others(self) -> str:
         """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""
@@ -332,14 +340,15 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
             f"there is no file {str(path)!r}; expected a problem file, or one of the built-in problems "
             f"{', '.join(built_in)}{suggest(str(path), built_in)}"
         ) from None
-    except UnicodeDecodeError as error:
-        raise ProblemError(f"{str(path)!r} is not UTF-8 text ({error.reason}); expected a TOML file") from None
-    except OSError as error:
-        raise ProblemError(f"{str(path)!r} cannot be read ({error.strerror}); expected a TOML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ProblemError(f"{str(path)!r} cannot be read ({why_unreadable(error)}); expected a TOML file") from None
     except RecursionError:
         raise ProblemError(f"{path} is not valid TOML: it is nested too deeply; expected tables of matrices") from None
     except ValueError as error:  # errors of tomllib, and integers that are too long for Python
-        raise ProblemError(f"{path} is not valid TOML: {error}; expected the format of docs/problem-file") from None
+        raise ProblemError(
+            f"{path} is not valid TOML: {error}; expected the format of docs/problem-file"
+            f"{backslash_text('', str(error))}"
+        ) from None
     if not functions:
         refuse_functions(tables, str(path))
     return parse(locate_functions(tables, file.parent), str(path))

@@ -10,7 +10,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
-from taciturn._files import delete_parts, read_whole, write_whole
+from taciturn._files import delete_parts, read_bytes, why_unreadable, write_whole
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.wire import HEADER_SIZE, OFFSETS, VERSION
@@ -25,7 +25,7 @@ Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
 IDLE = 0.25  # seconds between checks for a stop request
 WAIT = 0.3, 0.55  # default fractions of a step for which controller and actuators wait
-LARGEST_STATE = 1 << 26  # bytes of a saved state; those of nodes have some kilobytes
+LARGEST = 2**26  # bytes of a saved state
 QUIET = 0.05  # seconds without datagrams after which no more are expected
 
 
@@ -117,10 +117,13 @@ class FileStorage:
     def read(self) -> bytes | None:
         """Return the content of the file, or None if it does not exist."""
         try:
-            return read_whole(self._path, LARGEST_STATE) if self._path.exists() else None
+            return read_bytes(self._path, LARGEST)
+        except FileNotFoundError:
+            return None
         except OSError as error:
             raise ProblemError(
-                f"the saved state {self._path} cannot be read ({error}); expected a saved state of this node"
+                f"the saved state {self._path} cannot be read ({why_unreadable(error)}); expected a saved state of "
+                "this node"
             ) from None
 
     def write(self, state: bytes) -> None:

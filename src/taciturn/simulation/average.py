@@ -10,7 +10,7 @@ from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.parts import Estimator, Part, sends
-from taciturn.simulation.reliability import doubt_moments, doubt_tail, expect_arrivals, find_doubts
+from taciturn.simulation.reliability import doubt_moments, doubt_tail, drifts_of, expect_arrivals, find_doubts
 from taciturn.simulation.sampling import (
     SETTLING_CONSTANTS,
     SHORTEST_BURN_IN,
@@ -82,8 +82,8 @@ def average(
 
     The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
     are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
-    mean intervals between sends, and until nearly every path has sent. Earlier windows are also dropped if the latest
-    window differs from them.
+    mean intervals between sends, and until nearly every path has sent. Windows of steps that differ from the later ones
+    are also dropped (``simulation.settled``).
 
     Args:
         loop: the closed loop.
@@ -325,5 +325,7 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     unbounded = parts[0].estimator.sum == COST or (identity is not None and identity.on is None and lossy)
     notes = doubt_moments(loop) if unbounded or (loop.policy.theory.fourth or 0.0) >= 1 else ()
     notes = notes or doubt_tail(found.tail)
+    if drifts_of(loop):
+        found = replace(found, settled=False, reached=False)
     more = find_doubts(loop, found.cost, found.rates, found.steps, found.settled)
     return replace(found, notes=notes + more, trusted=not notes)

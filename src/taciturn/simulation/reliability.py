@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._modes import eigenvalues, lost_modes, persistent, root
+from taciturn.analyse.drifts import drifting
 from taciturn.analyse.outcomes import outcomes
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
@@ -64,7 +65,7 @@ def find_doubts(
         settled: whether the initial transient has decayed.
     """
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
-    notes: tuple[str, ...] = ()
+    notes = loop.problem.remarks
     if escapes(loop):
         notes += (
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
@@ -75,11 +76,12 @@ def find_doubts(
             "the disturbances or set-points wander without limit, and inputs are limited: eventually they need more "
             "input than there is, so cost and rates depend on the simulated time",
         )
-    if held := outruns(loop):
+    if drifts := drifts_of(loop):
+        held = any(loop.policy.holds(link) for link in drifts)
+        model = "; a receiver with a model (actuation or prediction 'model') may follow them" if held else ""
         notes += (
-            f"the receiver of {' and '.join(held)} holds its value between packets, and the disturbances change this "
-            "value from step to step by amounts that grow without limit: cost and rates depend on the simulated time; "
-            "a receiver with a model (actuation or prediction 'model') follows the disturbances",
+            f"the decision on {' and '.join(drifts)} depends on the size of disturbances or set-points that wander "
+            f"without limit: cost and rates depend on the simulated time, and the rates have no average{model}",
         )
     if silent and comes_never_to_rest(loop):
         notes += (
@@ -88,7 +90,7 @@ def find_doubts(
         )
     elif silent:
         notes += (f"nothing was sent on {silent} in {steps} steps: the cost is that of silence",)
-    elif not settled:
+    elif not settled and not drifts:
         notes += (
             f"the loop has not settled within {steps} steps: cost and rates still depend on the initial state and "
             "are not averages",
@@ -109,17 +111,9 @@ def wanders(loop: Loop) -> bool:
     return bounded and needs is not None and needs.wanders(needs.inputs, wandering_noise(loop))
 
 
-def outruns(loop: Loop) -> tuple[str, ...]:
-    """Return the links whose receiver holds a value that disturbances change by more and more from step to step."""
-    needs, plant, network = loop.problem.followed, loop.problem.plant, loop.policy.network
-    if needs is None:
-        return ()
-    change = plant.A - np.eye(plant.states)
-    inputs, outputs = needs.inputs @ change, needs.outputs(plant.C) @ change
-    values = {node: outputs[[*rows]] for node, rows in network.measurements(plant.sensed).values()}
-    values |= {node: inputs[[*rows]] for node, rows in network.applications(plant.inputs).values()}
-    held = (link for link in loop.policy.scheduled if loop.policy.holds(link))
-    return tuple(link for link in held if needs.wanders(values[link], wandering_noise(loop)))
+def drifts_of(loop: Loop) -> tuple[str, ...]:
+    """Return the links whose rates have no average, since their decisions depend on disturbances that wander."""
+    return drifting(loop, wandering_noise(loop))
 
 
 def wandering_noise(loop: Loop) -> Array:
@@ -139,8 +133,8 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
                 f"probability {outage:.4g}, and in this step the squared cost grows by a factor of {growth**4:.4g}. So "
                 "the standard error is meaningless, and the average is probably too small",
             )
-    found, known = outcomes(loop), loop.policy.theory.fourth
-    if found is None and known is not None and known >= 1 and loop.nominal:
+    found, known = outcomes(loop), loop.deviations.policy.theory.fourth
+    if found is None and known is not None and known >= 1 and loop.deviations.nominal:
         return (_infinite(known, " if every packet is sent"),)
     if found is None or (growth := found.growth(4)) < 1:
         return ()

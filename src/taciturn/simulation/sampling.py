@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
 
@@ -21,7 +21,8 @@ from taciturn.program.ir import Program
 from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import Part, sends
-from taciturn.simulation.reliability import comes_never_to_rest
+from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
+from taciturn.simulation.settled import History
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
 SIMULATED_PATHS = 4096
@@ -34,13 +35,15 @@ SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial tr
 KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
 SILENT = 1e-3  # largest share of paths without a late send in the burn-in
 MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
+DRIFTING_STEPS = 20_000_000  # of a loop that has no average
 DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
 HUGE = 1e150  # a limit whose square is still finite
 CHUNK = 1 << 24  # steps between two reports of progress
 ROUNDING = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
 ROOM = 8  # least number of paths per control variate
 PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
-DRIFT = 3.5  # standard errors by which the latest window may differ from the earlier ones
+
+Watch = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,7 +67,7 @@ class Averages(Displayed):
     """
 
     cost: Estimate
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     steps: int
     burn_in: int
     reached: bool
@@ -121,19 +124,19 @@ class Sampling:
 
         The iteration ends at the given absolute standard error or number of steps.
         """
-        budget = steps or MOST_OPERATIONS
+        drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
+        budget = steps or (DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         most = (
             SIMULATED_PATHS
             if steps
             else min(SIMULATED_PATHS, max(FEW_PATHS, SIMULATED_PATHS * SMALL // max(operations, 1) // 8 * 8))
         )
-        states, dropped, forgotten = self.settle(most, budget)
-        paths = states[0].shape[1]
-        if steps is not None and self._affordable(states, budget) > PAYS * dropped:
+        states, history, forgotten = self.settle(most, budget)
+        paths, first = states[0].shape[1], history.steps
+        if steps is not None and self._affordable(states, budget) > PAYS * first:
             self._add_controls(paths)
-        kept: list[tuple[int, Array]] = []  # steps and sums per path, of each window
-        window = min(dropped, self._affordable(states, budget) // 2)  # at least two windows, for comparison
+        window = min(first, self._affordable(states, budget) // 2)  # at least two windows, for comparison
         while True:
             left = self._affordable(states, budget)
             if left < 1.5 * window:  # avoid a short last window, which would be compared with all earlier ones
@@ -142,16 +145,18 @@ class Sampling:
             sums, states = self._advance(states, window)
             for part, rows in zip(self.parts, self.rows, strict=True):
                 part.refuse_runaways(sums[rows][0], window)
-            kept.append((window, sums))
-            if len(kept) > 1 and not self._settled(kept):
-                dropped += sum(length for length, _ in kept[:-1])
-                kept = kept[-1:]
+            self._refuse_growth(history, window, sums)
+            history.add(window, sums)
+            kept = history.kept(first)
+            settled = bool(kept)
+            kept = kept or history.windows[-1:]
+            dropped = history.steps - sum(length for length, _ in kept)
             means = _means(kept)
             cost, rates = self._summary(means, kept)
-            measured, pace = sum(length for length, _ in kept), self._pace(means[self.counted].mean(axis=1))
-            long_enough = forgotten and measured >= pace and len(kept) > 1
+            measured, pace = history.steps - dropped, self._pace(means[self.counted].mean(axis=1))
+            long_enough = forgotten and settled and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
-            if steps is None and long_enough and self._is_precise(cost, target):
+            if steps is None and (drifts or (long_enough and self._is_precise(cost, target))):
                 yield Averages(cost, rates, self.steps, dropped, True, tail=self._tail(means))
                 return
             reached = left <= window and steps is not None and long_enough
@@ -161,8 +166,7 @@ class Sampling:
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
             if missing > PAYS * measured and self._add_controls(paths):
-                dropped += measured
-                kept = []
+                first = history.steps
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, SHORTEST_BURN_IN // 4))
 
@@ -222,39 +226,54 @@ class Sampling:
         cycle = lcm(*(part.loop.policy.cycle for part in self.parts))
         return -(-ticks // cycle) * cycle
 
-    def settle(self, most: int, budget: int) -> tuple[list[Array], int, bool]:
-        """Return states of at most so many paths in stationary operation, the steps, and whether the loops settled."""
+    def settle(self, most: int, budget: int, watch: Watch | None = None) -> tuple[list[Array], History, bool]:
+        """Return states of at most so many paths in stationary operation, their history, and whether they settled.
+
+        Args:
+            most: largest number of paths.
+            budget: largest number of steps of all paths together.
+            watch: function that returns further values of each path from the states of the only part, (values,
+                paths). Their means have to settle, too.
+        """
         width = len(self.parts)
         least = max(
             SHORTEST_BURN_IN, int(max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts))
         )
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
         states = [part.loop.start(part.estimator.program, paths, self.seed, stationary=True) for part in self.parts]
-        return self._burn_in(states, min(least, budget // paths // width // 2), budget)
+        return self._burn_in(states, min(least, budget // paths // width // 2), budget, watch)
 
-    def _burn_in(self, states: list[Array], length: int, budget: int) -> tuple[list[Array], int, bool]:
-        """Run until the initial transient has decayed; return the states, the steps, and whether it has decayed.
+    def _burn_in(
+        self, states: list[Array], length: int, budget: int, watch: Watch | None
+    ) -> tuple[list[Array], History, bool]:
+        """Run until the initial transient has decayed; return the states, the history, and whether it has decayed.
 
-        This requires a few time constants, a few mean intervals between sends, and a late send on nearly every path. No
-        send is required if nothing is sent and silence is safe. If the burn-in is long, fewer paths continue; half of
-        the budget is reserved for the measurement.
+        This requires a few time constants, a few mean intervals between sends, a late send on nearly every path, and
+        sums that no longer change (``History``). No send is required if nothing is sent and silence is safe. If the
+        burn-in is long, fewer paths continue; half of the budget is reserved for the measurement.
         """
-        least, dropped = length, length // 2
-        _, states = self._advance(states, dropped)  # sends that are caused by the initial state do not count
-        length -= dropped
+        least, counted = length, self.counted
+        if watch is not None:
+            counted = np.append(counted, np.zeros(len(watch(states[0])), dtype=np.bool_))
+        history = History(counted)
+        pieces = [piece for piece in (length // 4, length // 2 - length // 4, length - length // 2) if piece]
+        sums: Array = np.zeros((0, 0))
         while True:
-            sums, states = self._advance(states, length)
-            dropped += length
-            sent = sums[self.counted]
+            for piece in pieces:
+                sums, states = self._advance(states, piece)
+                found = sums if watch is None else np.vstack([sums, piece * watch(states[0])])
+                history.add(piece, found)
+            length = pieces[-1]
+            sent = sums[self.counted]  # sends that are caused by the initial state are in an earlier window
             pace = self._pace(sent.mean(axis=1) / length)
             silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
-            if dropped >= max(least, pace) and silent <= SILENT:
-                return states, dropped, True
-            length = max(dropped, int(pace) - dropped + 1)
+            if history.steps >= max(least, pace) and silent <= SILENT and history.settled():
+                return states, history, True
+            pieces = [max(history.steps, int(pace) - history.steps + 1)]
             now = states[0].shape[1]
-            paths = min(now, (budget - self.steps) // 2 // length // len(self.parts) // 8 * 8)
+            paths = min(now, (budget - self.steps) // 2 // pieces[0] // len(self.parts) // 8 * 8)
             if paths < min(FEWEST_PATHS, now):
-                return states, dropped, False
+                return states, history, False
             states = [state[:, :paths] for state in states]
 
     def _pace(self, rates: Array) -> float:
@@ -284,20 +303,15 @@ class Sampling:
             self.progress.tick()
         return sums, after
 
-    def _settled(self, kept: Sequence[tuple[int, Array]]) -> bool:
-        """Return whether the last window agrees with the earlier ones, path by path."""
-        before, (length, last) = kept[:-1], kept[-1]
-        earlier = _means(before)
-        change = last / length - earlier
-        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+    def _refuse_growth(self, history: History, length: int, sums: Array) -> None:
+        """Raise an error if the mean cost grows from the latest window to the next by a factor of a million."""
+        steps, earlier = history.windows[-1]
         for part, rows in zip(self.parts, self.rows, strict=True):
-            if np.abs(last[rows]).max() > 1e6 * length * max(float(np.abs(earlier[rows]).max()), 1e-300):
+            before = float(np.abs(earlier[rows.start : rows.start + len(part.names)]).max()) / steps
+            if np.abs(sums[rows]).max() > 1e6 * length * max(before, 1e-300):
                 raise part.diverges(
                     "the mean cost grew by a factor of a million from one simulated interval to the next"
                 )
-        early = self.counted / length  # a window may end just before a send
-        drift = DRIFT * spread + early + 1e-12 * np.abs(earlier.mean(axis=1))
-        return bool((np.abs(change.mean(axis=1)) <= drift)[~self.controls].all())
 
     def _contrast(self, sums: Array) -> Array:
         """Return the costs of the paths without their constants, summed over the parts, (paths,)."""

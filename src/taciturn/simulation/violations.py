@@ -26,6 +26,7 @@ from taciturn.simulation.splitting import COPIES, MOST_LEVELS, Splitting
 
 ACCURACY = 0.05  # default standard error, relative to the probability per step
 ORIGINALS = 1024  # paths that are no copies
+SETTLING = 512  # paths, at least, on which it is decided that the loop has settled
 MOST_STEPS = 20_000_000  # of all paths, for each limit
 TO_SETTLE = 1_000_000_000  # steps of all paths until the loop is in stationary operation, at most
 OFTEN = 0.01  # share of the steps with a violation, above which no path is copied
@@ -34,7 +35,7 @@ SHORTEST_WINDOW, CONSTANTS = 64, 6  # half of a window: at least so many steps, 
 LEVELS = 8  # levels for which the number of paths is chosen
 SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
 HOUR, MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
-GROWN = 1.35  # ratio of spreads above which a state has no stationary distribution; its standard error is 0.05
+GROWN, QUARTILES = 7.0, 1.65  # standard errors of a ratio of spreads that are growth; one is 1.65/√paths
 
 
 def violations(
@@ -173,7 +174,7 @@ class _Search:
                     told(max(told.at, split.steps / self.budget))
             windows += 1
             if self.horizon is None and windows == 1:
-                self._expect_rest(before, self._spread(split), (1 + parts) * length)
+                self._expect_rest(before, self._spread(split), (1 + parts) * length, split.originals)
             steps = windows * parts * length
             found = [
                 self._violation(share, hits, steps, windows, near / steps, len(split.thresholds))
@@ -280,13 +281,18 @@ class _Search:
         for i in np.flatnonzero(self._wanders()):
             raise self._wandering(self.limits.names[i], "it follows a disturbance that wanders without limit")
         expect_arrivals(self.loop)
-        (states,), dropped, settled = self.sampling.settle(paths, TO_SETTLE)
+        (states,), history, settled = self.sampling.settle(max(paths, SETTLING), TO_SETTLE, self._moments)
         if not settled:
             raise ProblemError(
-                f"the loop has not settled within {dropped} steps, so no stationary distribution of its states is "
-                "known; expected a loop that settles sooner, or a horizon"
+                f"the loop has not settled within {history.steps} steps, so no stationary distribution of its states "
+                "is known; expected a loop that settles sooner, or a horizon"
             )
-        return states
+        return states[:, :paths]
+
+    def _moments(self, states: Array) -> Array:
+        """Return the limited combinations and their squares on each path, whose means have to settle."""
+        z = self.rows @ self._states(states)
+        return np.vstack([z, z**2])
 
     def _deviation(self) -> Array:
         """Return the standard deviation of each combination, (limits, 1); 1 if it does not vary."""
@@ -299,9 +305,10 @@ class _Search:
         low, high = np.quantile(self.rows @ split.x[:, split.original], (0.25, 0.75), axis=1)
         return high - low
 
-    def _expect_rest(self, before: Array, after: Array, steps: int) -> None:
+    def _expect_rest(self, before: Array, after: Array, steps: int, originals: int) -> None:
         """Raise a ``ProblemError`` if the spread of a combination still grows."""
-        for i in np.flatnonzero(after > GROWN * np.maximum(before, 1e-300)):
+        grown = np.exp(GROWN * QUARTILES / np.sqrt(originals))
+        for i in np.flatnonzero(after > grown * np.maximum(before, 1e-300)):
             raise self._wandering(
                 self.limits.names[i], f"its spread grows by a factor of {after[i] / before[i]:.3g} in {steps} steps"
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -82,7 +82,7 @@ class Certificates(Tabular):
     cost_all_time: float | None
     mean_square_bound: float | None
     mean_square_all_time: float | None
-    errors: Mapping[str, ErrorGain]
+    errors: Mapping[str, ErrorGain] = field(hash=False)
     errors_bound: float | None
     seconds: float
     notes: tuple[str, ...]

@@ -45,7 +45,7 @@ class LinkClocks(Displayed):
     """
 
     cost: float
-    timings: tuple[Mapping[str, Timing], ...]
+    timings: tuple[Mapping[str, Timing], ...] = field(hash=False)
     shares: tuple[float, ...]
     plans: bool
     tried: int

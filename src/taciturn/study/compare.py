@@ -111,7 +111,8 @@ class Comparison(Tabular):
     Args:
         rate: sends per step or per second; for a finite-horizon run, the mean fraction of steps with a send. For
             policies at the same traffic, the sum of the rates of all links, each times the price of a packet.
-        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
+            instants"`` or ``"mission"``.
         cost_all_time: least exact cost of sending at every step among the policies with the most steps per second, or
             None if it is unknown.
         ranking: the policies in the order of their costs.

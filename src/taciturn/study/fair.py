@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import OutOfTime, late_text
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.clocked import predicted_cost
 from taciturn.design.estimation import ESTIMATE
@@ -114,7 +115,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
         ticked = _holding(*given, certainty.estimation_cost, p.noise_cost, p.tick)
     near = NEAR if p.plant.states <= SMALL else 0
-    if not continuous:
+    if not continuous or p.instants:  # costs at the sampling instants of another period count something else
         return ticked
     actuation = actuation_of(nodes)
     if problem.plant.full_state and actuation == "hold":  # neither filter nor model runs between the sends
@@ -130,6 +131,8 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
         found = fair_clock(problem, policy).at(rate.value, rate.standard_error)
     except NoClockError as reason:
         return None, str(reason)
+    except OutOfTime:
+        return None, late_text()
     if found is None:
         return (
             None,

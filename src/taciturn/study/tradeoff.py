@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -47,7 +47,7 @@ class Point(Displayed):
         evaluation: evaluation of the policy, with fair periodic control at its rate.
     """
 
-    values: Mapping[str, Any]
+    values: Mapping[str, Any] = field(hash=False)
     evaluation: Evaluation
 
     def summary(self) -> Mapping[str, object]:
@@ -72,14 +72,15 @@ class Tradeoff(Tabular):
         points: points in the order of the grid.
         periodic: curves of fair periodic control by actuation, that is, of time-triggered control with the measurements
             and the actuation of the policy; empty if plant, cost or period differ between points.
-        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
+            instants"`` or ``"mission"``.
         guarantee: the theorem that proves the bounds, or None.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("unit", "rate_unit", "method", "guarantee")
 
     points: tuple[Point, ...]
-    periodic: Mapping[ClockKind, tuple[ClockPoint, ...]]
+    periodic: Mapping[ClockKind, tuple[ClockPoint, ...]] = field(hash=False)
     unit: Unit
     guarantee: str | None
 

@@ -132,10 +132,13 @@ def excess(
         L = gains_for_losses(
             discretise(plant, cost, period), network.loss(link), actuation == "zero", network.lost(link)
         )
-    if controller is None:
-        controller = lqg_observer("excess", discretise(plant, cost, period), every, L)
-    kept = controller_from(controller)
-    policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry)
+    if controller is None:  # a model predicts the input that LQG with every sample would apply
+        problem = discretise(plant, cost, period)
+        lqg = lqg_observer("excess", problem, L=L)
+        kept = lqg if actuation == "model" or every == 1 else lqg_observer("excess", problem, every)
+    else:
+        kept, lqg = controller_from(controller), None
+    policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
     return placed(policy, network)
 
 

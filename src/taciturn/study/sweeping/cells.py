@@ -8,7 +8,7 @@ import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, TypeAlias
 
@@ -44,7 +44,7 @@ class Cell(Displayed):
         seed: seed of the cell's random draws.
     """
 
-    values: Mapping[str, object]
+    values: Mapping[str, object] = field(hash=False)
     seed: int
 
 

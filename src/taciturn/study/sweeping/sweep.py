@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from taciturn._arrays import instance, quoted
+from taciturn._arrays import expect_unmasked, instance, quoted
 from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
 from taciturn._version import __version__
@@ -151,6 +151,7 @@ def _plain(name: str, value: object) -> object:
         ProblemError: a problem file cannot contain the value.
     """
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+        expect_unmasked(f"a value of {name}", value)
         value = cast("Any", value).tolist()
     elif hasattr(value, "values") and not isinstance(value, Mapping):  # labelled arrays
         value = cast("Any", value).values.tolist()

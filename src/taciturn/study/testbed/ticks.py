@@ -35,7 +35,8 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
         needed = skipped + 10 * BATCHES
         return None, (f"{len(costs)} steps are too few for a mean cost with its error; expected at least {needed}",)
     found = batch_means(kept)
-    notes = (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
+    notes = loop.problem.remarks
+    notes += (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
     cost = _in_units(loop, found)
     return cost, notes + doubt_errors(cost, len(kept))
 

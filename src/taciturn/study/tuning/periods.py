@@ -8,6 +8,7 @@ from typing import Any
 from taciturn._arrays import number
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
+from taciturn.lqg.regulation import has_average
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem.bare import Studied, as_problem
@@ -106,6 +107,12 @@ def tune_period(
     period = problem.parameters.get("period")
     if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
         raise ProblemError(f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period")
+    if not has_average(problem.plant, problem.cost):
+        raise ProblemError(
+            "the cost is that at the sampling instants, because the disturbances change the input that they need "
+            "between samples and grow without limit, so costs of several periods cannot be compared; expected "
+            "disturbances that are constant or decay, or a given period"
+        )
     rate, least = number("rate", rate, 0.0), number("least", least, 0.0)
     period = min(float(period), 1 / (FASTER * rate))
     if period < least:

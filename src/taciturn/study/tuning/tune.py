@@ -44,8 +44,9 @@ def tune(
 ) -> Tuned:
     """Return the parameter with which a problem's policy meets a budget: its rate, traffic, cost or violation.
 
-    The parameter is the tuning parameter of the policy kind; rate and cost are assumed to be monotone in it. All trials
-    of the search use the same draws. The answer is then measured more precisely and corrected, until it is at least two
+    The parameter is the tuning parameter of the policy kind. If rate or cost are not monotone in it, the answer is the
+    largest value found at which they cross the budget in the usual direction. All trials of the search use the same
+    draws. The answer is then measured more precisely and corrected, until it is at least two
     standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
     policy on the side of the jump that meets the budget. A budget that is exceeded by at most 1e-9 of it counts as met,
     since costs and rates have rounding errors of this size.

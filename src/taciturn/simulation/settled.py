@@ -1,0 +1,91 @@
+"""When a simulated loop has settled, decided from the sums that its paths have had since their start.
+
+The time constants of a design are those of the loop that always sends. A policy that seldom sends can be much slower:
+while it is silent, a slow mode of the plant or an integrator of the controller moves as in open loop. So the sums
+themselves decide. The steps since the start are divided into windows, and the mean over a range of windows is compared
+with the mean over all later ones, path by path. The last range that differs ends at the step t. Until then, a transient
+of amplitude A has decayed to the resolution r of the comparison, so by the step 2t it has decayed to about r²/A, which
+is far below r. Windows that begin earlier are dropped.
+
+A range reaches back to a quarter of its last step at most: it contains two windows whose lengths have doubled, which
+resolves more than one window, and it does not contain the start, whose large transient would be seen at any later time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import Array, Bits
+
+DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
+REACH = 4  # the first step of a range is at least its last step divided by this number
+AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
+ROUNDING = 1e-12  # relative rounding error of a mean
+IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
+
+Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
+
+
+class History:
+    """The windows of steps since the start of all paths.
+
+    Args:
+        counted: which sums are numbers of sends.
+    """
+
+    def __init__(self, counted: Bits) -> None:
+        """Start without windows."""
+        self.counted = counted
+        self.windows: list[Window] = []  # later windows may have more sums, which are not compared
+
+    @property
+    def steps(self) -> int:
+        """Steps of each path since its start."""
+        return sum(length for length, _ in self.windows)
+
+    def add(self, length: int, sums: Array) -> None:
+        """Add a window; earlier windows keep only the paths that are still simulated."""
+        paths = sums.shape[1]
+        self.windows = [(steps, earlier[:, :paths]) for steps, earlier in self.windows] + [(length, sums)]
+
+    def drift(self) -> int:
+        """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
+        ends = np.cumsum([length for length, _ in self.windows])
+        for j in range(len(self.windows) - 1, 0, -1):
+            later = _joined(self.windows[j:])
+            for i in range(j - 1, -1, -1):
+                begins = int(ends[i - 1]) if i else 0
+                if i < j - 1 and begins * REACH < ends[j - 1]:
+                    break
+                if self._differ(_joined(self.windows[i:j]), later):
+                    return int(ends[j - 1])
+        return 0
+
+    def settled(self) -> bool:
+        """Return whether a window begins late enough after the last difference."""
+        return bool(self.kept(0))
+
+    def kept(self, first: int) -> list[Window]:
+        """Return the windows that begin at the given step or later, and late enough after the last difference."""
+        first = max(first, AGAIN * self.drift())
+        begins = np.cumsum([0] + [length for length, _ in self.windows])
+        return [window for begin, window in zip(begins, self.windows, strict=False) if begin >= first]
+
+    def _differ(self, before: Window, after: Window) -> bool:
+        """Return whether the mean of a sum differs between two ranges of windows."""
+        rows = len(self.counted)
+        (steps, sums), (others, late) = before, after
+        earlier = sums[:rows] / steps
+        change = late[:rows] / others - earlier
+        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        # paths that send at the same steps: a window may end just before a send
+        same = self.counted & (sums[:rows].std(axis=1) < IN_PHASE) & (late[:rows].std(axis=1) < IN_PHASE)
+        early = same * (1 / steps + 1 / others)
+        least = DIFFERENT * spread + early + ROUNDING * np.abs(earlier.mean(axis=1))
+        return bool((np.abs(change.mean(axis=1)) > least).any())
+
+
+def _joined(windows: list[Window]) -> Window:
+    """Return the steps and sums of several windows."""
+    rows = min(len(sums) for _, sums in windows)
+    return sum(length for length, _ in windows), np.sum([sums[:rows] for _, sums in windows], axis=0)
