@@ -292,7 +292,7 @@ def _end_broken(error: OSError) -> NoReturn:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Return whether a stream is a pipe whose reader has closed it; False if this cannot be asked."""
+    """Return whether a stream is a pipe whose reader has closed it; False if the system cannot tell."""
     try:
         poll = select.poll()
         poll.register(stream.fileno(), select.POLLOUT)
