@@ -79,7 +79,7 @@ def disturbed(
     disturbance = controller.expected
     if disturbance is not None:
         disturbance = disturbance.completed(plant, period)
-        problem = discretise(disturbance.added_to(plant), padded(cost, problem.plant.inputs), period)
+        problem = discretise(disturbance.added_to(plant, cost.mission), padded(cost, problem.plant.inputs), period)
     return problem, controller, disturbance
 
 
