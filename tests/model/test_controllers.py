@@ -76,6 +76,14 @@ def test_a_matrix_file_holds_the_controller(tmp_path: Path) -> None:
         read(tmp_path, 'file = "kept.mat"\nmethod = "zoh"')
 
 
+def test_the_delay_of_a_controller_in_a_matrix_file_is_not_dropped(tmp_path: Path) -> None:
+    """A delay of zero is none."""
+    gain = {"A": np.zeros((0, 0)), "B": np.zeros((0, 1)), "C": np.zeros((1, 0)), "D": [[1.2]], "Ts": 0.1}
+    np.savez(tmp_path / "late.npz", **gain, InputDelay=1.0)
+    with pytest.raises(ProblemError, match=r"late.npz has InputDelay \[1.0\]; expected a system without delays"):
+        read(tmp_path, 'file = "late.npz"')
+
+
 FILE = """
 [plant]
 A = [[1.0, 0.1], [0.0, 0.9]]
