@@ -279,8 +279,8 @@ class Search:
 
         For example, the cost of silence may be less than that of few sends with an unsuitable controller. After walks
         in both directions, intervals between neighbouring trials are halved if the quantity differs between their ends,
-        or if values between them fail. Of several brackets, the result is the farthest one in which the quantity
-        crosses the budget in the usual direction, and which therefore has the fewest packets.
+        or if values between them fail. If there are several brackets, the result is the farthest one in which
+        the quantity crosses the budget in the usual direction, which has the fewest packets.
         """
         for outwards in (-1.0, 1.0):
             here = start

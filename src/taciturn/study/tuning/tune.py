@@ -16,7 +16,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.clock import Cycle, Either, Ticked
-from taciturn.study.evaluate import evaluate
+from taciturn.study.evaluate import evaluate, with_written
 from taciturn.study.fair import clock_of
 from taciturn.study.measure import Request
 from taciturn.study.tuning.budget import budget_of
@@ -100,6 +100,8 @@ def tune(
         bar = bar.stage(DIVIDED, 1.0)
     shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
     found = replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+    evaluation = with_written(found.problem, Request(seed, None, None, "auto"), found.evaluation, Stages(None))
+    found = replace(found, evaluation=evaluation)
     return found if problem.limits is None else _limited(found, problem.limits, seed)
 
 
