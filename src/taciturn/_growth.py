@@ -63,7 +63,7 @@ def growth(move: Callable[[Array], Array], moments: Array) -> float:
 
 
 def _largest(move: Callable[[Array], Array], start: Array) -> float | None:
-    """Return the largest modulus of an eigenvalue by Arnoldi's method, or None if its error is not known to be small."""
+    """Return the largest modulus of an eigenvalue by Arnoldi's method, or None if its error may be large."""
     basis = np.zeros((BASIS + 1, start.size))
     H = np.zeros((BASIS + 1, BASIS))
     basis[0] = start.ravel() / np.linalg.norm(start)
