@@ -38,7 +38,7 @@ MEETINGS = {
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_matlab", "_text"), ("_progress", "_arrays"),
-    ("_progress", "_text"),
+    ("_progress", "_text"), ("_progress", "errors"), ("_cvxpy", "_progress"),
     ("study", "problem"), ("design", "analyse"), ("cli", ""), ("_plugins", "errors"),
     ("renewal", "program"),
 }  # fmt: skip

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from taciturn._arrays import number
@@ -23,7 +23,11 @@ PATIENCE = 1.0  # seconds before a bar appears in a notebook
 
 
 class OutOfTime(Exception):  # noqa: N818
-    """Signal that the time limit has passed; ``check_time`` raises it."""
+    """Signal that the time limit has passed and that the best answer so far is to be returned."""
+
+
+class NoTimeLeft(Exception):  # noqa: N818
+    """Signal that the time limit has passed and that there is no answer: of a part of a grid or search, nothing is."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +37,25 @@ class _Limit:
     Args:
         end: time at which it passes.
         seconds: the limit that a user has stated.
+        early: whether the best answer so far is to be returned when it passes.
     """
 
     end: float
     seconds: float
+    early: bool
 
 
 _limit: ContextVar[_Limit | None] = ContextVar("time limit", default=None)
 
 
 def check_time() -> None:
-    """Raise ``OutOfTime`` if the time limit of the present computation has passed.
+    """Raise ``OutOfTime`` or ``NoTimeLeft`` if the time limit of the present computation has passed.
 
     Designs, searches and simulations call it often, so that they end in time; those that have an answer return it.
     """
     limit = _limit.get()
     if limit is not None and clock() > limit.end:
-        raise OutOfTime
+        raise OutOfTime if limit.early else NoTimeLeft
 
 
 def seconds_left() -> float:
@@ -66,9 +72,9 @@ def late_text() -> str:
 
 @contextmanager
 def part_of_time(share: float) -> Generator[None]:
-    """Limit the computations in the block to a share of the time that is left, if there is a time limit."""
+    """Limit the computations in the block to a share of the time that is left, if an early answer is of use."""
     limit, left = _limit.get(), seconds_left()
-    token = _limit.set(limit and _Limit(clock() + share * left, limit.seconds))
+    token = _limit.set(replace(limit, end=clock() + share * left) if limit is not None and limit.early else limit)
     try:
         yield
     finally:
@@ -76,24 +82,25 @@ def part_of_time(share: float) -> Generator[None]:
 
 
 @contextmanager
-def answered_within(seconds: float | None) -> Generator[None]:
+def answered_within(seconds: float | None, early: bool = False) -> Generator[None]:
     """Limit the time of the computations in the block; an earlier end of an outer limit still holds.
 
     Args:
         seconds: time limit in seconds from now; None for no further limit.
+        early: whether the computations in the block return their best answer so far.
 
     Raises:
         ProblemError: ``seconds`` is not positive, or no answer was found in time.
-        OutOfTime: no answer was found within an outer limit.
+        OutOfTime, NoTimeLeft: no answer was found within an outer limit.
     """
     if seconds is None:
         yield
         return
-    limit, outer = _Limit(clock() + number("time_limit", seconds, 0.0), seconds), _limit.get()
+    limit, outer = _Limit(clock() + number("time_limit", seconds, 0.0), seconds, early), _limit.get()
     token = _limit.set(limit if outer is None or limit.end < outer.end else outer)
     try:
         yield
-    except OutOfTime:
+    except (OutOfTime, NoTimeLeft):
         if outer is not None and clock() > outer.end:
             raise
         raise ProblemError(

@@ -128,7 +128,7 @@ Confidence = Annotated[
 Steps = Annotated[int | None, typer.Option(help="Fixed total number of simulated steps (instead of a standard error).")]
 TimeLimit = Annotated[
     float | None,
-    typer.Option("--time", metavar="SECONDS", help="Time limit after the design, at which the best result is printed."),
+    typer.Option("--time", metavar="SECONDS", help="Time limit, with the design of the policy. Default: none."),
 ]
 StandardError = Annotated[
     float | None, typer.Option(help="Absolute standard error of the cost. Default: 1e-4 of the cost.")
@@ -292,7 +292,7 @@ def _end_broken(error: OSError) -> NoReturn:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Return whether a stream is a pipe whose reader has closed it; False if the system cannot tell."""
+    """Return whether a stream is a pipe whose reader has closed it; False if this is unknown."""
     try:
         poll = select.poll()
         poll.register(stream.fileno(), select.POLLOUT)

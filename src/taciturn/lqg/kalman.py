@@ -11,7 +11,6 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, lost_modes, mode_text, radius, root, uncontrollable_modes
-from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, rounding_floor
@@ -311,7 +310,6 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
 
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
-    check_time()
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
     if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
         _refuse_unseen(A, C)

@@ -20,7 +20,6 @@ from taciturn._modes import (
     root,
     uncontrollable_modes,
 )
-from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
@@ -267,7 +266,6 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
 
     A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
     """
-    check_time()
     change = followed(Quadratic(A, B, Q, R, N))
     if change is not None:  # first: such states may have modes on the unit circle, and a cost that is only rounding
         inner = regulate_checked(*change.problem, unit)

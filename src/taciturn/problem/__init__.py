@@ -29,12 +29,13 @@ from taciturn._arrays import Array as Array
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
 from taciturn._files import read_text, why_unreadable
+from taciturn._modes import pace
 from taciturn._plugins import problem_folders
 from taciturn._pydantic import ValidationError, validate
 from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import AnyPolicy, Kind
-from taciturn.errors import PlacementError, ProblemError, TaciturnError
+from taciturn.errors import PlacementError, ProblemError, TaciturnError, UnstableError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -94,6 +95,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
 TABLES = frozenset(one.name for one in fields(File)) - {"policy"}  # tables of a file that are replaced as a whole
+SHORT = 1e-5  # change of the state of a plant within a period that is too short for a design
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -196,12 +198,26 @@ class Problem(Displayed):
         except TaciturnError as error:
             key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
             text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
+            if isinstance(error, UnstableError) and (moved := self._moved_in_a_period()) is not None:
+                key, text = (
+                    "policy.",
+                    f"period is {self.parameters['period']:g} s, in which the plant moves by {moved:.1g} ",
+                )
+                text += "of its state, so rounding hides its modes; expected a longer period"
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
         except np.linalg.LinAlgError as error:
             raise ProblemError(
                 f"{self.name or 'the problem'}: a computation with matrices fails ({error}); expected numbers nearer "
                 "to 1: scale the problem"
             ) from None
+
+    def _moved_in_a_period(self) -> float | None:
+        """Return by which share of its state a plant moves within a period that is too short for a design, or None."""
+        period, plant = self.parameters.get("period"), self.plant
+        if not isinstance(period, float | int) or not isinstance(plant, ContinuousPlant):
+            return None
+        moved = period * pace(plant.A)
+        return moved if 0 < moved < SHORT else None
 
     def _others(self) -> str:
         """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""

@@ -78,8 +78,8 @@ def evaluate(
         confidence: confidence of a lower bound on the cost of any scheduling at this rate (see ``bound_below``). If it
             is omitted, neither this bound nor ``rate_bounds`` is computed, since both take seconds.
         time_limit: time limit in seconds, with the design of the policy; default: none. When most of it has passed,
-            the best cost so far is taken, with its actual error and ``reached`` False. Whatever is not found in the
-            rest, such as periodic control or a lower bound, is omitted, with a note.
+            the best cost so far is taken, with its actual error and ``reached`` False. Other parts of the
+            answer, such as periodic control and a lower bound, are omitted with a note if the rest is too short.
         after_step: whether to simulate also a step of the slow disturbance that the policy assumes, if it assumes one.
         progress: callback that receives the fraction done.
 
@@ -112,7 +112,7 @@ def evaluate(
     began = time.perf_counter()
     told = Stages(in_notebook(progress))
     share = 1.0 if problem.limits is None else 1.0 - VIOLATIONS
-    with answered_within(time_limit):
+    with answered_within(time_limit, early=True):
         request = Request(seed, standard_error, steps, method)
         found = _evaluated(problem, request, precision, confidence, after_step, told.stage(0.0, share))
         if after_step:
@@ -129,7 +129,7 @@ def with_written(problem: Problem, request: Request, found: Evaluation, progress
     try:
         return replace(found, as_written=plant_as_written(problem, problem.designed(), request, progress))
     except OutOfTime:
-        late = f"no averages for the plant as written: the time limit of {request.time_limit:g} s passed"
+        late = "no averages for the plant as written: the time limit passed"
         return replace(found, notes=(*found.notes, late))
 
 

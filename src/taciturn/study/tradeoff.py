@@ -12,7 +12,7 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn._figure import HEIGHT, Panel, Series, Size, draw
-from taciturn._progress import Progress, in_notebook
+from taciturn._progress import Progress, answered_within, in_notebook
 from taciturn._text import per_unit
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
@@ -220,6 +220,7 @@ def tradeoff(
     confidence: float | None = None,
     executor: Executor | None = None,
     store: str | Path | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Tradeoff:
     """Return cost against rate of a problem's policy over a grid of its parameters.
@@ -233,6 +234,8 @@ def tradeoff(
             bounds. Points without a lower bound are allowed unless no point has one.
         executor: executor that runs the points, as in ``sweep``; default: this process.
         store: folder that stores the points, as in ``sweep``; a second run computes only the missing points.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised; the cells that
+            are stored remain.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -241,24 +244,25 @@ def tradeoff(
     Raises:
         ProblemError: no values are given, a key is unknown, or the data are inconsistent.
     """
-    problem = as_problem("problem", problem)
-    check_effort(seed, standard_error, None)
-    grid = grid_of(check_grid(over))
-    problems = [problem.changed(cell) for cell in grid]
-    for changed in problems:
-        changed.designed()  # reports a mistake in the last cell before the first one runs
-    if len({changed.cost.mission for changed in problems}) > 1:
-        raise ProblemError(
-            "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of one "
-            "kind"
-        )
-    check_confidence(problems, confidence)
-    effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
-    kept = None if store is None else Store(store, label_of(problem))
-    found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
-    points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
-    unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
-    return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, None)
+        grid = grid_of(check_grid(over))
+        problems = [problem.changed(cell) for cell in grid]
+        for changed in problems:
+            changed.designed()  # reports a mistake in the last cell before the first one runs
+        if len({changed.cost.mission for changed in problems}) > 1:
+            raise ProblemError(
+                "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of "
+                "one kind"
+            )
+        check_confidence(problems, confidence)
+        effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
+        kept = None if store is None else Store(store, label_of(problem))
+        found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
+        points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
+        unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
+        return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
 
 
 def _curves(

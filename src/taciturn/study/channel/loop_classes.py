@@ -100,7 +100,10 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
 def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
         if problem.network != Network():
-            raise ProblemError("[network] is given, but the shared channel replaces the network; expected no [network]")
+            given = "[network]" if problem.network.triangle else "[nodes]"
+            raise ProblemError(
+                f"{given} is given, but the shared channel replaces the network; expected a problem without {given}"
+            )
         if problem.controller is not None:
             raise ProblemError(
                 "[controller] is given, but the loops of a shared channel have LQG control; expected no [controller]"
