@@ -129,7 +129,7 @@ def with_written(problem: Problem, request: Request, found: Evaluation, progress
     try:
         return replace(found, as_written=plant_as_written(problem, problem.designed(), request, progress))
     except OutOfTime:
-        late = "no averages for the plant as written: the time limit passed"
+        late = f"no averages for the plant as written: {late_text()}"
         return replace(found, notes=(*found.notes, late))
 
 
