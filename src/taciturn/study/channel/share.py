@@ -325,8 +325,8 @@ def share_channel(
             else "there are not enough slots to give each problem its own"
         )
         bounded = (
-            f"cost_periodic {least:.6g} is a lower bound by the mean load, which periodic control may not attain: sends "
-            f"of loops with different intervals meet in some steps; {slots}"
+            f"cost_periodic {least:.6g} is a lower bound by the mean load, which periodic control may not attain: "
+            f"sends of loops with different intervals meet in some steps; {slots}"
         )
         return Sharing(
             scheduler=scheduler,
