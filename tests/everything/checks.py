@@ -1,8 +1,8 @@
 """What must hold for a problem: everything that reads it agrees, and what is refused is refused with one sentence.
 
-``examine`` returns the faults of one problem as ``Fault``s, and what was compared with what. A number that was estimated
-is first compared at ``DOUBT`` standard errors; a disagreement is repeated with a new seed and ``LONGER`` times the
-steps, and is a fault only beyond ``SURE`` standard errors there.
+``examine`` returns the faults of one problem as ``Fault``s, and what was compared with what. A number that was
+estimated is first compared at ``DOUBT`` standard errors; a disagreement is repeated with a new seed and ``LONGER``
+times the steps, and is a fault only beyond ``SURE`` standard errors there.
 """
 
 from __future__ import annotations

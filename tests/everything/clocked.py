@@ -1,4 +1,4 @@
-"""Kinds that send at steps that they know in advance: ``periodic``, ``periodic-schedule``, ``self-triggered``, ``rollout``.
+"""Kinds that know their sends in advance: ``periodic``, ``periodic-schedule``, ``self-triggered``, ``rollout``.
 
 An input is held from one send to the next; its gain is the best one for its interval. With ``model`` the actuator runs
 the model from the last estimate.

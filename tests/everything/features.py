@@ -2,8 +2,8 @@
 
 A problem is a seed and a set of names. ``build`` draws a small plant from the seed and adds the features in the order
 of the table, each with random numbers of its own: without one of its features a problem keeps the numbers of all
-others, which is what shrinking needs. Features of one group exclude each other. A feature that finds nothing to which it
-could be added raises ``Elsewhere``; whether the library accepts what was added is the question, not a condition.
+others, which is what shrinking needs. Features of one group exclude each other. A feature that finds nothing to which
+it could be added raises ``Elsewhere``; whether the library accepts what was added is the question, not a condition.
 """
 
 from __future__ import annotations

@@ -33,7 +33,9 @@ class Sensor:
 class Distributed:
     """The kind ``distributed``."""
 
-    def __init__(self, tables: Tables, model: Model, nodes: Nodes, all_time: float | None, always: bool = False) -> None:
+    def __init__(
+        self, tables: Tables, model: Model, nodes: Nodes, all_time: float | None, always: bool = False
+    ) -> None:
         """Design filter, gains and thresholds."""
         policy = tables["policy"]
         base = Certainty(model, None)

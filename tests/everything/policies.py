@@ -22,8 +22,9 @@ def quadratic(left: Array, weight: Array, right: Array | None = None) -> Array:
 class Certainty:
     """Filter and gain of LQG at the sensor, and a rule that decides when to send to the actuator.
 
-    A rule reads the signals of the step (``estimate``, ``command``, ``candidate``, ``error``, ``deviation``) and returns
-    which paths send. Between packets the actuator holds its input, or runs a model from the last estimate sent.
+    A rule reads the signals of the step (``estimate``, ``command``, ``candidate``, ``error``, ``deviation``) and
+    returns which paths send. Between packets the actuator holds its input, or runs a model from the last estimate
+    sent.
     """
 
     link = "actuator"

@@ -179,10 +179,7 @@ class Lossy:
         model = self.model
         L, Gamma = (values[min(k, len(values) - 1)] for values in (self.L, self.Gamma))
         got = self.channels[0].arrives(np.ones(len(y), dtype=bool))
-        if self.delayed:
-            estimate = self.prior
-        else:
-            estimate = np.where(got[:, None], y, self.prior)
+        estimate = self.prior if self.delayed else np.where(got[:, None], y, self.prior)
         sends = self.channels[1].allowed(quadratic(estimate, Gamma) > self.price)
         arrived = self.channels[1].arrives(sends)
         command = estimate @ L.T
