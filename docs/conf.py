@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from jupyter_cache import get_cache
 
 sys.path.insert(0, str(Path(__file__).parent))  # where this manual's own directives are
 
@@ -51,6 +52,7 @@ myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(DOCS / "_build" / "executed" / _digest())
+get_cache(nb_execution_cache_path).list_cache_records()  # makes its tables, before processes side by side would
 nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # beside the data that a page shows; none writes a file
 nb_execution_timeout = 1200

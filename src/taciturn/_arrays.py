@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeAlias, TypeVar, cast
@@ -239,6 +240,8 @@ def expect_unmasked(name: str, value: object) -> None:
 
 
 def _masked(value: object) -> bool:
+    if "numpy.ma" not in sys.modules:  # then no array can be masked; NumPy imports this module at its first use
+        return False
     if isinstance(value, np.ma.MaskedArray):
         return bool(np.ma.is_masked(cast("Any", value)))
     if not isinstance(value, list | tuple):

@@ -28,7 +28,7 @@ FROM = (
     0,
     64,
     512,
-)  # steps from whose moments a Krylov space starts; steps enlarge the share of the largest eigenvalues
+)  # steps after which a Krylov space starts; they enlarge the share of the largest eigenvalues
 VANISHES = 1e-14  # relative size of a new direction that is a rounding error
 
 

@@ -310,6 +310,21 @@ def factor(covariance: Array) -> Array:
     return found
 
 
+def symmetric_factor(covariance: Array) -> Array:
+    """Return G with G G' = covariance, D S with the deviations D and the symmetric root S of the correlation matrix.
+
+    Unlike a Cholesky factor, it does not depend on the order of the states or on their units: states in another order
+    have the rows and columns of G in this order. A covariance of rank one has the only column that it can have.
+    """
+    if (found := root(covariance)).shape[1] == 1:
+        return found
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(covariance * inverse * inverse[:, None])
+    found = scale[:, None] * ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    return found[:, scale > 0]
+
+
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
     """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W.
 

@@ -385,7 +385,7 @@ def close(
     instance("plant", plant, Plant, ContinuousPlant)
     assumed = policy.disturbance
     if assumed is not None and plant.states == policy.model.states - policy.model.inputs:
-        plant = assumed.added_to(plant)
+        plant = assumed.added_to(plant, cost.mission)
     if assumed is not None and len(cost.Q) == policy.model.states - policy.model.inputs:
         cost = padded(cost, policy.model.inputs)
     problem = discretise(plant, cost, policy.tick if isinstance(plant, ContinuousPlant) else None, policy.prediction)

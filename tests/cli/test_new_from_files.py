@@ -215,3 +215,19 @@ def test_what_cannot_be_read_is_one_sentence(run: Run) -> None:
     assert told("no.mat").sentence == "'no.mat' cannot be read (No such file or directory); expected a matrix file"
     assert told("a").sentence == "'a' has no ending; expected a matrix file that ends in .mat or .npz"
     assert told("a.csv").sentence == "'a.csv' ends in '.csv'; expected a matrix file that ends in .mat or .npz"
+
+
+@pytest.mark.parametrize("name", ["given.mat", "given.npz", "given.v73.mat"])
+def test_a_descriptor_matrix_or_a_delay_is_not_ignored(run: Run, name: str) -> None:
+    """E x⁺ = A x + B u has other poles than A, and a delay other dynamics; an identity and zeros change nothing."""
+    write(name, {**WHOLE, "E": np.diag([0.5, 1.0])})
+    answer = run("new", "made.toml", "--from", name)
+    assert f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E" in answer.sentence
+    write(name, {**WHOLE, "InputDelay": 2.0})
+    assert (
+        f"{name} has InputDelay [2.0]; expected a system without delays"
+        in run("new", "made.toml", "--from", name).sentence
+    )
+    write(name, {**WHOLE, "E": np.eye(2), "InputDelay": 0.0})
+    found = tables(run, name)
+    assert found["plant"]["A"] == A

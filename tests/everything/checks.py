@@ -130,7 +130,9 @@ def examine(tables: Tables, folder: Path, seed: int, more: tuple[str, ...] = ())
         policy = attempt(report, "design", problem.designed)
         if policy is None:
             return report
-        found = attempt(report, "evaluate", lambda: taciturn.evaluate(problem, steps=STEPS, seed=seed, after_step=False))
+        found = attempt(
+            report, "evaluate", lambda: taciturn.evaluate(problem, steps=STEPS, seed=seed, after_step=False)
+        )
     except TaciturnError as error:
         report.refused = str(error)
         _refused_by_all(report, folder, seed)
@@ -230,7 +232,7 @@ def compare(
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
     model = plain.model_of(tables, folder)
-    policy, twin = policy_of(tables, model)
+    policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
     if world is not model:
         twin = None
@@ -273,9 +275,7 @@ def settling(model: plain.Model) -> int:
     return int(min(12 / -math.log(slow), 3000))
 
 
-def written_again(
-    report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int
-) -> None:
+def written_again(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
     """The tables of the problem, written and read again, are the same problem; so is its pickle."""
     assert problem.source is not None
     text = text_of(problem.source)

@@ -228,7 +228,9 @@ def late_output(draft: Draft) -> None:
 
 def unseen(draft: Draft) -> None:
     """Add a state that moves by itself, is measured, and costs nothing."""
-    extend(draft, np.array([[0.7]]), act=np.zeros((draft.states, 1)), B=np.zeros((1, draft.inputs)), noise=0.1, seen=1.0)
+    extend(
+        draft, np.array([[0.7]]), act=np.zeros((draft.states, 1)), B=np.zeros((1, draft.inputs)), noise=0.1, seen=1.0
+    )
 
 
 def counter(draft: Draft) -> None:

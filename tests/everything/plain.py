@@ -210,8 +210,12 @@ def weights_of(cost: Tables, C: Array, n: int, m: int) -> tuple[Array, Array, Ar
     if "Q" in cost:
         return matrix(cost["Q"]), matrix(cost["R"]), N
     if "output_variance" in cost:
-        return C.T @ np.diag(1 / np.array(cost["output_variance"])) @ C, np.diag(1 / np.array(cost["input_variance"])), N
-    raise NotModelledError("weights as the controller")
+        return (
+            C.T @ np.diag(1 / np.array(cost["output_variance"])) @ C,
+            np.diag(1 / np.array(cost["input_variance"])),
+            N,
+        )
+    return np.eye(n), np.eye(m), N  # as the controller: computed from its loop
 
 
 def exosystem_of(tables: Tables, continuous: bool, n: int, p: int) -> tuple[Array, Array, Array, Array]:
@@ -375,7 +379,7 @@ def regulator_equations(
     lower = np.hstack([np.kron(unit, Cz), np.zeros((len(Cz) * q, m * q))])
     M, right = np.vstack([upper, lower]), -np.concatenate([E.T.reshape(-1), F.T.reshape(-1)])
     found = np.linalg.lstsq(M, right, rcond=None)[0]
-    if np.abs(M @ found - right).max(initial=0.0) > 1e-8 * (1 + np.abs(right).max(initial=0.0)):
+    if M.size and np.abs(M @ found - right).max(initial=0.0) > 1e-8 * (1 + np.abs(right).max(initial=0.0)):
         raise NotModelledError("regulator equations without a solution")
     values = np.linalg.svd(M)
     rank = int((values[1] > 1e-10 * values[1].max()).sum())
@@ -480,9 +484,10 @@ class World:
         return self.z @ self.model.C.T + v
 
     def move(self, u: Array, w: Array, dr: Array) -> Array:
-        """Apply inputs; return the costs of the step."""
+        """Apply inputs; return the costs of the step. Twice as many columns: inputs, and these with disturbances."""
         model, z = self.model, self.z
-        joint = np.hstack([z, u])
+        u, counted = u[:, -model.m :], u[:, : model.m]
+        joint = np.hstack([z, counted])
         cost = np.einsum("pi,ij,pj->p", joint, model.stage, joint) + model.rest
         if model.function is None:
             self.z = z @ model.A.T + u @ model.B.T + w

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from everything.laws import Channel, Law, nodes_of
 from everything.plain import Array, Controller, Model, NotModelledError, kalman, measure_update, regulator, riccati
 
 Tables = Mapping[str, Any]
@@ -26,9 +28,10 @@ class Certainty:
 
     link = "actuator"
 
-    def __init__(self, model: Model, rule: Rule | None, actuation: str = "hold") -> None:
+    def __init__(self, model: Model, rule: Rule | None, actuation: str = "hold", law: Law | None = None) -> None:
         """Design filter and gain; without a rule every sample is sent."""
         self.model, self.rule, self.actuation = model, rule, actuation
+        self.law = law or Law()
         self.exact: float | None = None
         self.nominal = 0.0  # the exact cost of the linear plant
         self._design()
@@ -41,7 +44,7 @@ class Certainty:
         if model.average:
             self.K, self.H, L = regulator(A, B, model.Q, model.R, model.N)
             self.L = self.full(L)
-            gain, prior, posterior = self._steady(free)
+            gain, _, posterior = self._steady(free)
             self.gains, self.Sigma = [gain], posterior
             T = np.hstack([np.eye(n), -model.X])
             W = model.W + self._steps_of_set_points()
@@ -83,7 +86,9 @@ class Certainty:
             self.gains.append(gain)
             after = Ks[min(k + 1, len(Ks) - 1)]
             weight = model.discount**k
-            value += weight * float(np.trace(H @ L @ posterior @ L.T) + model.discount * np.trace(after @ W) + model.rest)
+            value += weight * float(
+                np.trace(H @ L @ posterior @ L.T) + model.discount * np.trace(after @ W) + model.rest
+            )
             prior = A @ posterior @ A.T + W
         self.exact = value
 
@@ -127,6 +132,7 @@ class Certainty:
         """Begin."""
         model = self.model
         self.rng, self.k = rng, 0
+        self.channel = Channel(self.law, paths, rng)
         self.prior = np.zeros((paths, len(model.A)))
         if not model.average:
             self.prior[:, : model.n] = model.mean
@@ -156,7 +162,7 @@ class Certainty:
             self.candidate = self.held
         self.error, self.deviation = self.candidate - self.command, self.last - self.estimate
         self._limits()
-        sends = np.ones(len(y), dtype=bool) if self.rule is None else self.rule(self)
+        sends = np.ones(len(y), dtype=bool) if self.rule is None else self.channel.allowed(self.rule(self))
         self.decided(sends)
         applied = np.where(sends[:, None], self.send(), self.candidate)
         self.last = np.where(sends[:, None], self.estimate, self.last)
@@ -207,6 +213,7 @@ class Rules:
         if theta == 0:
             return lambda loop: np.ones(len(loop.command), dtype=bool)
         if policy.get("trigger", "joint") == "joint":
+
             def joint(loop: Certainty) -> Array:
                 x, u, e = loop.estimate, loop.candidate, loop.error
                 share = quadratic(x, Qa) + quadratic(u, Ra) + 2 * np.einsum("pi,ij,pj->p", x, Na, u)
@@ -307,26 +314,71 @@ class Downsampled:
         loop.memory["wait"] = np.where(sends, self.fast - 1, np.where(wait <= 0, self.slow - 1, wait - 1))
 
 
-def policy_of(tables: Tables, model: Model) -> tuple[Controller, Controller | None]:
+def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tuple[Controller, Controller | None]:
     """Return the policy of a file, and its twin that sends every sample.
+
+    Args:
+        tables: the file.
+        model: its model.
+        all_time: what the library says that an attempt of every packet costs; used, and checked by simulation, where
+            this simulation has no number of its own.
 
     Raises:
         NotModelledError: the kind, or what is stated beside it, is not modelled here.
     """
-    policy = tables["policy"]
-    for table in ("controller", "nodes", "links", "network"):
-        if table in tables:
-            raise NotModelledError(f"[{table}]")
-    for key in ("every", "gains", "retry", "link", "joint"):
-        if key in policy:
-            raise NotModelledError(f"the option {key}")
+    from everything.clocked import clocked_policy
+    from everything.kept import kept_policy, weights_as_kept
+    from everything.nodes import node_policy
+    from everything.remote import remote_policy
+
+    policy, kind = tables["policy"], tables["policy"]["kind"]
+    nodes = nodes_of(tables, len(model.C), model.m)
+    if "weights" in tables["cost"]:
+        if model.continuous:
+            raise NotModelledError("weights as the controller of a continuous plant")
+        Q, R = weights_as_kept(tables, model)
+        n, size = model.n, len(model.A)
+        stage = np.zeros_like(model.stage)
+        stage[:n, :n], stage[size:, size:] = Q, R
+        model = replace(model, Q=Q, R=R, stage=stage)
+    if kind in ("remote-lqg", "lossy-lqg"):
+        return remote_policy(tables, model, nodes)
+    if model.limited:
+        raise NotModelledError("limits of the inputs")
+    wired = all(name not in nodes.laws for name in nodes.sensors) if nodes.named else True
+    linked = [name for name in nodes.actuators if name in nodes.laws]
+    if kind in ("distributed", "variance") or (kind == "send-on-delta" and (nodes.named or "controller" not in tables)):
+        return node_policy(tables, model, nodes, all_time)
+    keeps = kind in ("excess", "send-on-delta")
+    if not keeps and ("controller" in tables or nodes.lossy):
+        raise NotModelledError(f"a controller or losses with {kind}")
+    options = {"every", "gains", "retry", "link"} & set(policy) if keeps else set()
+    if not nodes.named and ("controller" in tables or nodes.lossy or options):
+        return kept_policy(tables, model, nodes)
+    if nodes.named:
+        if not wired or len(linked) != 1:
+            raise NotModelledError(f"several links of {kind}")
+        if "controller" in tables or nodes.lossy or options:
+            law = nodes.laws[linked[0]]
+            return renamed(kept_policy(tables, model, replace(nodes, laws={"actuator": law})), linked[0])
+    law = nodes.laws[linked[0]] if nodes.named else nodes.laws["actuator"]
+    name = linked[0] if nodes.named else "actuator"
     base = Certainty(model, None)
-    if policy["kind"] == "all-time":
-        return Certainty(model, None), base
-    rule = getattr(Rules, policy["kind"], None)
+    if kind in ("periodic", "periodic-schedule", "self-triggered", "rollout"):
+        found = clocked_policy(tables, model, law)
+        return renamed((found, None if found.exact is not None else base), name)
+    if kind == "all-time":
+        return renamed((Certainty(model, None), base), name)
+    rule = getattr(Rules, kind, None)
     if rule is None:
-        raise NotModelledError(f"the kind {policy['kind']}")
+        raise NotModelledError(f"the kind {kind}")
     actuation = policy.get("actuation", "hold")
     if actuation == "zero":
         raise NotModelledError("zero in silence")
-    return Certainty(model, rule(policy, base), actuation), base
+    return renamed((Certainty(model, rule(policy, base), actuation, law), base), name)
+
+
+def renamed(found: tuple[Any, Any], name: str) -> tuple[Any, Any]:
+    """Return policies whose link has another name."""
+    found[0].link = name
+    return found

@@ -21,8 +21,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from everything.checks import Fault, Report  # noqa: E402
-from everything.search import Outcome, Tally, draw, features_of, pairs  # noqa: E402
+from everything.checks import Fault, Report
+from everything.search import Outcome, Tally, draw, features_of, pairs
 
 LONGEST = 900.0  # seconds of a problem with its shrinking, after which its process is ended
 

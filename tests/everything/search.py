@@ -175,7 +175,9 @@ def tried(names: Iterable[str], seed: int, more: tuple[str, ...]) -> Report | No
 def file_of(names: Iterable[str], seed: int) -> str:
     """Return the file of a problem, with the files that it names as comments."""
     drawn = build(tuple(names), seed)
-    beside = [f"# {name}:\n" + "".join(f"#   {line}\n" for line in text.splitlines()) for name, text in drawn.files.items()]
+    beside = [
+        f"# {name}:\n" + "".join(f"#   {line}\n" for line in text.splitlines()) for name, text in drawn.files.items()
+    ]
     return "".join(beside) + text_of(drawn.tables)
 
 

@@ -1,6 +1,6 @@
 /* Datagrams from standard input, given to the node under test, whose type is `device`. A record is the size in two
  * bytes, big-endian, and so many bytes in memory of just that size; size 0 begins the next step, whose measurement, if
- * the node has a sensor, is 0.25. What the node sends is printed in hexadecimal digits, and at the end what it has counted.
+ * the node has a sensor, is 0.25. What the node sends is printed in hexadecimal digits, and at the end its counters.
  * Whoever compiles this checks addresses and undefined behaviour. `feed key` uses a key. */
 #include <stdio.h>
 #include <stdlib.h>

@@ -278,7 +278,7 @@ def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -
         met |= set(pair.device.counters)
         recoveries += pair.recoveries
         packets += pair.packets
-    assert met == {
+    assert met - {"overflowed"} == {  # of an unstable loop
         "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
         "missed", "repeated",
     }  # fmt: skip

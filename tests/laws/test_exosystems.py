@@ -345,6 +345,21 @@ def test_a_problem_file_states_them() -> None:
     assert load("two-mass").plant.exosystem is None
 
 
+def test_integral_action_expects_half_of_the_noise_in_a_thousand_steps() -> None:
+    """A random walk: the variance of a thousand steps is a quarter of that of the noise at the input."""
+    tables = {
+        "plant": {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "W": [[0.1]], "V": [[0.1]], "dt": 1.0},
+        "cost": {"Q": [[1.0]], "R": [[0.1]]},
+        "nodes": {"s": {"measures": [0]}, "c": {"controls": True, "applies": True}},
+        "reference": {"integral_action": ["s"]},
+        "policy": {"kind": "distributed", "theta": 0.5},
+    }
+    problem = parse(tables, "tables")
+    assert problem.plant.exosystem is not None
+    assert 1000 * problem.plant.exosystem.W[0, 0] == pytest.approx(0.25 * 0.1)
+    assert problem.design().cost_all_time == pytest.approx(0.159277, abs=5e-7)
+
+
 PUSHED = {"enters": [1.0], "kind": "sinusoid", "wander": 1e-3}
 
 

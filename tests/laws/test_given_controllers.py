@@ -317,3 +317,20 @@ def test_an_unstable_loop_with_the_wrong_sign_is_told_so(kind: Callable[..., Pol
         kind(plant, cost, delta=0.1, controller=PID(-0.5), link=link)
     with pytest.raises(UnstableError, match=r"is not stable: .*inside the unit circle: check the sign of the contr"):
         kind(plant, cost, delta=0.1, controller=PID(5.0), link=link)
+
+
+@pytest.mark.parametrize(("horizon", "discount"), [(20, 1.0), (None, 0.95)])
+def test_a_slow_disturbance_has_its_deviation_from_the_start_of_a_run_on(horizon: int | None, discount: float) -> None:
+    """Mean squares of x and d from step to step: what sending every sample costs from there."""
+    plant = Plant([[0.9]], [[1.0]], [[1e-6]], [[1.0]], [[1e-6]], 1.0)
+    cost = Cost([[1.0]], [[0.1]], horizon=horizon, discount=discount)
+    nothing = (np.zeros(size) for size in ((0, 0), (0, 1), (1, 0)))
+    controller = Controller(*nothing, [[-0.5]], None, 1.0, Disturbance(1000.0, 1.0))
+    policy = design.excess(plant, cost, delta=0.0, controller=controller)
+    kept = np.exp(-1 / 1000.0)
+    x, d, both, total = 0.0, 1.0, 0.0, 0.0  # E x², E d², E xd
+    for step in range(horizon or 2000):
+        total += discount**step * (x + 0.1 * 0.25 * (x + 1e-6))
+        x, d, both = 0.16 * x + 2 * 0.4 * both + d + 0.25e-6 + 1e-6, 1.0, kept * (0.4 * both + d)
+    total += x if horizon else 0.0  # the weight of the final state, by default that of all others
+    assert policy.cost_all_time == pytest.approx(total, rel=1e-6)

@@ -11,7 +11,18 @@ import scipy.io
 import scipy.signal
 
 import taciturn
-from taciturn import PID, Controller, Cost, Disturbance, Plant, ProblemError, UnstableError, controller_from, design
+from taciturn import (
+    PID,
+    ContinuousPlant,
+    Controller,
+    Cost,
+    Disturbance,
+    Plant,
+    ProblemError,
+    UnstableError,
+    controller_from,
+    design,
+)
 from taciturn.study.record import fingerprint
 
 STEP = 0.1
@@ -74,6 +85,14 @@ def test_a_matrix_file_holds_the_controller(tmp_path: Path) -> None:
             read(tmp_path, f'file = "{name}"')
     with pytest.raises(ProblemError, match=r"steps of 0\.1 s; expected no method"):
         read(tmp_path, 'file = "kept.mat"\nmethod = "zoh"')
+
+
+def test_the_delay_of_a_controller_in_a_matrix_file_is_not_dropped(tmp_path: Path) -> None:
+    """A delay of zero is none."""
+    gain = {"A": np.zeros((0, 0)), "B": np.zeros((0, 1)), "C": np.zeros((1, 0)), "D": [[1.2]], "Ts": 0.1}
+    np.savez(tmp_path / "late.npz", **gain, InputDelay=1.0)
+    with pytest.raises(ProblemError, match=r"late.npz has InputDelay \[1.0\]; expected a system without delays"):
+        read(tmp_path, 'file = "late.npz"')
 
 
 FILE = """
@@ -272,3 +291,26 @@ def test_the_energy_of_packets_gives_power_and_battery_life(tmp_path: Path) -> N
     ):
         with pytest.raises(ProblemError, match=words):
             problem.changed(change).design()
+
+
+@pytest.mark.parametrize(("filter_seconds", "noted"), [(0.01, True), (0.04, True), (0.06, False), (0.5, False)])
+def test_a_derivative_filter_faster_than_half_a_step_rings(filter_seconds: float, noted: bool) -> None:
+    """The commands after a step of the measurement alternate, and a note names the time constant."""
+    T = filter_seconds
+    pid = scipy.signal.StateSpace(np.diag([0.0, -1 / T]), [[1.0], [1.0]], [[0.15, -1 / T**2]], [[1.2 + 1 / T]])
+    plant = ContinuousPlant([[0, 1], [0, -1]], [[0], [1]], np.diag([1e-3, 4e-3]), C=[[1, 0]], V=[[1e-3]])
+    for method in ("tustin", "zoh"):
+        kept = controller_from(pid, method=method, disturbance=Disturbance(deviation=0.0))  # type: ignore[arg-type]
+        found = kept.at(0.1, 1, 1)
+        z, commands = np.zeros(len(found.A)), list[float]()
+        for _ in range(12):
+            commands.append(float((found.C @ z + found.D[:, 0])[0]))
+            z = found.A @ z + found.B[:, 0]
+        turns = np.sign(np.diff(commands, 2))
+        alternates = (turns[1:6] != turns[:5]).all()
+        assert alternates == (noted and method == "tustin")
+        if method == "zoh" and noted:
+            continue  # zero-order hold of so fast a derivative does not stabilise this plant
+        policy = design.excess(plant, Cost.of_variances(plant.C, [0.05**2], [0.3**2]), delta=0.0, period=0.1,
+                               controller=kept)  # fmt: skip
+        assert any("alternates from step to step" in note for note in policy.notes) == (noted and method == "tustin")

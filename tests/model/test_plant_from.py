@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taciturn import ContinuousPlant, Plant, ProblemError, plant_from
+from taciturn import ContinuousPlant, Plant, ProblemError, controller_from, plant_from
 
 A, B, C, D = np.array([[0.9, 0.1], [0.0, 0.8]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]), np.zeros((1, 1))
 W, V = 0.01 * np.eye(2), np.array([[0.1]])
@@ -118,3 +118,23 @@ def test_neither_python_control_nor_scipy_signal_is_imported() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"E": np.diag([0.5, 1.0])}, "system has a descriptor matrix E, E x⁺ = A x \\+ B u; expected a system without"),
+        ({"InputDelay": [2.0]}, r"system has InputDelay \[2.0\]; expected a system without delays"),
+        ({"OutputDelay": 0.3}, "system has OutputDelay"),
+        ({"input_delay": np.array([1])}, "system has input_delay"),
+    ],
+)
+def test_a_descriptor_matrix_or_a_delay_is_not_dropped(more: dict[str, Any], words: str) -> None:
+    """By plants and by controllers; an identity and delays of zero change nothing."""
+    system = SimpleNamespace(A=A, B=B, C=C, D=D, dt=0.1)
+    with pytest.raises(ProblemError, match=words):
+        plant_from(SimpleNamespace(**vars(system), **more), W, V)
+    with pytest.raises(ProblemError, match=words.replace("system", "controller", 1)):
+        controller_from(SimpleNamespace(**vars(system), **more))
+    nothing = SimpleNamespace(**vars(system), E=np.eye(2), InputDelay=[0.0], OutputDelay=None)
+    np.testing.assert_array_equal(plant_from(nothing, W, V).A, A)

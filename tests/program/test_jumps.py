@@ -108,3 +108,22 @@ def test_a_plant_with_jumps_has_the_intensity_of_their_rate_when_it_is_sampled()
     price = prediction_cost(plant.A, plant.B, np.eye(2), [[10.0]], np.zeros((2, 1)), 5.0 * jumps.covariance)
     assert isinstance(model, Plant)
     assert pytest.approx(price.spread(0.4), rel=1e-12) == model.W
+
+
+@pytest.mark.parametrize("distribution", ["uniform", "two-point"])
+def test_jumps_do_not_depend_on_the_order_of_the_states_or_their_units(distribution: str) -> None:
+    """A jump is Gξ with independent ξ: renumbered states have the rows and columns of G in the new order."""
+    draws = np.random.default_rng(4)
+    for n in (2, 3, 4):
+        half = draws.normal(size=(n, n))
+        covariance, order, units = half @ half.T, draws.permutation(n), 10.0 ** draws.integers(-3, 4, n)
+        G = Jumps(1.0, covariance, distribution).spread  # type: ignore[arg-type]
+        assert pytest.approx(covariance, rel=1e-9, abs=1e-12) == G @ G.T
+        other = Jumps(1.0, covariance[np.ix_(order, order)], distribution).spread  # type: ignore[arg-type]
+        assert other == pytest.approx(G[np.ix_(order, order)], rel=1e-9, abs=1e-12)
+        scaled = Jumps(1.0, units[:, None] * covariance * units, distribution).spread  # type: ignore[arg-type]
+        assert scaled == pytest.approx(units[:, None] * G, rel=1e-9)
+    one = Jumps(1.0, np.outer([2.0, -1.0], [2.0, -1.0]), distribution).spread  # type: ignore[arg-type]
+    assert one.shape == (2, 1)
+    apart = Jumps(1.0, np.diag([4.0, 0.0, 9.0]), distribution).spread  # type: ignore[arg-type]
+    assert apart == pytest.approx(np.array([[2.0, 0.0], [0.0, 0.0], [0.0, 3.0]]))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taciturn.renewal.allocation import Clocked, LoopClass, allocate
+from taciturn.renewal.allocation import Clocked, LoopClass, allocate, allocate_slots
 
 EXAMPLES = settings(max_examples=30, deadline=None)
 
@@ -120,3 +120,56 @@ def test_a_stable_error_is_left_alone_above_a_price() -> None:
 
 def _weights() -> itertools.accumulate[float]:
     return itertools.accumulate(itertools.repeat(1.0), lambda w, one: 0.81 * w + one)
+
+
+def after_a_send(turns: list[bool]) -> list[bool]:
+    """Return a repeated pattern from the step after a send on."""
+    begin = turns.index(True) + 1
+    return turns[begin:] + turns[:begin]
+
+
+def cheapest_schedule(errors: list[Clocked], capacity: int, longest: int) -> float:
+    """Return the least cost per step of all schedules of one loop each that repeat after at most so many steps."""
+    best = np.inf
+    choices = [set(sent) for sent in itertools.combinations(range(len(errors)), capacity)]
+    for length in range(1, longest + 1):
+        for schedule in itertools.product(choices, repeat=length):
+            if set().union(*schedule) == set(range(len(errors))):
+                costs = [mean_cost(one, after_a_send([i in sent for sent in schedule])) for i, one in enumerate(errors)]
+                best = min(best, sum(costs))
+    return best
+
+
+def test_the_bound_by_the_mean_load_is_below_every_schedule_and_slots_of_their_own_are_a_schedule() -> None:
+    """Three integrators on one slot, with different noise: the mean load allows more than any order of the sends."""
+    unit = np.eye(1)
+    errors = [Clocked(unit, noise * unit, unit) for noise in (1.0, 4.0, 8.0)]
+    apart = [LoopClass(one, 1) for one in errors]
+    assert allocate(apart, 1).costs.sum() == pytest.approx(10.5)
+    assert cheapest_schedule(errors, 1, 6) == pytest.approx(67 / 6)
+    assert allocate_slots(apart, 1) == np.inf
+    calm = errors[0]
+    same = 3 * float(allocate([LoopClass(calm, 3)], 2).costs[0])
+    assert allocate_slots([LoopClass(calm, 1), LoopClass(calm, 2)], 2) == pytest.approx(same)
+    assert cheapest_schedule([calm] * 3, 2, 3) == pytest.approx(same)
+
+
+@EXAMPLES
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+def test_slots_of_their_own_cost_no_less_than_the_bound_and_what_each_division_costs(seed: int, capacity: int) -> None:
+    """All divisions of the slots among three classes, some of which check at every other step."""
+    draws = np.random.default_rng(seed)
+    sharers = [LoopClass(error(seed + i), int(draws.integers(1, 7)), int(draws.integers(1, 3))) for i in range(3)]
+    found = allocate_slots(sharers, capacity)
+    assert found >= float(allocate(sharers, capacity).costs @ [one.count for one in sharers]) * (1 - 1e-9)
+    best = np.inf
+    for slots in itertools.product(range(capacity + 1), repeat=3):
+        if sum(slots) > capacity:
+            continue
+        total = 0.0
+        for one, mine in zip(sharers, slots, strict=True):
+            for phase in range(one.every):
+                size = len(range(phase, one.count, one.every))
+                total += size * one.error.cost(min(1.0, mine / size)) / one.every if size > mine else 0.0
+        best = min(best, total)
+    assert found == best or found == pytest.approx(best, rel=1e-9, abs=1e-12)

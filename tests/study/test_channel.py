@@ -398,3 +398,20 @@ def test_ten_thousand_loops_are_within_two_percent_of_what_none_can_beat() -> No
     found = share_channel(problems, copies=[8000, 2000], capacity=1000)
     assert 0 < (found.cost.value + 4 * found.cost.standard_error) / found.lower_bound.cost - 1 < 0.02
     assert found.consistent is True
+
+
+def test_a_bound_on_periodic_control_is_called_a_bound_where_no_schedule_may_attain_it() -> None:
+    """Loops that differ, on one slot and with slots of their own; equal loops take turns and attain the bound."""
+    loud = replace(WALK, plant=Plant([[1.0]], [[1.0]], [[3.0]]))
+    one = share_channel({"walk": WALK, "loud": loud}, copies=[2, 1], capacity=1, ticks=2000, confidence=0)
+    assert not one.clock_attained
+    assert one.document()["cost_periodic_attained"] is None
+    assert "periodic, bound" in str(one)
+    assert any("is a lower bound by the mean load" in note for note in one.notes)
+    assert one.consistent is not False
+    own = share_channel({"walk": WALK, "loud": loud}, copies=[20, 10], capacity=15, ticks=2000, confidence=0)
+    assert own.cost_periodic <= own.cost_periodic_attained < 1.1 * own.cost_periodic
+    same = share_channel({"walk": WALK}, copies=3, capacity=2, ticks=2000, confidence=0)
+    assert same.clock_attained
+    assert same.notes == ()
+    assert "best periodic" in str(same)

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from counts import few
 from drawn import law
 from hypothesis import assume
 from hypothesis import strategies as st
@@ -15,7 +16,9 @@ from systems import System, systems
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, design
 from taciturn.lqg.periodic import Held
-from taciturn.study.clock import Clock, ClockPoint, Ticked, lower_hull
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
+from taciturn.study.clock import Clock, ClockPoint, Ticked, beside, lower_hull
 from taciturn.study.fair import clock_of, sampling_clock
 
 TANK = ContinuousPlant(
@@ -255,3 +258,29 @@ def test_a_model_runs_between_the_sends_of_a_real_period_of_a_known_state_too() 
     assert found is not None
     assert spaced is not None
     assert found.cost <= spaced.cost * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", few([0, 45, 53, 52, 40], 2))
+def test_intervals_far_from_the_mean_are_found_where_they_cost_less(seed: int) -> None:
+    """All pairs of intervals up to 8 steps, exactly: two sends in a row and a pause may cost half as much."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(3, 3))
+    A *= rng.uniform(0.7, 1.1) / np.abs(np.linalg.eigvals(A)).max()
+    plant = Plant(A, rng.normal(size=(3, 1)), 0.1 * np.eye(3), rng.normal(size=(1, 3)), [[0.1]])
+    plant = follow(plant, disturbances=ExternalDisturbance(rng.normal(size=3), wander=0.01))
+    cost = Cost(np.eye(3), [[0.1]])
+    points = list[ClockPoint]()
+    for cycle in itertools.combinations_with_replacement(range(8, 0, -1), 2):
+        try:
+            form = design.periodic(plant, cost, every=cycle).theory.closed_form
+        except taciturn.UnstableError:
+            continue
+        assert form is not None
+        points.append(ClockPoint(2 / sum(cycle), form.cost, cycle))
+    clock = fair(Problem(plant, cost, Network(), "excess", {"theta": 0.2}))
+    for rate in (0.45, 0.37, 0.28, 0.22):
+        low, high = beside(lower_hull(points), rate)
+        chord = low.cost + (high.cost - low.cost) * (rate - low.rate) / max(high.rate - low.rate, 1e-12)
+        found = clock.at(rate)
+        assert found is not None
+        assert found.cost <= chord * (1 + 1e-6)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import Cost, Plant, close, design
+from taciturn import Cost, Estimate, Plant, close, design
+from taciturn.model.following import follow
+from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.simulation.statistics import batch_means
 from taciturn.study.testbed.network import NetworkRun, _datagrams, _unheard
-from taciturn.study.testbed.ticks import measured, plant_cost, rate_of_ticks, remark_on_rates, settled
+from taciturn.study.testbed.ticks import cost_of_ticks, measured, plant_cost, rate_of_ticks, remark_on_rates, settled
 
 PROBLEM = taciturn.load("two-mass-lqg")
 LOOP = PROBLEM.close(PROBLEM.design())
@@ -68,6 +70,34 @@ def test_a_rate_has_an_error_only_by_batch_means() -> None:
     assert rate.standard_error == pytest.approx(np.sqrt(10) * independent, rel=0.5)
     assert rate.standard_error > 1.5 * independent
     assert remark_on_rates([rate], len(runs)) == ()
+
+
+SEEN = Plant([[0.9]], [[1.0]], [[0.1]], [[1.0]], [[0.1]])
+RARE = follow(SEEN, changes=RandomSteps(0.001, [[4.0]]))
+REPEATED = follow(SEEN, changes=Timetable([0, 300, 700, 1000], [[1.0], [3.0], [2.0], [1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("plant", "why"), [(RARE, "3 changes of set-points"), (REPEATED, "3 repetitions of the timetable")]
+)
+def test_a_few_rare_changes_give_no_error_however_many_steps_there_are(plant: Plant, why: str) -> None:
+    """Three changes of set-points are three pieces; batch means of short runs have a much too small error."""
+    cost = Cost([[1.0]], [[1.0]])
+    loop = close(plant, design.excess(plant, cost, delta=0.1))
+    steps = 3000 + settled(loop)
+    costs = np.random.default_rng(2).exponential(size=steps)
+    found, notes = cost_of_ticks(loop, costs, 0.0)
+    assert found == Estimate(float(costs[settled(loop) :].mean()), 0.0, "exact")
+    assert f"expected at least {32_000 + settled(loop)}: the cost is that of this run, with about {why}" in notes[0]
+    assert measured(rate_of_ticks(loop, costs > 1))["standard_error"] is None
+    long = np.random.default_rng(2).exponential(size=33_000)
+    found, _ = cost_of_ticks(loop, long, 0.0)
+    assert found is not None
+    assert found.standard_error > 0
+    usual = close(SEEN, design.excess(SEEN, cost, delta=0.1))
+    found, _ = cost_of_ticks(usual, costs, 0.0)
+    assert found is not None
+    assert found.standard_error > 0
 
 
 @pytest.mark.parametrize("relay", [True, False])

@@ -15,7 +15,7 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.kalman import Filter, filter_checked
 from taciturn.lqg.periodic import Held
-from taciturn.model.controller import Controller
+from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Disturbance, padded
@@ -79,7 +79,7 @@ def disturbed(
     disturbance = controller.expected
     if disturbance is not None:
         disturbance = disturbance.completed(plant, period)
-        problem = discretise(disturbance.added_to(plant), padded(cost, problem.plant.inputs), period)
+        problem = discretise(disturbance.added_to(plant, cost.mission), padded(cost, problem.plant.inputs), period)
     return problem, controller, disturbance
 
 
@@ -152,3 +152,16 @@ def note_disturbance(controller: Controller, disturbance: Disturbance | None) ->
     missing = [name for name in ("time_constant", "deviation") if getattr(stated, name) is None]
     source = f" ({' and '.join(missing)} by default, from the step, W and B)" if missing else ""
     return (f"the plant has a slowly varying disturbance at each input: {disturbance.text()}{source}",)
+
+
+def note_ringing(kept: Kept, step: float) -> tuple[str, ...]:
+    """Return a note on a mode of a continuous controller that the trapezoidal rule makes alternate."""
+    found = kept.ringing(step) if isinstance(kept, ContinuousController) else None
+    if found is None:
+        return ()
+    return (
+        f"the controller has a mode with the time constant {found[0]:.3g} s, such as a filter of its derivative, which "
+        f"is faster than half a step of {step:g} s: the trapezoidal rule makes it an eigenvalue of {found[1]:.3g}, so "
+        "its part of the command alternates from step to step; expected a slower filter, a shorter step, or method "
+        '"zoh"',
+    )

@@ -12,7 +12,7 @@ from taciturn.design.anti_windup import within_limits
 from taciturn.design.base import Base, advantage
 from taciturn.design.bounds import bound_by_errors
 from taciturn.design.certainty import design_certainty
-from taciturn.design.kept import disturbed, note_disturbance, recovery, remedy_of
+from taciturn.design.kept import disturbed, note_disturbance, note_ringing, recovery, remedy_of
 from taciturn.design.routes import actuator_base
 from taciturn.design.same_control import SameControl
 from taciturn.design.set_point import Rest, rest_of
@@ -89,8 +89,8 @@ class KeptLoop(Displayed):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the slow disturbance."""
-        return note_disturbance(self.controller, self.disturbance)
+        """Remarks on the slow disturbance, and on modes of the controller that are too fast for the step."""
+        return note_disturbance(self.controller, self.disturbance) + note_ringing(self.kept, self.problem.tick)
 
     @cached_property
     def cost_lqg(self) -> float | None:

@@ -180,6 +180,21 @@ class ContinuousController(Displayed):
             ) from None
         return Controller(*found, None, dt, self.disturbance, self.setpoint).at(dt, inputs, outputs)
 
+    def ringing(self, dt: float) -> tuple[float, float] | None:
+        """Return time constant and eigenvalue of the mode that rings most at a step of ``dt`` seconds, or None.
+
+        The trapezoidal rule turns a mode e^{pt} into the eigenvalue (2 + p dt)/(2 − p dt). If the mode decays faster
+        than within half a step, the eigenvalue is negative: commands alternate from step to step, and decay slowly.
+        """
+        if self.method != "tustin" or not len(self.A):
+            return None
+        poles = np.linalg.eigvals(self.A)
+        fast = poles[(poles.real < 0) & (np.abs(poles) * dt > 2 * (1 + 1e-9))]
+        if not len(fast):
+            return None
+        p = fast[np.argmax(np.abs(fast))]
+        return float(1 / np.abs(p)), float(((2 + p * dt) / (2 - p * dt)).real)
+
 
 def checked_disturbance(name: str, value: object) -> Disturbance | None:
     """Return a disturbance, or None for the default.

@@ -1,7 +1,8 @@
 """Slowly varying disturbances at the inputs of a plant, which a controller with an integrator compensates.
 
 The plant applies u + d instead of u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with
-the time constant T and a constant standard deviation. The state of the plant becomes (x, d).
+the time constant T and a constant standard deviation, also at the start of a run over a horizon or with a discount. The
+state of the plant becomes (x, d).
 """
 
 from __future__ import annotations
@@ -98,21 +99,27 @@ class Disturbance(Displayed):
         sizes = [] if self.deviation is None else [f"{value:.4g}" for value in np.atleast_1d(self.deviation)]
         return f"time constant {self.time_constant:.4g} s, deviation {', '.join(sizes)}"
 
-    def added_to(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
-        """Return the plant with the state (x, d), for a disturbance with time constant and deviations."""
+    def added_to(self, plant: Plant | ContinuousPlant, mission: bool = False) -> Plant | ContinuousPlant:
+        """Return the plant with the state (x, d), for a disturbance with time constant and deviations.
+
+        Args:
+            plant: the plant.
+            mission: whether the cost depends on the start, where d has its stationary deviation. An average does not
+                depend on it, and there d starts at zero.
+        """
         assert self.time_constant is not None
         assert self.deviation is not None
-        slow = -1.0 / self.time_constant
+        slow, spread = -1.0 / self.time_constant, self.deviation**2 if mission else 0.0
         if isinstance(plant, ContinuousPlant):
-            return _with(plant, slow, -2.0 * slow * self.deviation**2, np.zeros(plant.inputs))
+            return _with(plant, slow, -2.0 * slow * self.deviation**2, spread=spread)
         kept = float(np.exp(slow * (plant.dt or 1.0)))
-        return _with(plant, kept, (1.0 - kept**2) * self.deviation**2, np.zeros(plant.inputs))
+        return _with(plant, kept, (1.0 - kept**2) * self.deviation**2, spread=spread)
 
     def stepped(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
         """Return the plant with the state (x, d) and a constant d of one deviation, the disturbance after a step."""
         assert self.deviation is not None
         start = np.broadcast_to(self.deviation, (plant.inputs,))
-        return _with(plant, float(isinstance(plant, Plant)), np.zeros(plant.inputs), start)
+        return _with(plant, float(isinstance(plant, Plant)), np.zeros(plant.inputs), start=start)
 
     def removed_from(self, plant: Plant) -> Plant:
         """Return the plant with the state x, the inverse of ``added_to``."""
@@ -139,12 +146,16 @@ def _seconds(plant: Plant | ContinuousPlant, period: float | None) -> float:
     return 1.0 if step is None else step
 
 
-def _with(plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array) -> Plant | ContinuousPlant:
+def _with(
+    plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array | float = 0.0, spread: Array | float = 0.0
+) -> Plant | ContinuousPlant:
+    """Return the plant with the state (x, d), where d starts with the mean ``start`` and the variance ``spread``."""
     (n, m), p = plant.B.shape, len(plant.C)
     A = np.block([[plant.A, plant.B], [np.zeros((m, n)), kept * np.eye(m)]])
     B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, np.zeros((p, m))])
-    noise, mean, rate = block_diagonal(plant.W, W * np.eye(m)), np.concatenate([plant.mean, start]), plant.input_rate
-    covariance = block_diagonal(plant.covariance, np.zeros((m, m)))
+    noise, rate = block_diagonal(plant.W, W * np.eye(m)), plant.input_rate
+    mean = np.concatenate([plant.mean, np.broadcast_to(start, (m,))])
+    covariance = block_diagonal(plant.covariance, spread * np.eye(m))
     here = plant.operating_point
     point = None if here is None else OperatingPoint(np.concatenate([here.x, np.zeros(m)]), here.u)
     if isinstance(plant, ContinuousPlant):

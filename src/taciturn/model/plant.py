@@ -9,7 +9,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, Slow, lost_modes, mode_text, pace
+from taciturn._modes import SCATTER, Slow, factor, lost_modes, mode_text, pace, symmetric_factor
 from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
@@ -153,7 +153,9 @@ class Jumps(Displayed):
     Args:
         rate: mean number of jumps per second λ, positive.
         covariance: covariance of a single jump, (n, n), positive semidefinite.
-        distribution: ``"normal"``, ``"uniform"`` or ``"two-point"``; each is scaled to the covariance.
+        distribution: ``"normal"``, ``"uniform"`` or ``"two-point"``; each is scaled to the covariance: a jump is G ξ
+            with independent ξ_i of variance 1 and this distribution. If it is not normal, the distribution of a jump
+            depends on G and not only on its covariance G G'. So G is the symmetric one, ``spread``.
 
     Raises:
         ProblemError: if the rate is not positive, or the covariance is not positive semidefinite.
@@ -172,6 +174,11 @@ class Jumps(Displayed):
             raise ProblemError(
                 f"jumps.distribution is {self.distribution!r}; expected 'normal', 'uniform' or 'two-point'"
             )
+
+    @property
+    def spread(self) -> Array:
+        """The matrix G of a jump Gξ, (n, ξ); the order of the states has no effect on jumps that are not normal."""
+        return factor(self.covariance) if self.distribution == "normal" else symmetric_factor(self.covariance)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

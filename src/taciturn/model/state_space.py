@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -10,6 +11,9 @@ import numpy.typing as npt
 from taciturn._arrays import ArrayLike, expect_unmasked
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant, Plant
+
+DELAYS = ("InputDelay", "OutputDelay", "IODelay", "InternalDelay", "input_delay", "output_delay")
+"""Names under which systems of MATLAB and of Python packages have their delays."""
 
 
 @runtime_checkable
@@ -75,7 +79,7 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
     The step is 0 for continuous time, and None for discrete time without seconds.
 
     Raises:
-        ProblemError: the system has no state space, or its time base is unspecified.
+        ProblemError: the system has no state space, a descriptor matrix or delays, or its time base is unspecified.
     """
     if not isinstance(system, StateSpaceLike):
         to_state_space = getattr(system, "to_ss", None)  # transfer functions and zero-pole-gain systems
@@ -91,6 +95,7 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
                 f"{name} is a {type(system).__name__} without a state space ({error}); "
                 "expected an object with A, B, C, D, or a proper transfer function"
             ) from None
+    refuse_descriptor(name, vars_of(system))
     dt: float | bool | None = getattr(system, "dt", None)
     if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
         raise ProblemError(
@@ -100,3 +105,35 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
     if dt is None or (dt is not True and dt == 0):
         return system, 0.0
     return system, None if dt is True else float(dt)
+
+
+def vars_of(system: object) -> dict[str, object]:
+    """Return the attributes of a system that may change what A and B mean."""
+    return {name: getattr(system, name) for name in ("E", *DELAYS) if getattr(system, name, None) is not None}
+
+
+def refuse_descriptor(name: str, held: Mapping[str, object]) -> None:
+    """Raise an error for a descriptor matrix E that is not the identity, or for delays.
+
+    Args:
+        name: name of the system, for messages.
+        held: E and delays by name, of those that the system has.
+
+    Raises:
+        ProblemError: the system has such a matrix, or a delay that is not zero.
+    """
+    E = held.get("E")
+    if E is not None:
+        matrix = np.asarray(E, dtype=np.float64)
+        if matrix.size and not (matrix.ndim == 2 and np.array_equal(matrix, np.eye(len(matrix)))):
+            raise ProblemError(
+                f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E: for a regular E, "
+                "use the matrices E⁻¹A and E⁻¹B"
+            )
+    for delay in DELAYS:
+        if np.any(np.asarray(held.get(delay, 0.0), dtype=np.float64)):
+            raise ProblemError(
+                f"{name} has {delay} {np.asarray(held[delay]).ravel().tolist()}; expected a system without delays: add "
+                "the delayed inputs or outputs to the states, as MATLAB's absorbDelay does, or state the delay of the "
+                "link in [links]"
+            )

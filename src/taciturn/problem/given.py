@@ -13,6 +13,7 @@ from taciturn._arrays import array
 from taciturn._display import Displayed
 from taciturn._matlab import Foreign, Variable, read_variables
 from taciturn.errors import ProblemError
+from taciturn.model.state_space import DELAYS, refuse_descriptor
 
 NAMES = {
     "A": ("A",),
@@ -54,7 +55,8 @@ def read_given(path: Path) -> Given:
 
     Raises:
         ProblemError: if the file cannot be read, a variable is not an array or has two names, D is not 0, the time base
-            is unspecified, or the file contains a system object that only MATLAB can open.
+            is unspecified, there is a descriptor matrix or a delay, or the file contains a system object that only
+            MATLAB can open.
     """
     held = read_variables(path)
     found: dict[str, npt.NDArray[Any]] = {}
@@ -70,7 +72,9 @@ def read_given(path: Path) -> Given:
         raise ProblemError(_only_matlab(path, *systems[0]))
     if "D" in found and found.pop("D").any():
         raise ProblemError(f"D in {path} is not zero; expected no direct feedthrough from input to measurement")
-    known = {name for names in NAMES.values() for name in names}
+    changes = {name: _expect_array(path, name, held[name]) for name in ("E", *DELAYS) if name in held}
+    refuse_descriptor(str(path), changes)
+    known = {name for names in NAMES.values() for name in names} | set(changes)
     dt = found.pop("dt", None)
     return Given(found, None if dt is None else _step(path, dt), tuple(sorted(set(held) - known)))
 
@@ -100,6 +104,7 @@ def read_controller(place: str) -> tuple[dict[str, npt.NDArray[Any]], float | No
     if not found:
         message = _only_matlab(path, *objects[0]) if objects else f"{path} has no A, B, C, D; expected a controller"
         raise ProblemError(message)
+    refuse_descriptor(str(path), {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held})
     steps = [name for name in NAMES["dt"] if name in held]
     return found, _step(path, _expect_array(path, steps[0], held[steps[0]])) if steps else None
 

@@ -137,6 +137,6 @@ def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[Externa
             "disturbance follows; expected a positive W there, or [[disturbance]] with its wander"
         )
     return [
-        ExternalDisturbance(plant.B @ column, 2 * SHARE**2 * size / STEPS)
+        ExternalDisturbance(plant.B @ column, SHARE**2 * size / STEPS)  # a random walk: variances add up
         for column, size in zip(U.T, seen.tolist(), strict=True)
     ]

@@ -11,7 +11,6 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array
-from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpDistribution, JumpNoise
 from taciturn.program.draws import NORMAL, minus_two_log
@@ -43,7 +42,7 @@ def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
         ProblemError: a step has too many jumps on average.
     """
     b, n = tick.builder, len(noise.A)
-    half, spread = noise.period / 2, factor(noise.jumps.covariance)
+    half, spread = noise.period / 2, noise.jumps.spread
     law = noise.jumps.distribution
     # the waiting time between jumps is exponential with mean 1/rate: −log(u)/rate, from −2 log u
     pause, end, zero = b.constant(0.5 / noise.jumps.rate), b.constant(noise.period), b.constant(0.0)

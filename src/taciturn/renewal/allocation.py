@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from heapq import heapify, heappop, heappush
 
 import numpy as np
 
@@ -131,7 +132,8 @@ def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
 
     The mean cost per check is a convex function of the rate. So one price μ per send separates the problem: every class
     uses its optimal interval at this price. At the price where the load crosses the capacity, time is shared between
-    the intervals just below and just above this price. No periodic schedule in any order has a lower cost.
+    the intervals just below and just above this price. No periodic schedule in any order has a lower cost, but none may
+    attain it (``allocate_slots``): the sends of loops with different intervals meet in some steps.
 
     Args:
         sharers: the classes of loops.
@@ -166,3 +168,45 @@ def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
     chosen = share * often + (1 - share) * rarely
     costs = [sharer.error.cost(rate) / sharer.every for sharer, rate in zip(sharers, chosen.tolist(), strict=True)]
     return Allocation(chosen, high, np.array(costs))
+
+
+def allocate_slots(sharers: Sequence[LoopClass], capacity: int) -> float:
+    """Return the least cost per step of periodic control in which each class has slots of its own; infinite for none.
+
+    The loops of a class check in turns: in each step, those of one phase. They send one after the other in the slots of
+    the class, so that their intervals are the whole numbers next to the mean one, whose cost is that of ``Clocked``. So
+    this cost is attained, and that of ``allocate`` is a lower bound. Since it is convex in the number of slots, each
+    further slot goes to the class that gains most from it.
+
+    Args:
+        sharers: the classes of loops.
+        capacity: largest number of sends per step, positive.
+    """
+
+    def cost(sharer: LoopClass, slots: int) -> float:
+        sizes = [-(-(sharer.count - phase) // sharer.every) for phase in range(min(sharer.every, sharer.count))]
+        total = sum(size * sharer.error.cost(min(1.0, slots / size)) if slots < size else 0.0 for size in sizes)
+        return total / sharer.every
+
+    alike: dict[tuple[object, ...], LoopClass] = {}
+    for sharer in sharers:
+        error = sharer.error
+        key = (sharer.every, *(one.tobytes() for one in (error.F, error.noise, error.Gamma)))
+        alike[key] = LoopClass(error, sharer.count + (alike[key].count if key in alike else 0), sharer.every)
+    sharers = list(alike.values())
+    slots, costs = [0] * len(sharers), [cost(sharer, 0) for sharer in sharers]
+
+    def gain(place: int) -> tuple[float, int]:
+        following = cost(sharers[place], slots[place] + 1)
+        return (-np.inf if np.isinf(costs[place]) else following - costs[place]), place
+
+    gains = [gain(place) for place in range(len(sharers))]
+    heapify(gains)
+    for _ in range(capacity):
+        change, place = heappop(gains)
+        if change >= 0:
+            break
+        slots[place] += 1
+        costs[place] = cost(sharers[place], slots[place])
+        heappush(gains, gain(place))
+    return float(sum(costs))

@@ -26,7 +26,6 @@ import numpy as np
 
 from taciturn._arrays import Array, array, instance, number, semidefinite, square
 from taciturn._display import Displayed
-from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
 from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw_numbers, minus_two_log, seed_generators
@@ -230,7 +229,7 @@ class _Attempt:
         names = (INTEGRAL, TIME, WAIT, PIECE, JUMPED)
         self.gone, self.time, self.wait, self.piece, self.jumped = [self._state(name) for name in names]
         self.longest = self.b.constant(self.motion.longest)
-        self.spread, normal = factor(process.jumps.covariance), process.jumps.distribution == "normal"
+        self.spread, normal = process.jumps.spread, process.jumps.distribution == "normal"
         self.drawn = [Entry(NORMAL, i) if normal else Entry(UNIFORM, i + 1) for i in range(self.spread.shape[1])]
 
     def program(self) -> Program:

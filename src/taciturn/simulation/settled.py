@@ -13,8 +13,6 @@ resolves more than one window, and it does not contain the start, whose large tr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from taciturn._arrays import Array, Bits
@@ -28,17 +26,17 @@ IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at
 Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
 
 
-@dataclass(eq=False)
 class History:
     """The windows of steps since the start of all paths.
 
     Args:
         counted: which sums are numbers of sends.
-        windows: steps and sums of each window; later windows may have more sums, which are not compared.
     """
 
-    counted: Bits
-    windows: list[Window] = field(default_factory=list[Window])
+    def __init__(self, counted: Bits) -> None:
+        """Start without windows."""
+        self.counted = counted
+        self.windows: list[Window] = []  # later windows may have more sums, which are not compared
 
     @property
     def steps(self) -> int:

@@ -31,6 +31,7 @@ from taciturn.study.lower import bounded, contradicted, expect_bound
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
 from taciturn.study.units import cost_unit, rate_unit
 from taciturn.study.violated import with_violations
+from taciturn.study.written import plant_as_written
 
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
@@ -114,11 +115,22 @@ def evaluate(
     with answered_within(time_limit, early=True):
         request = Request(seed, standard_error, steps, method)
         found = _evaluated(problem, request, precision, confidence, after_step, told.stage(0.0, share))
+        if after_step:
+            found = with_written(problem, request, found, told.stage(share, share))
         if problem.limits is not None:
             found = with_violations(problem, problem.limits, request, found, told.stage(share, 1.0))
         power, life = _energy(problem, found)
         prices = {link: problem.network.links[link].price for link in found.rates if link in problem.network.links}
         return replace(found, power=power, life=life, prices=prices, seconds=time.perf_counter() - began)
+
+
+def with_written(problem: Problem, request: Request, found: Evaluation, progress: Progress) -> Evaluation:
+    """Return an evaluation with the loop on the plant as written, if a default has added something to the plant."""
+    try:
+        return replace(found, as_written=plant_as_written(problem, problem.designed(), request, progress))
+    except OutOfTime:
+        late = f"no averages for the plant as written: {late_text()}"
+        return replace(found, notes=(*found.notes, late))
 
 
 def _evaluated(

@@ -29,6 +29,7 @@ from taciturn.study.lines import (
 )
 from taciturn.study.measure import CONDITIONAL
 from taciturn.study.units import TimeUnit, Unit, rate_unit
+from taciturn.study.written import AsWritten
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
 ZERO = 1e-11  # relative difference of two costs that is a rounding error
@@ -85,6 +86,7 @@ class Evaluation(Tabular):
         prices: prices of a packet on the links with a rate.
         after_step: averages after a step of the slow disturbance that the policy assumes, or None.
         without_limits: how often a limit of the inputs binds, and the loop without limits; None if no input has one.
+        as_written: the loop without a slow disturbance that a default has added to the plant; None if none was added.
         violations: probabilities that the limits of the problem are violated, or None.
     """
 
@@ -125,6 +127,7 @@ class Evaluation(Tabular):
     cost_lqg: float | None = None
     without_limits: WithoutLimits | None = None
     violations: Violations | None = None
+    as_written: AsWritten | None = None
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -166,6 +169,8 @@ class Evaluation(Tabular):
         how = self.method if self.cost.method == "simulation" else self.cost.method
         method = how if self.estimator in ("", how) else f"{how}, {self.estimator}"
         first: Lines = [("policy", self.policy), ("method", f"{method}: {self.reason}")]
+        if self.as_written is not None:
+            first.append(("by default", self.as_written.text(f"per {self.rate_unit}")))
         return "\n\n".join(filter(None, [pairs_text(first), _table(self), pairs_text(_details(self))]))
 
     def document(self) -> dict[str, Any]:
@@ -215,6 +220,7 @@ class Evaluation(Tabular):
         if self.after_step is not None:
             result["after_step"] = self.after_step.document()
         result |= {} if self.without_limits is None else self.without_limits.document()
+        result |= {} if self.as_written is None else {"as_written": self.as_written.document()}
         return result | ({"notes": list(self.notes)} if self.notes else {})
 
 
@@ -323,6 +329,8 @@ def _verdict(found: Evaluation) -> list[str]:
         return ["none: the loop has not settled, so the simulated cost is not an average"]
     if not found.trusted:
         return ["none: the standard error of the cost cannot be trusted"]
+    if found.as_written is not None:
+        return [_verdict_as_written(found, found.as_written)]
     above, error = found.cost.value / base - 1, found.cost.standard_error / base
     error = 0.0 if negligible(found.cost.standard_error, found.cost.value) else error
     least = None if lower is None else lower.cost / base - 1
@@ -345,6 +353,23 @@ def _verdict(found: Evaluation) -> list[str]:
         return [f"{text}; no bound above the cost of sending every sample is proved for this controller at this rate"]
     least_text = percent(least, max(decimals, -magnitude(100 * least)), up=-1)
     return [f"{text}; no schedule of this controller at this rate costs less than {least_text} above"]
+
+
+def _verdict_as_written(found: Evaluation, written: AsWritten) -> str:
+    """Return the verdict for the plant as written, next to that for the plant with what a default has added."""
+    assert found.cost_all_time is not None
+    rates = "" if found.base_rate is None else f"sends {_shares(written.rates, found.base_rate)}, "
+    with_it = percent_above(found.cost, found.cost_all_time)
+    if not written.settled:
+        return f"none: on the plant as written, the loop has not settled; {with_it} with the disturbance by default"
+    if not written.cost_all_time:
+        extra = f"costs {written.cost}; the cost of every sample there is not known"
+    else:
+        extra = f"costs {written.extra()} relative to sending every sample"
+    return (
+        f"on the plant as written, without the disturbance that is added by default: {rates}{extra}. With the "
+        f"disturbance {with_it}, to which the guarantee refers"
+    )
 
 
 def _shares(rates: Mapping[str, Estimate], base_rate: float) -> str:

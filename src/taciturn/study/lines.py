@@ -71,7 +71,8 @@ def shares_text(shares: Mapping[str, float]) -> str:
 def clock_text(clock: ClockMix) -> str:
     """Return how periodic control actuates (hold or prediction), and when it sends."""
     named = [f"{list(point.cycle)} steps" if point.cycle else f"{1 / point.rate:.4g} s" for point in clock.points]
-    return f"{clock.words}, every {' or '.join(named)}"
+    found = ", the best found" if clock.words == "hold" else ""  # with a model, neighbouring intervals are optimal
+    return f"{clock.words}, every {' or '.join(named)}{found}"
 
 
 def queries_text(schedule: Schedule) -> str:

@@ -206,8 +206,9 @@ def sharing_text(found: Sharing) -> str:
         sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
         text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
         lines.append(("no less than", text))
+    label = "best periodic" if found.clock_attained else "periodic, bound"
     lines += [
-        ("best periodic", f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
+        (label, f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
         ("consistent", {True: "yes", False: "no", None: "undecided within the standard errors"}[found.consistent]),
         ("load", f"{found.load} sends per step"),
     ]
@@ -229,7 +230,7 @@ def sharing_text(found: Sharing) -> str:
         for one in found.shares
     ]
     per = "sends per check"
-    header = ["", "loops", f"cost per {found.unit}", "every sample", per, f"best periodic: {per}"]
+    header = ["", "loops", f"cost per {found.unit}", "every sample", per, f"{label}: {per}"]
     return "\n".join([pairs_text([*lines, *(("note", note) for note in found.notes)]), table_text(header, rows, 1)])
 
 

@@ -25,6 +25,7 @@ from taciturn.program.trace import trace
 from taciturn.study.clock import ClockMix, ClockPoint
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
+from taciturn.study.written import AsWritten
 
 KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
@@ -40,6 +41,7 @@ RECORDED = {
         ClockMix,
         ClockPoint,
         AfterStep,
+        AsWritten,
         Violation,
         Violations,
     )

@@ -141,7 +141,8 @@ static const char *check_step(fmu_unit *unit, double time, double step) {
     if (!(magnitude(state->measured[i]) <= LARGEST)) {
       bool given = i >= (unsigned)FMU_SENSED;
       (void)snprintf(unit->sentence, sizeof unit->sentence, "%s[%u] is %g; expected a finite number up to %g",
-                     given ? "setpoint" : "y", i + 1U - (given ? (unsigned)FMU_SENSED : 0U), state->measured[i], LARGEST);
+                     given ? "setpoint" : "y", i + 1U - (given ? (unsigned)FMU_SENSED : 0U), state->measured[i],
+                     LARGEST);
       return unit->sentence;
     }
   }

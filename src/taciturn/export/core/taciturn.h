@@ -220,8 +220,8 @@ bool tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
 
 /* Set the watchdog of every link on which the node receives data: after `ticks` steps without data or a mark on it, or
  * after the largest interval that the policy states for a link without losses, if this is shorter, the link is silent
- * and the node is degraded. If all links are silent, the input is `safe_input`, or the last input if NULL. With 0 steps,
- * as after tac_start, there is no watchdog. Set-points are not watched: their sender need not run. */
+ * and the node is degraded. If all links are silent, the input is `safe_input`, or the last input if NULL. With 0
+ * steps, as after tac_start, there is no watchdog. Set-points are not watched: their sender need not run. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
 /* Return whether the watchdogs of all links have expired. The result stays true until a packet is accepted. */
@@ -247,8 +247,8 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
  * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first,
  * at most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false,
  * without executing the step, if it is not later than the last step, if more missed steps are left (call again, with
- * this step or with a later one), or if the measurement is missing or exceeds FLT_MAX. If a result is not finite, or the
- * packets cannot carry it, the node keeps its input, sends no data, and its memory starts again. */
+ * this step or with a later one), or if the measurement is missing or exceeds FLT_MAX. If a result is not finite, or
+ * the packets cannot carry it, the node keeps its input, sends no data, and its memory starts again. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
 /* Set the set-points of a controller from the next step on, in place of those in packets on the link `setpoint`. They

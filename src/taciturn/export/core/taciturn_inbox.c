@@ -192,7 +192,7 @@ static bool take(tac_node *node, const tac_packet *packet) {
   }
   if (kept) {
     channel->heard = tac_count_ticks(node) + 1U;
-    node->unheard = node->unheard && node->data->channels[i].kind != (uint8_t)TAC_DATA;
+    node->unheard = node->unheard && (node->data->channels[i].kind != (uint8_t)TAC_DATA);
   }
   return kept;
 }

@@ -32,9 +32,9 @@ static bool is_silent(const tac_node *node, unsigned i) {
   uint64_t ticks = tac_count_ticks(node);
   uint64_t heard = node->channels[i].heard;
   uint32_t interval = node->data->channels[i].interval;
-  uint32_t limit = (interval > 0U && interval < node->watchdog) ? interval : node->watchdog;
+  uint32_t limit = ((interval > 0U) && (interval < node->watchdog)) ? interval : node->watchdog;
   bool late = limit > 0U && ticks >= heard && ticks - heard >= limit;
-  return node->data->channels[i].kind == (uint8_t)TAC_DATA && (node->unheard || late);
+  return (node->data->channels[i].kind == (uint8_t)TAC_DATA) && (node->unheard || late);
 }
 
 bool tac_silent(const tac_node *node) {
@@ -52,7 +52,7 @@ bool tac_silent(const tac_node *node) {
 bool tac_silent_on(const tac_node *node, uint8_t link) {
   bool found = false;
   for (unsigned i = 0U; i < node->data->channel_count; i++) {
-    found = found || (node->data->channels[i].link == link && is_silent(node, i));
+    found = found || ((node->data->channels[i].link == link) && is_silent(node, i));
   }
   return found;
 }
@@ -123,7 +123,7 @@ static bool are_finite(const tac_real *numbers, unsigned count) {
 /* Return whether the packets to send and the plant input of a step can be sent. */
 static bool can_leave(const tac_node *node) {
   const tac_node_data *data = node->data;
-  bool found = data->applied < 0 || tac_fits(&node->outputs[data->applied], data->applied_count);
+  bool found = (data->applied < 0) || tac_fits(&node->outputs[data->applied], data->applied_count);
   for (unsigned i = 0U; i < data->send_count; i++) {
     const tac_real *sent = &node->outputs[data->sends[i].at];
     found = found && (!(sent[0] > (tac_real)0) || tac_fits(&sent[1], data->sends[i].entries));
@@ -132,10 +132,14 @@ static bool can_leave(const tac_node *node) {
 }
 
 /* Execute a part of a step. If a result is too large, start the memory again, as it may stay so, and return false. */
-static bool execute(tac_node *node, tac_part *part) {
+static bool execute(tac_node *node, bool is_second) {
   const tac_node_data *data = node->data;
-  part(data->constants, node->inputs, node->memory, node->outputs);
-  if (are_finite(node->memory, data->memory_count) && (part != data->first || can_leave(node))) {
+  if (is_second) {
+    data->second(data->constants, node->inputs, node->memory, node->outputs);
+  } else {
+    data->first(data->constants, node->inputs, node->memory, node->outputs);
+  }
+  if (are_finite(node->memory, data->memory_count) && (is_second || can_leave(node))) {
     return true;
   }
   copy(node->memory, data->start, data->memory_count);
@@ -169,7 +173,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   const tac_node_data *data = node->data;
   if (data->second != NULL && node->begun) {
     collect_all(node, 1U, node->tick + 1U);
-    (void)execute(node, data->second);
+    (void)execute(node, true);
   }
   turn_clocks(node, tick);
   node->tick = tick;
@@ -183,7 +187,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
       copy(&node->inputs[data->drawn_at], drawn, data->drawn_count);
     }
   }
-  if (execute(node, data->first)) {
+  if (execute(node, false)) {
     put_outputs(node);
   }
 }

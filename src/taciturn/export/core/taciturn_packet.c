@@ -24,7 +24,7 @@ bool tac_fits(const tac_real *numbers, unsigned count) {
   const tac_real most = (tac_real)FLT_MAX;
   bool found = true;
   for (unsigned i = 0U; found && i < count; i++) {
-    found = numbers[i] >= -most && numbers[i] <= most;
+    found = (numbers[i] >= -most) && (numbers[i] <= most);
   }
   return found;
 }

@@ -16,7 +16,7 @@ from taciturn._progress import Progress
 from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form
-from taciturn.renewal.allocation import Allocation, LoopClass, allocate
+from taciturn.renewal.allocation import Allocation, LoopClass, allocate, allocate_slots
 from taciturn.simulation.statistics import mean
 from taciturn.study.channel.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
 from taciturn.study.channel.loop_classes import Kind
@@ -110,12 +110,9 @@ class Game:
         return [one.urgency for one in found], load
 
     @cached_property
-    def clashes(self) -> tuple[int, int]:
-        """Number of steps per cycle with unused capacity (0 if no step has too many checks), and the cycle length."""
-        ticks = np.arange(self.cycle)
-        looks = sum(-(-(kind.count - ticks % kind.every) // kind.every) for kind in self.kinds)
-        few = int(np.sum(looks < self.capacity))
-        return few if np.any(looks > self.capacity) else 0, self.cycle
+    def attained(self) -> float:
+        """Cost per step of the best periodic control in which each kind of loops has slots of its own, or infinity."""
+        return self.cost_all_time + allocate_slots(self.sharers, self.capacity)
 
     def play(self, plan: Plan, channels: int) -> SharedChannel:
         """Return channels on which a plan is simulated; all errors are initially 0."""

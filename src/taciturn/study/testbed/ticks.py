@@ -10,17 +10,37 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
+from taciturn.model.set_points import RandomSteps, SampledChanges
 from taciturn.problem import Problem
 from taciturn.simulation.reliability import doubt_errors
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.units import cost_unit
 
 SETTLED = 5.0  # time constants at the start that an average omits
+FEWEST = 10  # least steps of a batch
 
 
 def settled(loop: Loop) -> int:
     """Return the number of steps at the start that an average omits."""
     return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.theory.settling))
+
+
+def piece_of(loop: Loop) -> tuple[int, str]:
+    """Return the least number of steps of a batch for a valid standard error, and what it contains once on average.
+
+    If changes of set-points or jumps are rare, they decide the cost. A record of a few of them contains as few
+    independent pieces, however many steps it has.
+    """
+    changes = loop.problem.plant.changes
+    found = [(0.0, "")]
+    if isinstance(changes, RandomSteps):
+        found.append((1 / changes.rate, "changes of set-points"))
+    if isinstance(changes, SampledChanges):
+        found.append((float(len(changes.table)), "repetitions of the timetable"))
+    if loop.problem.jumps is not None:
+        found.append((1 / (loop.problem.jumps.jumps.rate * loop.problem.jumps.period), "jumps"))
+    steps, why = max(found)
+    return (FEWEST, "") if steps <= FEWEST else (int(np.ceil(steps)), why)
 
 
 def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
@@ -31,9 +51,14 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
         return Estimate(total, 0.0, "exact"), ("one finite-horizon run: its cost is one realisation, not a mean",)
     skipped = settled(loop)
     kept = costs[skipped:]
-    if len(kept) < 10 * BATCHES:
-        needed = skipped + 10 * BATCHES
-        return None, (f"{len(costs)} steps are too few for a mean cost with its error; expected at least {needed}",)
+    piece, why = piece_of(loop)
+    needed = skipped + piece * BATCHES
+    short = f"{len(costs)} steps are too few for a mean cost with its error; expected at least {needed}"
+    if len(kept) < FEWEST * BATCHES:
+        return None, (short,)
+    if len(kept) < piece * BATCHES:
+        once = _in_units(loop, Estimate(float(kept.mean()), 0.0, "exact"))
+        return once, (f"{short}: the cost is that of this run, with about {len(kept) / piece:.2g} {why}",)
     found = batch_means(kept)
     notes = loop.problem.remarks
     notes += (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
@@ -48,7 +73,7 @@ def rate_of_ticks(loop: Loop, sends: Array) -> Estimate:
     in all these steps.
     """
     kept = sends[settled(loop) :]
-    if loop.horizon is not None or len(kept) < 10 * BATCHES:
+    if loop.horizon is not None or len(kept) < piece_of(loop)[0] * BATCHES:
         return Estimate(float(sends.mean()), 0.0, "exact")
     found = batch_means(kept)
     return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)

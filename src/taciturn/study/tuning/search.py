@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Never
 
 import numpy as np
@@ -32,6 +33,8 @@ JUMP = 1e-11  # width in log(value) below which a change counts as a jump
 KEPT = 2.0  # standard errors below the budget, at least
 PASSED = 20  # integers on either side that are skipped if no policy can be designed for them
 SURE = 3.0  # standard errors by which a trial at the limit of the range may miss the budget
+FINEST, WIDEST = 0.2, 12.0  # smallest and largest distance in log(value) of trials between which a crossing is sought
+ALIKE = 1e-3  # difference of two trials, relative to the budget, below which no crossing is sought between them
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,7 +132,7 @@ class Search:
         if self.meets_exactly(here):
             return here, here
         outwards = -1.0 if (here.above > 0) == self.rising else 1.0
-        found = self._walk(here, outwards)
+        found = self._walk(here, outwards) or self._crossing(here)
         if found is None:
             nearest = min(self.looks(), key=lambda look: abs(look.above))
             if abs(nearest.above) > SURE * nearest.error:
@@ -270,6 +273,37 @@ class Search:
             here, failed = there, 0.0
         there = self._edge(here, outwards, start, failed) if failed else here
         return (here, there) if (there.above > 0) != side or self.meets_exactly(there) else None
+
+    def _crossing(self, start: Look) -> tuple[Look, Look] | None:
+        """Return two neighbouring trials that bracket the budget, of a quantity that is not monotone in the parameter.
+
+        For example, the cost of silence may be less than that of few sends with an unsuitable controller. After walks
+        in both directions, intervals between neighbouring trials are halved if the quantity differs between their ends,
+        or if values between them fail. If there are several brackets, the result is the farthest one in which
+        the quantity crosses the budget in the usual direction, which has the fewest packets.
+        """
+        for outwards in (-1.0, 1.0):
+            here = start
+            while (found := self._walk(here, outwards)) is not None and found[1].value != here.value:
+                if self.meets_exactly(found[1]) or (found[1].above > 0) == (self.rising == (outwards > 0)):
+                    break
+                here = found[1]  # the walk has crossed the budget in the unusual direction, and goes on
+        width = FIRST
+        while not self.tuning.whole:
+            looks = sorted(self.looks(), key=lambda look: look.value)
+            pairs = [(a, b) for a, b in pairwise(looks) if (a.above > 0) != (b.above > 0)]
+            usual = [(a, b) for a, b in pairs if (b.above > 0) == self.rising]
+            if usual or (pairs and width <= FINEST):
+                return (usual or pairs)[-1]
+            width /= 2
+            if width < FINEST:
+                return None
+            for a, b in pairwise(looks):
+                place, gap = self.place(a.value), self.place(b.value) - self.place(a.value)
+                if abs(a.above - b.above) > ALIKE * self.goal.budget and gap < WIDEST:
+                    for part in range(1, int(np.ceil(gap / width))):
+                        self.look(self.value(place + part * width))
+        return None
 
     def _edge(self, last: Look, outwards: float, start: float, beyond: float) -> Look:
         """Return the farthest trial for which a policy can be designed, or the first one that passes the budget."""

@@ -16,7 +16,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.clock import Cycle, Either, Ticked
-from taciturn.study.evaluate import evaluate
+from taciturn.study.evaluate import evaluate, with_written
 from taciturn.study.fair import clock_of
 from taciturn.study.measure import Request
 from taciturn.study.tuning.budget import budget_of
@@ -45,8 +45,9 @@ def tune(
 ) -> Tuned:
     """Return the parameter with which a problem's policy meets a budget: its rate, traffic, cost or violation.
 
-    The parameter is the tuning parameter of the policy kind; rate and cost are assumed to be monotone in it. All trials
-    of the search use the same draws. The answer is then measured more precisely and corrected, until it is at least two
+    The parameter is the tuning parameter of the policy kind. If rate or cost are not monotone in it, the answer is the
+    largest value found at which they cross the budget in the usual direction. All trials of the search use the same
+    draws. The answer is then measured more precisely and corrected, until it is at least two
     standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
     policy on the side of the jump that meets the budget. A budget that is exceeded by at most 1e-9 of it counts as met,
     since costs and rates have rounding errors of this size.
@@ -102,6 +103,8 @@ def tune(
             bar = bar.stage(DIVIDED, 1.0)
         shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
         found = replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+        evaluation = with_written(found.problem, Request(seed, None, None, "auto"), found.evaluation, Stages(None))
+        found = replace(found, evaluation=evaluation)
         return found if problem.limits is None else _limited(found, problem.limits, seed)
 
 

@@ -139,4 +139,9 @@ def _budget_text(found: Tuned) -> str:
         over = found.goal.of(found.evaluation).value > found.goal.budget
         exactly = f"met up to a rounding error of {EXACT:g} of it" if over else "met exactly"
         kept = exactly if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
-    return f"{found.goal.text(found.evaluation)}, {kept}"
+    written = found.evaluation.as_written
+    where = "" if written is None else ", for the plant with the disturbance that is added by default"
+    if written is not None and found.goal.limits_cost:
+        where += f"; on the plant as written, the cost is {written.cost}"
+        where += "" if not written.cost_all_time else f", {written.extra()} relative to sending every sample"
+    return f"{found.goal.text(found.evaluation)}, {kept}{where}"
