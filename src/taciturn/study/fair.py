@@ -29,6 +29,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
 
 ALIKE = 1e-6  # relative
+OF_A_DESIGN = "the cost of periodic control is computed for the loop of a design, and here"  # the difference
 NEAR, SMALL = 8, 10  # real periods that are tried next to the one at a rate, of plants with so many states at most
 WORK = 3e7  # cycles, times the cube of the size of the problem that one of them is
 
@@ -81,7 +82,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     if nodes.theory.periodic is not None and problem.controller is not None:
         loop = problem.close(nodes)
         if not loop.nominal:
-            raise NoClockError(f"the loop differs from the design: {loop.violated_assumptions[0]}")
+            raise NoClockError(f"{OF_A_DESIGN} {loop.violated_assumptions[0]}")
         return _kept(loop, nodes.theory.periodic, "zero" if _applies_zero(nodes) else actuation_of(nodes))
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
@@ -91,7 +92,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     except TaciturnError as error:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
     if differences:
-        raise NoClockError(f"the loop differs from the design: {differences[0]}")
+        raise NoClockError(f"{OF_A_DESIGN} {differences[0]}")
     if nodes.tracking is not None:
         raise NoClockError("the policy follows a stored reference")
     if certainty.timed:

@@ -13,7 +13,7 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn._figure import HEIGHT, Panel, Series, Size, draw
 from taciturn._progress import Progress, answered_within, in_notebook
-from taciturn._text import per_unit
+from taciturn._text import per_unit, percent
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
@@ -208,7 +208,10 @@ class Tradeoff(Tabular):
             return []
         rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
         lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
-        return [Series([pace * rate for rate in rates], lowest, "no schedule costs less", "below")]
+        sure = percent(min(one.confidence for one in bounds))
+        return [
+            Series([pace * rate for rate in rates], lowest, f"no schedule of this controller, {sure} sure", "below")
+        ]
 
 
 def tradeoff(

@@ -169,6 +169,7 @@ KIND = Kind(
     example={"theta": 0.1},
     proved=r"$J\le J_{all}+\delta(1-\text{rate})\le(1+\theta)J_{all}$, rate in sends per step",
     relative_to="LQG or the given controller, with every sample or every $q$-th",
+    nodes='S+C, A; `link = "sensor"`: S, C+A',
     data="trigger e'He against δ",
     order="operations of `lqg`",
     usual={"theta": 0.1, "actuation": "model"},  # a model sends fewer packets than a held input

@@ -370,6 +370,7 @@ KIND = Kind(
     built_in="double-integrator",
     nodes="S, C+A",
     plants=("continuous", "jumps"),
+    follows=(),
     proved=r"$V\le V_p(r)$ at its mean interval",
     relative_to="periodic control",
     refused=(

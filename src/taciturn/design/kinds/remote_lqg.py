@@ -247,6 +247,7 @@ KIND = Kind(
     built_in="remote-scalar",
     nodes="S, C, A (or C with S or A); the sensor link has a delay of one step",
     costs=("average", "horizon", "discount"),
+    follows=("constant",),
     proved=r"$J\le(1+\theta)(J_{all}+\zeta)$; the queries are a schedule",
     relative_to="LQG with every sample",
     refused="a sensor that is never queried with an unstable plant; a schedule that does not repeat",

@@ -199,6 +199,7 @@ KIND = Kind(
     goal="a simple sensor that sends when an output has changed by Δ",
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.2},
+    follows=("constant",),
     proved=r"$\sqrt J\le\sqrt{J_b}+\sum_l\gamma_l\Delta_l$, a conservative certificate",
     relative_to="the same controller with every sample",
     nodes="S, C+A",
