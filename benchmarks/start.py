@@ -20,13 +20,12 @@ from taciturn.study.bench import describe_machine
 
 IMPORT = "python -c 'import numpy, scipy.linalg'"
 ANSWER = "import taciturn; taciturn.evaluate(taciturn.load('two-mass-lqg'), standard_error=1e-4)"
+COMMAND = ["evaluate", "two-mass-lqg", "--standard-error", "1e-4"]
 COMMANDS = {
     IMPORT: ["-c", "import numpy, scipy.linalg"],
     "python: taciturn.evaluate, standard error 1e-4": ["-c", ANSWER],
     "taciturn --help": ["-m", "taciturn.cli", "--help"],
-    "taciturn evaluate two-mass --standard-error 1e-4": [
-        *("-m", "taciturn.cli", "evaluate", "two-mass-lqg", "--standard-error", "1e-4")
-    ],
+    f"taciturn {' '.join(COMMAND)}": ["-m", "taciturn.cli", *COMMAND],
 }
 
 

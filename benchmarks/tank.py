@@ -2,8 +2,9 @@
 
     python benchmarks/tank.py [--rounds 5]
 
-Both run the innovations form on one thread. The costs and rates of both must agree within four standard errors, and the
-ratio of the speeds is the median over rounds in alternating order.
+All run the innovations form on one thread. The program by hand draws its normal numbers with the vector mathematics of
+glibc, or with the shorter polynomials of the engine. The costs and rates must agree within four standard errors, and
+the ratios of the speeds are medians over rounds in alternating order.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from taciturn.design.certainty import design_certainty
 from taciturn.loop import EXCESS
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
+from taciturn.program import draws
 from taciturn.program.machine import Kernel
 from taciturn.program.names import Sent
 from taciturn.study.bench import describe_machine
@@ -50,6 +52,10 @@ def numbers(problem: taciturn.Problem) -> str:
         "OMEGA": (np.eye(plant.states) - gain @ plant.C) @ plant.A, "LOCAL": np.array(local), "KEPT": np.array(kept),
         "DELTA": np.full(4, share),
     }  # fmt: skip
+    arrays |= {
+        "INVERSES": np.array(draws._INVERSES), "LOGARITHMS": 2 * np.log(draws._INVERSES),
+        "MINUS_TWO_LOG": np.array(draws._MINUS_TWO_LOG), "COS": np.array(draws._COS), "SIN": np.array(draws._SIN),
+    }  # fmt: skip
     sizes = {"N": plant.states, "S": plant.outputs, "M": plant.inputs}
     lines = [f"enum {{ {', '.join(f'{name} = {size}' for name, size in sizes.items())} }};"]
     for name, array in arrays.items():
@@ -58,12 +64,15 @@ def numbers(problem: taciturn.Problem) -> str:
     return "\n".join(lines) + "\n"
 
 
-def by_hand(problem: taciturn.Problem, folder: Path) -> ctypes.CDLL:
-    """Compile and load the loop by hand."""
+def by_hand(problem: taciturn.Problem, folder: Path) -> dict[str, ctypes.CDLL]:
+    """Compile and load the loop by hand, with each of its ways to draw."""
     (folder / "tank_numbers.h").write_text(numbers(problem))
-    command = ["cc", *FLAGS, f"-I{folder}", str(SOURCE), "-o", str(folder / "tank.so"), "-lmvec", "-lm"]
-    subprocess.run(command, check=True)
-    return ctypes.CDLL(str(folder / "tank.so"))
+    found: dict[str, ctypes.CDLL] = {}
+    for name, flag in (("by hand", []), ("by hand, polynomials", ["-DPOLYNOMIALS"])):
+        library = str(folder / f"tank_{len(found)}.so")
+        subprocess.run(["cc", *FLAGS, *flag, f"-I{folder}", str(SOURCE), "-o", library, "-lmvec", "-lm"], check=True)
+        found[name] = ctypes.CDLL(library)
+    return found
 
 
 def main() -> None:
@@ -77,26 +86,35 @@ def main() -> None:
     kernel = Kernel(program)
     known = taciturn.evaluate(tank, steps=PATHS * TICKS, seed=3)
     with tempfile.TemporaryDirectory() as name:
-        code, sums = by_hand(tank, Path(name)), (ctypes.c_double * 5)()
-        speeds: dict[str, list[float]] = {"engine": [], "by hand": []}
+        codes = by_hand(tank, Path(name))
+        all_sums = {name: (ctypes.c_double * 5)() for name in codes}
+        speeds: dict[str, list[float]] = {name: [] for name in ("engine", *codes)}
         for seed in range(rounds + 1):
             begin = time.process_time()
             kernel.run(program, loop.start(program, PATHS, seed), TICKS, threads=1)
             speeds["engine"].append(PATHS * TICKS / (time.process_time() - begin))
-            begin = time.process_time()
-            code.tank(ctypes.c_uint64(seed + 1), ctypes.c_long(PATHS), ctypes.c_long(TICKS), ctypes.byref(sums))
-            speeds["by hand"].append(PATHS * TICKS / (time.process_time() - begin))
+            for name, code in codes.items():
+                begin, sums = time.process_time(), ctypes.byref(all_sums[name])
+                code.tank(ctypes.c_uint64(seed + 1), ctypes.c_long(PATHS), ctypes.c_long(TICKS), sums)
+                speeds[name].append(PATHS * TICKS / (time.process_time() - begin))
     steps = (rounds + 1) * PATHS * TICKS
     assert known.cost_all_time is not None
-    cost = known.cost_all_time + sums[0] / steps / loop.problem.tick
-    rates = {link: sums[1 + i] / steps / loop.problem.tick for i, link in enumerate(known.rates)}
-    off = {link: (rate - known.rates[link].value) / known.rates[link].standard_error for link, rate in rates.items()}
-    off["cost"] = (cost - known.cost.value) / known.cost.standard_error
+    off: dict[str, dict[str, float]] = {}
+    for name, sums in all_sums.items():
+        cost = known.cost_all_time + sums[0] / steps / loop.problem.tick
+        rates = {link: sums[1 + i] / steps / loop.problem.tick for i, link in enumerate(known.rates)}
+        off[name] = {
+            link: (rate - known.rates[link].value) / known.rates[link].standard_error for link, rate in rates.items()
+        }
+        off[name]["cost"] = (cost - known.cost.value) / known.cost.standard_error
     found = {name: statistics.median(each[1:]) for name, each in speeds.items()}
-    ratios = [a / b for a, b in zip(speeds["engine"][1:], speeds["by hand"][1:], strict=True)]
+    ratios = {
+        name: statistics.median(a / b for a, b in zip(speeds["engine"][1:], speeds[name][1:], strict=True))
+        for name in codes
+    }
     print(json.dumps({
         "machine": dict(describe_machine()), "steps_per_second": found,
-        "engine_over_by_hand": statistics.median(ratios),
+        "engine_over": ratios,
         "difference_in_standard_errors": off,
     }, indent=1))  # fmt: skip
 

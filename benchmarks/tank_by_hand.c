@@ -1,9 +1,10 @@
 /* The loop of quadruple-tank as one would write it by hand in C: the filter driven by its innovations, two sensors and
  * two pumps with models, each of which decides for itself. Eight, four or two paths side by side in a vector of the
- * compiler; logarithms, sines and cosines are those of glibc for vectors. tank.py writes the matrices in
- * tank_numbers.h. */
+ * compiler; logarithms, sines and cosines are those of glibc for vectors or, with -DPOLYNOMIALS, the shorter polynomials
+ * of the engine (program/draws.py). tank.py writes the matrices, and these polynomials, in tank_numbers.h. */
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 
 #include "tank_numbers.h" /* N, S, M; A, B, G (N x S), L (M x N), OMEGA, CLOSED, C (S x N), LOCAL and KEPT per sensor */
 
@@ -39,25 +40,74 @@ static uint64_t mixed(uint64_t *counter) {
   return z ^ (z >> 31);
 }
 
+#ifdef POLYNOMIALS
+INLINE vector polynomial(const double *coefficients, int count, vector x) {
+  vector value = x * 0.0 + coefficients[count - 1];
+  for (int i = count - 2; i >= 0; i--) {
+    value = value * x + coefficients[i];
+  }
+  return value;
+}
+
+/* -2 log u = -2 log(1 + r) + 2 log c - 2 e log 2 with u = 2^e m, and 1 + r = c m near 1. */
+INLINE vector minus_two_log(vector u) {
+  words bits = (words)u;
+  vector m = (vector)((bits & UINT64_C(0x000FFFFFFFFFFFFF)) | UINT64_C(0x3FF0000000000000)), c, offset, r;
+  vector e = __builtin_convertvector((choice)(bits >> 52) - 1023, vector);
+#if defined(__AVX512F__)
+  vector inverses, logarithms; /* the eight entries of each table are in one vector */
+  memcpy(&inverses, INVERSES, sizeof inverses);
+  memcpy(&logarithms, LOGARITHMS, sizeof logarithms);
+  c = __builtin_shuffle(inverses, (choice)((bits >> 49) & 7));
+  offset = __builtin_shuffle(logarithms, (choice)((bits >> 49) & 7));
+#else
+  for (int i = 0; i < LANES; i++) {
+    c[i] = INVERSES[(bits[i] >> 49) & 7];
+    offset[i] = LOGARITHMS[(bits[i] >> 49) & 7];
+  }
+#endif
+  r = m * c - 1.0;
+  return polynomial(MINUS_TWO_LOG, 6, r) * r + offset - e * 1.3862943611198906;
+}
+
+/* Two normal numbers from a word: 32 bits for the radius, 30 for the angle from an axis, one for it, one for the sign. */
+INLINE void two_normals(words word, vector *white) {
+  vector radius = minus_two_log((__builtin_convertvector((choice)(word >> 32), vector) + 0.5) * 0x1p-32);
+  vector t = __builtin_convertvector((choice)(word & 0x3FFFFFFFu), vector) * 0x1p-30 - 0.5, along, across;
+  choice axis = (choice)((word << 33)) < 0;
+  for (int i = 0; i < LANES; i++) {
+    radius[i] = sqrt(radius[i]);
+  }
+  radius = (vector)((words)radius ^ ((word << 32) & UINT64_C(0x8000000000000000)));
+  along = radius * polynomial(COS, 5, t * t);
+  across = radius * t * polynomial(SIN, 5, t * t);
+  white[0] = (vector)(((choice)along & axis) | ((choice)across & ~axis));
+  white[1] = (vector)(((choice)across & axis) | ((choice)along & ~axis));
+}
+#else
+INLINE void two_normals(words word, vector *white) {
+  vector u = (__builtin_convertvector((choice)(word >> 32), vector) + 0.5) * 0x1p-32;
+  vector angle = __builtin_convertvector((choice)(word & 0xFFFFFFFFu), vector) * (6.283185307179586 * 0x1p-32);
+  vector radius = -2.0 * OF_VECTORS(log)(u);
+  for (int i = 0; i < LANES; i++) {
+    radius[i] = sqrt(radius[i]);
+  }
+  white[0] = radius * OF_VECTORS(cos)(angle);
+  white[1] = radius * OF_VECTORS(sin)(angle);
+}
+#endif
+
 /* Two standard normal numbers for each lane, by xoshiro256++ and Box and Muller. */
 INLINE void draw(words *state, vector *white) {
   words word = turned(state[0] + state[3], 23) + state[0];
   words shifted = state[1] << 17;
-  vector u, angle, radius;
   state[2] ^= state[0];
   state[3] ^= state[1];
   state[1] ^= state[2];
   state[0] ^= state[3];
   state[2] ^= shifted;
   state[3] = turned(state[3], 45);
-  u = (__builtin_convertvector((choice)(word >> 32), vector) + 0.5) * 0x1p-32;
-  angle = __builtin_convertvector((choice)(word & 0xFFFFFFFFu), vector) * (6.283185307179586 * 0x1p-32);
-  radius = -2.0 * OF_VECTORS(log)(u);
-  for (int i = 0; i < LANES; i++) {
-    radius[i] = sqrt(radius[i]);
-  }
-  white[0] = radius * OF_VECTORS(cos)(angle);
-  white[1] = radius * OF_VECTORS(sin)(angle);
+  two_normals(word, white);
 }
 
 /* out = matrix times in; zeros cost nothing, since the compiler knows the matrices. */

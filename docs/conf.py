@@ -1,7 +1,11 @@
-"""The manual: every code cell is executed at build time, an error stops the build, nothing is fetched."""
+"""The manual: every code cell is executed, an error stops the build, nothing is fetched.
+
+A page is executed again if it changes, or anything that it may run: the library, the data and the modules beside it.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import sys
@@ -12,11 +16,25 @@ from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from jupyter_cache import get_cache
 
 sys.path.insert(0, str(Path(__file__).parent))  # where this manual's own directives are
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
+
+DOCS = Path(__file__).parent
+
+
+def _digest() -> str:
+    """Return a digest of all that the cells of a page may run or read, besides the page."""
+    found = hashlib.sha256(sys.version.encode())
+    beside = (path for path in DOCS.iterdir() if path.suffix in (".py", ".json", ".c"))
+    for path in sorted([*(DOCS.parent / "src").rglob("*"), *(DOCS.parent / "examples").glob("*.py"), *beside]):
+        if path.is_file() and "__pycache__" not in path.parts:
+            found.update(str(path.relative_to(DOCS.parent)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return found.hexdigest()[:16]
+
 
 os.environ["TACITURN_PROGRESS"] = "0"  # no bars below the cells
 
@@ -32,7 +50,9 @@ html_css_files = ["manual.css"]
 html_math_renderer = "mathml"  # the browser's own; the usual one loads a script from elsewhere
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
-nb_execution_mode = "force"
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(DOCS / "_build" / "executed" / _digest())
+get_cache(nb_execution_cache_path).list_cache_records()  # makes its tables, before processes side by side would
 nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # beside the data that a page shows; none writes a file
 nb_execution_timeout = 1200

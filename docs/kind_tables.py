@@ -5,15 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from inspect import Parameter
 
+from taciturn import _matlab as matrices
+from taciturn import problem
+from taciturn.analyse import outcomes
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import Kind
+from taciturn.design.kinds.distributed import MOST_SETS
+from taciturn.lqg import lossy
+from taciturn.model import cost, link, set_points
+from taciturn.problem import functions
+from taciturn.renewal._white_coordinates import MOST_STATES
+from taciturn.renewal.fitted import DIRECTIONS
+from taciturn.simulation import sampling
 
 COSTS = {"average": "average", "horizon": "`horizon`", "discount": "`discount`"}
 PLANTS = {"outputs": "outputs with noise", "jumps": "Poisson jumps"}
+FOLLOWS = {("constant", "changing"): "yes", ("constant",): "constant ones", (): "no"}
+KEPT = "those of its controller"
 
 
 def kind_table(name: str) -> str:
-    """Return a table in Markdown: ``parameters``, ``problems``, ``nodes``, ``goals`` or ``steps``."""
+    """Return a table in Markdown, by its name in ``TABLES``."""
     return TABLES[name]([CATALOGUE[kind] for kind in own_kinds()])
 
 
@@ -28,15 +40,16 @@ def parameters(kinds: Sequence[Kind]) -> str:
 
 
 def problems(kinds: Sequence[Kind]) -> str:
-    """Return the plants, costs, links and references that the kinds support; kinds that agree share a row."""
+    """Return the plants, costs, links and set-points that the kinds support; kinds that agree share a row."""
     return _grouped(
-        ("`kind`", "plant", "`[cost]`", "`[network]`", "`[reference]`", "also refused"),
+        ("`kind`", "plant", "`[cost]`", "losses", "trajectory", "set-points", "also refused"),
         kinds,
         lambda kind: (
             plants(kind),
             ", ".join(COSTS[word] for word in kind.costs),
             "yes" if _drops(kind) else "no",
             "yes" if "reference" in kind.arguments else "no",
+            _set_points(kind),
             kind.refused,
         ),
     )
@@ -68,6 +81,47 @@ def steps(kinds: Sequence[Kind]) -> str:
     return _grouped(heading, kinds, lambda kind: (kind.nodes, kind.data, kind.order))
 
 
+def limits(kinds: Sequence[Kind]) -> str:
+    """Return the kinds with each limit."""
+    told: dict[str, Callable[[Kind], bool]] = {
+        "no proved bound on the cost": lambda kind: kind.proved.startswith("no bound"),
+        "an exact measurement of the full state": lambda kind: "outputs" not in kind.plants,
+        "a continuous plant": lambda kind: "discrete" not in kind.plants,
+        "a discrete plant": lambda kind: "continuous" not in kind.plants,
+        "no Poisson jumps": lambda kind: "jumps" not in kind.plants,
+        "an average cost": lambda kind: kind.costs == ("average",),
+        "no set-points and no disturbances of known shape": lambda kind: _set_points(kind) == "no",
+        "the set-points of its controller": lambda kind: _set_points(kind) == KEPT,
+        "constant set-points": lambda kind: kind.follows == ("constant",),
+        "links that deliver every packet, in the design": lambda kind: not _drops(kind),
+        "one sensor and one actuator": lambda kind: not (kind.several_nodes or kind.joint_links),
+        "one sensor": lambda kind: kind.joint_links and not kind.several_nodes,
+    }
+    rows = [(limit, ", ".join(f"`{kind.name}`" for kind in kinds if has(kind))) for limit, has in told.items()]
+    return _table(("limit", "kinds"), [row for row in rows if row[1]])
+
+
+def sizes(_: Sequence[Kind]) -> str:
+    """Return the largest sizes that the library computes with."""
+    fourth = int((outcomes.MOST / 2) ** 0.25)
+    rows = {
+        "steps of a finite horizon (`cost.horizon`)": cost.LONGEST,
+        "sampling steps of a timetable of set-points": set_points.LONGEST,
+        "steps between two sends (`max_interval`)": link.LONGEST,
+        "directions of the error for `optimal`, and for costs without simulation by quadrature": MOST_STATES,
+        "directions of the error for `near-optimal`": DIRECTIONS,
+        "actuator links whose sets `distributed` compares (`joint`)": MOST_SETS,
+        "links that drop packets, for the exact cost of attempts on all of them": outcomes.MOST_LINKS,
+        "modes that do not decay, for critical losses": lossy.MOST_MODES,
+        "states of a loop over one link with losses, for its fourth moments (else a statistical test)": fourth,
+        "simulated steps of an evaluation": sampling.MOST_OPERATIONS,
+        "bytes of a problem file, or of a file of set-points": problem.LARGEST,
+        "bytes of a Python file with the function of a plant": functions.LARGEST,
+        "bytes of all variables of a matrix file": matrices.LARGEST,
+    }
+    return _table(("size", "at most"), [(what, f"{most:,}") for what, most in rows.items()])
+
+
 def plants(kind: Kind) -> str:
     """Return the plants that a kind supports in words."""
     times = [word for word in ("discrete", "continuous") if word in kind.plants]
@@ -75,6 +129,12 @@ def plants(kind: Kind) -> str:
     return "; ".join(
         filter(None, (" or ".join(times), measured, *(PLANTS[one] for one in PLANTS if one in kind.plants)))
     )
+
+
+def _set_points(kind: Kind) -> str:
+    """Return which set-points a kind follows."""
+    required = kind.keeps_controller and kind.arguments["controller"].default is Parameter.empty
+    return KEPT if required and not kind.follows else FOLLOWS[kind.follows]
 
 
 def _drops(kind: Kind) -> bool:
@@ -103,4 +163,7 @@ def _default(one: Parameter) -> str:
     return "—" if one.default is None else "`{}`".format(repr(one.default).replace("'", '"'))
 
 
-TABLES = {"parameters": parameters, "problems": problems, "nodes": nodes, "goals": goals, "steps": steps}
+TABLES = {
+    "parameters": parameters, "problems": problems, "nodes": nodes, "goals": goals, "steps": steps, "limits": limits,
+    "sizes": sizes,
+}  # fmt: skip

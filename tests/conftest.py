@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Generator, Iterator
+from datetime import date
 
 import pytest
+from counts import RUN
 from hypothesis import settings
+from selection import changed_files, in_turn, order
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # also for the examples, which run as processes
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads on matrices of six rows cost a third of the whole time
@@ -17,14 +20,40 @@ settings.load_profile("repeatable")
 NOT_SHOWN = "NOT SHOWN"  # begins the reason of a skipped test whose absence nobody may overlook
 SLOW = 5.0  # seconds of processor time that no quick test should need
 PROCESSOR = "processor seconds"
-TOO_LATE = "full counts that would have started after the time limit of this run"
 BEGAN = pytest.StashKey[float]()
+LATE = "would have started after the time limit of this run"
 START = time.monotonic()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let a run of the full counts end in time on a slow machine; the summary counts the tests left out."""
+    """Let a run of the full counts be shortened, repeat that of a day, and end in time on a slow machine."""
+    parser.addoption("--shortened", action="store_true", help="reduced counts of the evidence, and turns by the day")
+    parser.addoption(
+        "--day", type=date.fromisoformat, help="the day of turns and dated examples: YYYY-MM-DD; default: today"
+    )
     parser.addoption("--start-within", type=float, metavar="SECONDS", help="skip evidence that would start later")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Tell the tests what the options ask for; a worker takes the day of the process that started it."""
+    RUN.day = date.fromisoformat(os.environ.setdefault("TACITURN_DAY", str(config.getoption("--day") or date.today())))
+    RUN.shortened = config.getoption("--shortened")
+
+
+def pytest_report_header() -> str | None:
+    """Print how a shortened run can be repeated."""
+    return f"shortened: --day {RUN.day} repeats turns and dated examples" if RUN.shortened else None
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Choose and order the full counts of a shortened run."""
+    if RUN.shortened:
+        chosen = order(((item.nodeid, item.path) for item in items), RUN.day, changed_files())
+        left = set(range(len(items))) - set(chosen)
+        config.hook.pytest_deselected(items=[items[position] for position in sorted(left)])
+        items[:] = [items[position] for position in chosen]
 
 
 def processor_seconds() -> float:
@@ -39,7 +68,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     item.stash[BEGAN] = processor_seconds()
     limit = item.config.getoption("--start-within")
     if limit is not None and item.get_closest_marker("evidence") and time.monotonic() - START > limit:
-        pytest.skip(f"{NOT_SHOWN}: {TOO_LATE}")
+        turn = "whose turn it is" if in_turn(item.nodeid, RUN.day) else "that the change reaches"
+        pytest.skip(f"{NOT_SHOWN}: full counts {turn}: each {LATE}")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -65,9 +95,10 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     reasons = {entry[2].removeprefix("Skipped: ") for entry in skipped if isinstance(entry, tuple)}
     for reason in sorted({reason.removeprefix(f"{NOT_SHOWN}: ") for reason in reasons}):
         terminalreporter.write_line(f"{NOT_SHOWN}: {reason}", red=True, bold=True)
-    late = [report.nodeid for report in terminalreporter.stats.get("skipped", []) if TOO_LATE in str(report.longrepr)]
-    for name in late:
-        terminalreporter.write_line(f"{NOT_SHOWN}: {name}", red=True)
+    for turn in ("whose turn it is", "that the change reaches"):
+        late = [one for one in terminalreporter.stats.get("skipped", []) if f"{turn}: each {LATE}" in str(one.longrepr)]
+        if late:
+            terminalreporter.write_line(f"{NOT_SHOWN}: {len(late)} full counts {turn}; -m evidence runs them", red=True)
 
 
 def is_last(report: object) -> bool:

@@ -1,4 +1,4 @@
-"""Every documentation page, notebook, README block, example and docstring example runs."""
+"""Short pages, README blocks, examples and docstring examples run; the site's build runs the long pages."""
 
 from __future__ import annotations
 
@@ -26,10 +26,22 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 DRAWN = {path for path in EXAMPLES if "savefig(" in path.read_text(encoding="utf-8")}  # the site's gallery runs them
-LONG = {  # pages, notebooks and examples that take more than two seconds in reduced counts, and modules above one
+LONG = {  # examples that take more than two seconds in reduced counts, and modules above one
     "a_controller_in_c",
     "a_loop_over_udp_that_loses_packets",
     "a_robot_tracked_by_a_camera",
+    "how_many_loops_share_a_radio",
+    "taciturn.study.certify",
+    "taciturn.study.channel.share",
+    "taciturn.study.compare",
+    "taciturn.study.export",
+    "taciturn.study.sweeping.sweep",
+    "taciturn.study.tuning.periods",
+    "taciturn_twins.calibration",
+    "which_policy_costs_least_at_half_the_traffic",
+    "will_it_settle_whatever_the_spring",
+}
+BY_THE_SITE = {  # pages and notebooks that take more than two seconds: the site executes them, with a cache
     "baselines",
     "certificates",
     "channels",
@@ -42,7 +54,6 @@ LONG = {  # pages, notebooks and examples that take more than two seconds in red
     "first-hour",
     "fmu",
     "from-python-control",
-    "how_many_loops_share_a_radio",
     "keep-your-pid",
     "network",
     "operations",
@@ -53,15 +64,6 @@ LONG = {  # pages, notebooks and examples that take more than two seconds in red
     "set-points",
     "several-nodes",
     "sweeps",
-    "taciturn.study.certify",
-    "taciturn.study.channel.share",
-    "taciturn.study.compare",
-    "taciturn.study.export",
-    "taciturn.study.sweeping.sweep",
-    "taciturn.study.tuning.periods",
-    "taciturn_twins.calibration",
-    "which_policy_costs_least_at_half_the_traffic",
-    "will_it_settle_whatever_the_spring",
     "your-first-policy",
 }
 MODULES = sorted(
@@ -73,52 +75,19 @@ MODULES = sorted(
 
 REDUCED = {
     "a_loop_over_udp_that_loses_packets": {"range(2)": "range(1)"},
-    "baselines": {"standard_error=3e-4": "standard_error=3e-3"},
-    "certificates": {
-        "steps=4_000_000": "steps=400_000",
-        '"dynamic": {"sigma": 0.03, "rho": 0.8, "gain": 2.0}, "relative"': '"relative"',
-    },
-    "channels": {"copies=[80, 20], capacity=10, ticks=4000": "copies=[16, 4], capacity=2, ticks=1000"},
-    "consistency": {
-        "steps=4_000_000": "steps=400_000",
-        "cycles=1_000_000": "cycles=20_000",
-        "cycles=100_000": "cycles=20_000",
-        '"slope": 5.0, "h_max": 2.0': '"slope": 5.0, "h_max": 2.0, "alpha": 0.5',
-        "evaluate(dynamic)": "evaluate(dynamic, standard_error=0.05)",
-        "standard_error=5e-3": "standard_error=0.2",
-    },
-    "devices": {"for board in (cortex.M3, cortex.M4F)": "for board in (cortex.M3,)"},
-    "first-hour": {'"theta": [0.01, 0.05, 0.2, 0.6]': '"theta": [0.05, 0.6]', "steps=20_000_000": "steps=2_000_000"},
     "how_many_loops_share_a_radio": {"RADIO, MORE = 10, 1.2": "RADIO, MORE = 4, 1.2"},
-    "keep-your-pid": {
-        "standard_error=1e-3": "standard_error=3e-2",
-        "standard_error=1e-2": "standard_error=5e-2",
-        '"theta": [0.0, 0.3, 1.0]': '"theta": [0.3]',
-        "for windup in (None, 1.0)": "for windup in (1.0,)",
-        "ticks=200": "ticks=50",
-    },
     "lossy-links": {"steps=20_000_000": "steps=2_000_000", "steps=10_000_000": "steps=1_000_000"},
-    "network": {"steps=1_000_000": "steps=100_000"},
-    "remote-sensing": {"steps=10_000_000": "steps=1_000_000"},
-    "scheduling": {
-        'for actuation in ("hold", "model")': 'for actuation in ("model",)',
-        "for theta in (0.1, 1.0)": "for theta in (1.0,)",
-        '"delta": [0.005, 0.02, 0.06, 0.2]': '"delta": [0.06]',
-        'cli.app(["evaluate", str(file)]': 'cli.app(["evaluate", str(file), "--confidence", "0"]',
-    },
-    "set-points": {
-        "steps=1_000_000": "steps=100_000",
-        "steps=400_000": "steps=40_000",
-        "results = 30": "results = 10",
-        '"excess": {"delta": 0.3}, "distributed"': '"distributed"',
-    },
-    "sweeps": {"np.geomspace(0.02, 1.0, 9)": "[0.02, 0.2, 1.0]", "np.linspace(0.3, 1.65, 9)": "[0.5, 1.65]"},
 }
 """Counts that the quick suite replaces in pages and examples. The site is built with those that they show."""
 
 
+def quick(pages: Iterable[Path]) -> list[Path]:
+    """Return the pages that tests execute; the site executes all, so the long ones run there alone."""
+    return [path for path in pages if path.stem not in BY_THE_SITE]
+
+
 def in_time(cases: Iterable[Path | str]) -> list[Any]:
-    """Return pages, examples or modules as parameters, of which the quick suite leaves out the long ones."""
+    """Return examples or modules as parameters, of which the quick suite leaves out the long ones."""
     names = [(case, case.stem if isinstance(case, Path) else case) for case in cases]
     return [pytest.param(case, marks=[pytest.mark.evidence] * (name in LONG)) for case, name in names]
 
@@ -145,7 +114,7 @@ def code_of(notebook: Path) -> list[dict[str, Any]]:
     return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
-@pytest.mark.parametrize("path", in_time(PAGES), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", quick(PAGES), ids=lambda path: path.stem)
 def test_every_page_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,7 +130,7 @@ def test_every_page_runs(
         pytest.skip(f"NOT SHOWN: a part of the page {path.stem}; {reasons[0]}")
 
 
-@pytest.mark.parametrize("path", in_time(NOTEBOOKS), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", quick(NOTEBOOKS), ids=lambda path: path.stem)
 def test_every_notebook_runs_and_prints_the_stored_lines(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,9 @@ import taciturn
 from taciturn import PID, ContinuousPlant, Cost, Jumps, Network, Plant, Problem
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
+from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.problem.suggested import example_of
 
 A, B, W, C, V = [[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2), [[1.0, 0.0]], [[0.1]]
@@ -77,6 +80,32 @@ def test_a_kind_accepts_the_plants_and_costs_of_its_record(name: str) -> None:
     assert suitable is not None
     for word, cost in costs.items():
         assert accepted(kind, suitable, cost) == (word in kind.costs), (word, name)
+
+
+FOLLOWED = {
+    "constant": [{"value": [1.0]}, {"disturbances": ExternalDisturbance([0.0, 0.5], 1e-3)}],
+    "changing": [
+        {"changes": RandomSteps(0.02, [[1.0]])}, {"changes": Timetable([0, 5, 10], [[1.0], [2.0], [1.0]])},
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.evidence) if name in (*SLOW, "remote-lqg") else name for name in CATALOGUE],
+)
+@pytest.mark.parametrize("word", FOLLOWED)
+def test_a_kind_follows_the_set_points_of_its_record(name: str, word: str) -> None:
+    """And refuses others; with a measured state nothing is followed, and a given controller has its own."""
+    kind, cost = CATALOGUE[name], costs_of(2)["average"]
+    if "outputs" not in kind.plants:
+        assert kind.follows == ()
+        return
+    plant = PLANTS["discrete", "outputs"]
+    for given in FOLLOWED[word]:
+        disturbances, changes = given.get("disturbances", ()), given.get("changes")
+        followed = follow(plant, [[1.0, 0.0]], given.get("value"), disturbances, changes)
+        assert accepted(kind, followed, cost) == (word in kind.follows), given
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -232,7 +233,24 @@ def _fits(got: tuple[int, ...], shape: Shape) -> bool:
     return len(got) == len(shape) and all(want in (None, size) for size, want in zip(got, shape, strict=True))
 
 
+def expect_unmasked(name: str, value: object) -> None:
+    """Raise a ``ProblemError`` if entries of an array are masked, of which NumPy would return the hidden numbers."""
+    if _masked(value):
+        raise ProblemError(f"{name} has masked entries; expected a number in each: fill them, or leave them out")
+
+
+def _masked(value: object) -> bool:
+    if "numpy.ma" not in sys.modules:  # then no array can be masked; NumPy imports this module at its first use
+        return False
+    if isinstance(value, np.ma.MaskedArray):
+        return bool(np.ma.is_masked(cast("Any", value)))
+    if not isinstance(value, list | tuple):
+        return False
+    return any(_masked(one) for one in cast("Sequence[object]", value) if not isinstance(one, float | int))
+
+
 def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
+    expect_unmasked(name, value)
     try:
         given = np.asarray(value)
         if given.dtype.kind not in "biufO":  # NumPy would parse text and drop imaginary parts

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import check_time, seconds_left
 from taciturn.errors import ProblemError
 
 
@@ -58,9 +59,11 @@ class Minimum:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller verifies the solution
             try:
-                self._problem.solve(solver=self._cp.CLARABEL, max_threads=1)
+                self._problem.solve(solver=self._cp.CLARABEL, max_threads=1, time_limit=seconds_left())
             except (self._cp.error.SolverError, ValueError, ArithmeticError):
                 return None
+            finally:
+                check_time()
         if self._x.value is None or self._problem.status not in ("optimal", "optimal_inaccurate"):
             return None
         found = np.asarray(self._x.value, dtype=np.float64)

@@ -1,15 +1,18 @@
-"""Atomic writing of files, and reading of files with a limited size."""
+"""Atomic writing of files, and reading of files that a user names: only regular files of a limited size."""
 
 from __future__ import annotations
 
 import errno
+import os
+import re
 import secrets
 import shutil
 import stat
 import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from taciturn._ending import at_once
 
@@ -40,6 +43,14 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
         raise
 
 
+def delete_parts(path: Path) -> None:
+    """Delete the incomplete files that killed processes have left next to a file that one process alone writes."""
+    written = re.compile(rf"{re.escape(path.name)}\.[0-9a-f]{{16}}{re.escape(PART)}")
+    with suppress(OSError):
+        for part in [one for one in path.parent.iterdir() if written.fullmatch(one.name)]:
+            part.unlink()
+
+
 @contextmanager
 def temporary_folder() -> Generator[Path]:
     """Provide a folder that is removed after the block, even if the process must end immediately."""
@@ -50,19 +61,58 @@ def temporary_folder() -> Generator[Path]:
 
 def check_regular(path: Path) -> None:
     """Raise an ``OSError`` if a path is a device, a pipe or a folder, from which reading may block or never end."""
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    _check_mode(path.stat().st_mode, path)
 
 
-def read_text(path: Path, most: int) -> str:
-    """Return the UTF-8 text of a file with at most ``most`` bytes; a byte-order mark is accepted.
+@contextmanager
+def open_regular(path: Path) -> Generator[BinaryIO]:
+    """Open a file of the user's for reading, without waiting for the other end of a pipe.
+
+    Every file that a user names is opened here, or checked by ``check_regular`` if a library opens it by its name.
 
     Raises:
-        OSError: the file cannot be read, or is larger.
-        UnicodeDecodeError: the file is not UTF-8 text.
+        OSError: the file cannot be opened, or is a device, a pipe or a folder.
     """
-    with path.open("rb") as file:
+    check_regular(path)  # before it is opened, since opening a device may have effects
+    with open(path, "rb", opener=_open_at_once) as file:
+        _check_mode(os.fstat(file.fileno()).st_mode, path)  # another file may have taken its place
+        yield file
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Return the content of a regular file with at most ``most`` bytes.
+
+    Raises:
+        OSError: the file cannot be read, is not regular, or is larger.
+    """
+    with open_regular(path) as file:
         content = file.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f"it has more than {most:,} bytes", str(path))
-    return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    return content
+
+
+def read_text(path: Path, most: int) -> str:
+    """Return the UTF-8 text of a regular file with at most ``most`` bytes; a byte-order mark is accepted.
+
+    Raises:
+        OSError: the file cannot be read, is not regular, or is larger.
+        UnicodeDecodeError: the file is not UTF-8 text.
+    """
+    return read_bytes(path, most).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def why_unreadable(error: Exception) -> str:
+    """Return the reason of an exception of ``read_bytes`` or ``read_text``, for a message."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"it is not UTF-8 text: {error.reason}"
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
+
+
+def _check_mode(mode: int, path: Path) -> None:
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))

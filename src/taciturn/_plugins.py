@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -61,7 +62,7 @@ def load_entry(entry: EntryPoint, purpose: str) -> Any:
     """
     try:
         return entry.load()
-    except Exception as error:  # whatever the code of the package raises
+    except (Exception, SystemExit) as error:  # whatever the code of the package raises
         raise ProblemError(
             f"{purpose} needs {entry.value}, which cannot be imported ({type(error).__name__}: {error}); expected "
             f"an existing object: repair or remove {package_of(entry)}"
@@ -78,17 +79,51 @@ def _installed() -> Any:
     """Return all entry points; finding them takes longer than importing this module."""
     from importlib.metadata import entry_points
 
-    return entry_points()  # whose type differs between versions of Python
+    try:
+        return entry_points()  # whose type differs between versions of Python
+    except Exception:  # one package is broken, which need not be one that uses this library
+        return _readable()
+
+
+def _readable() -> Any:
+    """Return the entry points of the packages whose entry points can be read; each other package causes a warning."""
+    from importlib.metadata import EntryPoints, distributions
+
+    found: dict[str, Any] = {}
+    for package in distributions():
+        name = "a package without a name"
+        try:
+            name = f"the package {package.name}"
+            found.setdefault(package.name, package.entry_points)  # the first one is imported
+        except Exception as error:
+            warnings.warn(
+                f"{name} has entry points that cannot be read ({error}), so its commands, policy kinds and problems "
+                "are not used; expected UTF-8 text: install it again, or remove it",
+                stacklevel=2,
+            )
+    return EntryPoints(entry for entries in found.values() for entry in entries)
 
 
 def problem_folders() -> Iterator[Path]:
     """Yield the folders of built-in problems: that of this package, and then those of other packages."""
     yield Path(__file__).parent / "problems"
+    yield from _added_folders()
+
+
+@cache
+def _added_folders() -> tuple[Path, ...]:
+    """Return the folders of built-in problems of other packages; each one that is broken causes one warning."""
     from importlib.util import find_spec
 
+    found: list[Path] = []
     for entry in (entry for entries in find_plugins("taciturn.problems").values() for entry in entries):
         try:
-            spec = find_spec(entry.value)
-        except ImportError:  # a package that is not there any more has no problems
-            continue
-        yield from map(Path, [] if spec is None else spec.submodule_search_locations or [])
+            spec = find_spec(entry.value)  # which imports the package that contains the folder
+            found += map(Path, [] if spec is None else spec.submodule_search_locations or [])
+        except (Exception, SystemExit) as error:  # whatever the code of the package raises
+            warnings.warn(
+                f"the problems of {package_of(entry)} are not used, since {entry.value} cannot be imported "
+                f"({type(error).__name__}: {error}); expected a folder of problem files: repair or remove it",
+                stacklevel=2,
+            )
+    return tuple(found)

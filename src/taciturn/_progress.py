@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from typing import Any
 
 from taciturn._arrays import number
 from taciturn._text import percent
+from taciturn.errors import ProblemError
 
 Progress = Callable[[float], None]
 clock = time.monotonic
@@ -18,32 +23,91 @@ PATIENCE = 1.0  # seconds before a bar appears in a notebook
 
 
 class OutOfTime(Exception):  # noqa: N818
-    """Signal that the time limit has passed; it is raised from a progress callback."""
+    """Signal that the time limit has passed and that the best answer so far is to be returned."""
 
 
-def limited(progress: Progress | None, seconds: float | None) -> Progress | None:
-    """Return a progress callback that raises ``OutOfTime`` when it is called after a time limit.
+class NoTimeLeft(Exception):  # noqa: N818
+    """Signal that the time limit has passed and that there is no answer: of a part of a grid or search, nothing is."""
 
-    A computation that calls it often enough ends in time, and can return its best answer so far.
+
+@dataclass(frozen=True)
+class _Limit:
+    """A time limit.
 
     Args:
-        progress: callback that receives the fraction done, or None.
-        seconds: time limit in seconds from now; None for no limit.
+        end: time at which it passes.
+        seconds: the limit that a user has stated.
+        early: whether the best answer so far is to be returned when it passes.
+    """
+
+    end: float
+    seconds: float
+    early: bool
+
+
+_limit: ContextVar[_Limit | None] = ContextVar("time limit", default=None)
+
+
+def check_time() -> None:
+    """Raise ``OutOfTime`` or ``NoTimeLeft`` if the time limit of the present computation has passed.
+
+    Designs, searches and simulations call it often, so that they end in time; those that have an answer return it.
+    """
+    limit = _limit.get()
+    if limit is not None and clock() > limit.end:
+        raise OutOfTime if limit.early else NoTimeLeft
+
+
+def seconds_left() -> float:
+    """Return the seconds until the time limit of the present computation, at least 0; infinity without a limit."""
+    limit = _limit.get()
+    return math.inf if limit is None else max(0.0, limit.end - clock())
+
+
+def late_text() -> str:
+    """Return what a note says about a part of an answer for which there was no time."""
+    limit = _limit.get()
+    return "the time limit passed" if limit is None else f"the time limit of {limit.seconds:g} s passed"
+
+
+@contextmanager
+def part_of_time(share: float) -> Generator[None]:
+    """Limit the computations in the block to a share of the time that is left, if an early answer is of use."""
+    limit, left = _limit.get(), seconds_left()
+    token = _limit.set(replace(limit, end=clock() + share * left) if limit is not None and limit.early else limit)
+    try:
+        yield
+    finally:
+        _limit.reset(token)
+
+
+@contextmanager
+def answered_within(seconds: float | None, early: bool = False) -> Generator[None]:
+    """Limit the time of the computations in the block; an earlier end of an outer limit still holds.
+
+    Args:
+        seconds: time limit in seconds from now; None for no further limit.
+        early: whether the computations in the block return their best answer so far.
 
     Raises:
-        ProblemError: ``seconds`` is not positive.
+        ProblemError: ``seconds`` is not positive, or no answer was found in time.
+        OutOfTime, NoTimeLeft: no answer was found within an outer limit.
     """
     if seconds is None:
-        return progress
-    end = clock() + number("time_limit", seconds, 0.0)
-
-    def tell(fraction: float) -> None:
-        if clock() > end:
-            raise OutOfTime
-        if progress is not None:
-            progress(fraction)
-
-    return tell
+        yield
+        return
+    limit, outer = _Limit(clock() + number("time_limit", seconds, 0.0), seconds, early), _limit.get()
+    token = _limit.set(limit if outer is None or limit.end < outer.end else outer)
+    try:
+        yield
+    except (OutOfTime, NoTimeLeft):
+        if outer is not None and clock() > outer.end:
+            raise
+        raise ProblemError(
+            f"time_limit is {seconds:g}, and no result was available within {seconds:g} s; expected a longer time"
+        ) from None
+    finally:
+        _limit.reset(token)
 
 
 class Stages:
@@ -65,7 +129,8 @@ class Stages:
         self.tick()
 
     def tick(self) -> None:
-        """Report the same progress again, so that the time limit is checked."""
+        """Report the same progress again, and check the time limit."""
+        check_time()
         if self.progress is not None:
             self.progress(self.low + (self.high - self.low) * self.at)
 

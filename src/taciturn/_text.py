@@ -131,6 +131,21 @@ def ending_text(path: Path) -> str:
     return f"ends in {path.suffix!r}" if path.suffix else "has no ending"
 
 
+def backslash_text(path: str, error: str = "") -> str:
+    """Return what an error message adds if backslashes of a path were escapes in TOML, as in ``"C:\\new.csv"``, or "".
+
+    Args:
+        path: a path that a problem file names.
+        error: message of the TOML parser, if the file was not valid.
+    """
+    if path.isprintable() and not any(word in error for word in ("Unescaped", "hex value", "Escaped")):
+        return ""
+    return (
+        "; a backslash in double quotes is an escape in TOML: write C:/folder/file, or 'C:\\folder\\file' in single "
+        "quotes"
+    )
+
+
 def per_unit(unit: str) -> str:
     """Return the unit of a cost as text: per step, per second, or in total for the unit ``"mission"``."""
     return "in total" if unit == "mission" else f"per {unit}"

@@ -21,6 +21,7 @@ from taciturn._figure import Style as Style
 from taciturn._figure import check_format as check_format
 from taciturn._figure import draw as draw
 from taciturn._figure import save as save
+from taciturn._files import read_text as read_text
 from taciturn._files import temporary_folder as temporary_folder
 from taciturn._files import write_whole as write_whole
 from taciturn._plugins import find_plugins as find_plugins

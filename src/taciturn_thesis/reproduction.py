@@ -25,9 +25,9 @@ class Row(Displayed):
         computed: computed numbers, by column.
     """
 
-    setting: Mapping[str, Any]
-    printed: Mapping[str, float]
-    computed: Mapping[str, Estimate]
+    setting: Mapping[str, Any] = field(hash=False)
+    printed: Mapping[str, float] = field(hash=False)
+    computed: Mapping[str, Estimate] = field(hash=False)
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,7 +46,7 @@ class Table(Tabular):
     name: str
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
-    headings: Mapping[str, str] = field(default_factory=dict[str, str])
+    headings: Mapping[str, str] = field(hash=False, default_factory=dict[str, str])
 
     def __str__(self) -> str:
         """Return the table as text, with each published number next to the computed one."""
@@ -84,8 +84,8 @@ class Reproduction(Displayed):
 
     name: str
     tables: tuple[Table, ...]
-    pictures: Mapping[str, Figure]
-    problems: Mapping[str, Problem]
+    pictures: Mapping[str, Figure] = field(hash=False)
+    problems: Mapping[str, Problem] = field(hash=False)
 
     def __str__(self) -> str:
         """Return the text that ``taciturn reproduce`` prints."""

@@ -39,7 +39,7 @@ SQUARE, PIXELS = 0.04, 100  # side of a square of the board, in metres and in pi
 _SHAPES = {"K": (3, 3), "distortion": (4,), "rotation": (3,), "translation": (3,)}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Displayed):
     """A measured camera model.
 

@@ -177,7 +177,7 @@ def _live(
         keep(run)
 
     try:
-        with Page(parse_address("--bind", bind), token) as shown:
+        with Page(parse_address("--bind", bind, own=True), token) as shown:
             typer.echo(f"taciturn: the page is at {shown.url}", err=True)
             shown.wait("calibrating the camera and identifying the model of the robot")
             prepared = prepare(robot, setup.seed)
@@ -219,7 +219,7 @@ def camera(
 
     check_counts({"--loops": loops})
     found, problem = find_robot(robot), taciturn.load(file, functions=not no_functions)
-    here, to = parse_address("--bind", bind), parse_address("--peer", peer)
+    here, to = parse_address("--bind", bind, own=True), parse_address("--peer", peer)
     faults = [parse_fault(text) for text in fault or []]
     secret = read_keys(key, (here[0], to[0]))
     wire = CameraWire(check_mission(found, problem, file), found.seen, problem.network, secret)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from taciturn.errors import ProblemError
-from taciturn.extend import write_whole
+from taciturn.extend import read_text, write_whole
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.runtime.keys import Keys
@@ -20,6 +20,8 @@ from taciturn_twins.catalogue import find_robot
 from taciturn_twins.robot import Robot
 from taciturn_twins.vision import Eye
 from taciturn_twins.wire import PictureWire
+
+LARGEST = 2**20  # bytes of a calibration
 
 
 def write_calibration(path: Path, robot: Robot, calibration: Calibration) -> None:
@@ -34,11 +36,11 @@ def read_eye(path: Path) -> Eye:
         ProblemError: the file is missing, or contains no valid calibration.
     """
     try:
-        held: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        held: dict[str, Any] = json.loads(read_text(path, LARGEST))
         return Eye(find_robot(held.pop("robot")), Calibration.from_document(held))
     except ProblemError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ProblemError(
             f"the calibration {path} cannot be read ({error!r}); expected a file written by a camera calibration"
         ) from None

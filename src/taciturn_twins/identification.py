@@ -24,7 +24,7 @@ MARGIN = 0.15  # fraction of the workspace that the experiment does not use on e
 _SEEN = 0.9  # fraction of the pictures that must show the marker
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification(Displayed):
     """An identified model x⁺ = x + B u + w, y = x + v of a robot, per step, in metres, radians and input units.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -36,9 +36,9 @@ class Mission(Displayed):
         meaning: description of the parameter, with its unit.
     """
 
-    cost: Mapping[str, Any]
-    network: Mapping[str, Any]
-    policy: Mapping[str, Any]
+    cost: Mapping[str, Any] = field(hash=False)
+    network: Mapping[str, Any] = field(hash=False)
+    policy: Mapping[str, Any] = field(hash=False)
     parameter: tuple[str, float, float]
     meaning: str
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -86,10 +86,10 @@ class Told(Displayed):
         killed: whether a process was killed, so that its counters are missing.
     """
 
-    lines: Mapping[str, Lines]
+    lines: Mapping[str, Lines] = field(hash=False)
     seen: Lines
-    reports: Mapping[str, Mapping[str, Any]]
-    drops: Mapping[str, KernelLoss]
+    reports: Mapping[str, Mapping[str, Any]] = field(hash=False)
+    drops: Mapping[str, KernelLoss] = field(hash=False)
     dropped: int
     killed: bool
 

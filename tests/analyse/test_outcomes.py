@@ -10,6 +10,7 @@ import taciturn
 from taciturn import Burst, Cost, Network, Plant, UnstableError, average, close, design
 from taciturn.analyse import outcomes as module
 from taciturn.analyse.outcomes import outcomes
+from taciturn.model.operating_point import OperatingPoint
 
 
 def by_hand(a: float, q: float, r: float, loss: float) -> tuple[float, float, float]:
@@ -74,3 +75,36 @@ def test_bursts_turn_with_the_links() -> None:
     assert growth(Network("udp", actuator_burst=lasting)) > 1.02 * growth(Network("udp", actuator_burst=forgetful))
     assert outcomes(close(plant, policy, Network(), cost)) is None
     assert outcomes(taciturn.load("rover").close(taciturn.load("rover").design())) is None
+
+
+@pytest.mark.parametrize("payload", ["float32", "int16"])
+def test_an_operating_point_and_rounded_packets_change_no_moments(payload: str) -> None:
+    """In the units of the plant every step adds a constant; the moments are those of the deviations."""
+    link, point = {"payload": payload} | ({"actuator_range": 30.0} if payload == "int16" else {}), [[4.0], [-0.2]]
+    plain = Plant([[1.05]], [[1.0]], [[1.0]])
+    there = Plant([[1.05]], [[1.0]], [[1.0]], operating_point=OperatingPoint(*point))
+    cost, loss = Cost([[1.0]], [[0.01]]), {"actuator_loss": 0.3}
+    growths = []
+    for plant, options in ((plain, {}), (there, link)):
+        loop = close(plant, design.all_time(plant, cost), Network("udp", **loss, **options), cost)  # type: ignore[arg-type]
+        found = outcomes(loop)
+        assert found is not None
+        growths.append((found.growth(2), found.growth(4)))
+        assert average(loop, steps=20_000).notes[0].startswith("the variance of the cost is infinite")
+    assert growths[0] == pytest.approx(growths[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("payload", ["float64", "float32", "int16"])
+@pytest.mark.parametrize("name", ["two-mass", "pendulum-on-a-cart"])
+def test_the_cost_of_attempts_is_that_of_the_linear_loop_with_exact_packets(name: str, payload: str) -> None:
+    """Of any plant with any payload: around an operating point, nonlinear, with limits of the inputs."""
+    problem = taciturn.load(name)
+    plant, found = problem.plant, []
+    ranges = {"sensor_range": 50.0, "actuator_range": 50.0} if payload == "int16" else {}
+    network = Network("tcp", sensor_loss=0.02, actuator_loss=0.05, payload=payload, **ranges)  # type: ignore[arg-type]
+    plain = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, plant.dt)
+    point = OperatingPoint(np.zeros(plant.states), np.zeros(plant.inputs))
+    there = plant if plant.function else Plant(plant.A, plant.B, plant.W, plant.C, plant.V, operating_point=point)
+    for one, net in ((plain, network.delivery), (there, network)):
+        found.append(design.distributed(one, problem.cost, theta=0.3, network=net).cost_all_time)
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

@@ -107,6 +107,10 @@ def test_a_network_or_jumps_are_refused(run: Run, write: Write) -> None:
     lossy = write(more='[network]\nprotocol = "udp"\nactuator_loss = 0.1\n', policy='[policy]\nkind = "all-time"\n')
     share = ["--copies", "10", "--capacity", "4"]
     assert "the shared channel replaces the network" in run("channel", lossy, *share).sentence
+    nodes = run("channel", "quadruple-tank", *share).sentence
+    assert nodes.endswith(
+        "[nodes] is given, but the shared channel replaces the network; expected a problem without [nodes]"
+    )
     jumps = Path(write()).with_name("jumps.toml")
     jumps.write_text(
         "[plant]\nA = [[0.0]]\nB = [[1.0]]\n[plant.jumps]\nrate = 1.0\ncovariance = [[1.0]]\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -80,6 +81,43 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
     shell = f"{sys.executable} -m taciturn.cli --help | true"
     done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
     assert done.stderr == ""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a POSIX shell")
+@pytest.mark.parametrize("words", ["show two-mass", "--help"])
+def test_every_command_ends_well_if_its_reader_leaves_early(words: str) -> None:
+    """Exit code 0, as if the reader had left after the last line, also if nothing was read."""
+    shell = f"({sys.executable} -m taciturn.cli {words}; echo $? >&2) | true"
+    done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
+    assert done.stderr == "0\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a POSIX shell")
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        ("show two-mass >&-", 0, ""),
+        ("show two-mass >&- 2>&-", 0, ""),
+        ("evaluate nosuch 2>&-", 2, ""),
+        ("evaluate nosuch >&-", 2, "there is no file 'nosuch'"),
+        ("evaluate nosuch > /dev/full", 2, "there is no file 'nosuch'"),
+        ("evaluate nosuch 2> /dev/full", 2, ""),
+        ("show two-mass > /dev/full 2> /dev/full", 2, ""),
+        ("new none.toml <&-", 2, "the input ends before the time base is given"),
+    ],
+)
+def test_streams_that_are_closed_or_full_change_only_what_is_printed(
+    tmp_path: Path, words: str, code: int, told: str
+) -> None:
+    """The exit code is the same, a refusal is one sentence where it can be written, and there is no traceback."""
+    if "/dev/full" in words and not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    shell = f"{sys.executable} -m taciturn.cli {words}"
+    done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == code
+    assert "Traceback" not in done.stderr
+    assert told in done.stderr
+    assert done.stderr.count("\n") == bool(told)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")

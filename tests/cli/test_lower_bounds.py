@@ -67,11 +67,11 @@ def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist() -> None:
     text = str(found)
     assert "0.734567" in text
     assert "a figure shows" not in text
-    assert "no schedule costs less" in found.plot().axes[0].get_legend_handles_labels()[1]
+    assert "no schedule of this controller, 99.9 % sure" in found.plot().axes[0].get_legend_handles_labels()[1]
     other = replace(pair[1], cost_all_time=0.5)
     mixed = replace(found, points=(found.points[0], Point({"theta": 1}, other)))
     assert "a figure shows no lower bounds" in str(mixed)
-    assert "no schedule costs less" not in mixed.plot().axes[0].get_legend_handles_labels()[1]
+    assert "no schedule of this controller, 99.9 % sure" not in mixed.plot().axes[0].get_legend_handles_labels()[1]
 
 
 def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Write) -> None:

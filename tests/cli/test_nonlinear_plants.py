@@ -92,7 +92,7 @@ def test_a_file_that_is_no_text_is_told(run: Run, write: Write, tmp_path: Path) 
     """Before anything of it is run."""
     path = write(plant(tmp_path))
     (tmp_path / "bent.py").write_bytes(bytes(range(256)))
-    assert "which is not UTF-8 text" in run("evaluate", path).sentence
+    assert "it is not UTF-8 text" in run("evaluate", path).sentence
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,8 @@ def test_a_file_that_is_not_there_is_told_with_the_built_in_problems(run: Run) -
 def test_what_is_no_text_file_is_refused(run: Run, tmp_path: Path) -> None:
     """A folder, a name that is too long, a program, another encoding."""
     assert (
-        run("evaluate", str(tmp_path)).sentence == f"'{tmp_path}' cannot be read (Is a directory); expected a TOML file"
+        run("evaluate", str(tmp_path)).sentence
+        == f"'{tmp_path}' cannot be read (it is not a regular file); expected a TOML file"
     )
     assert run("evaluate", "x" * 5000).sentence.endswith("cannot be read (File name too long); expected a TOML file")
     path = tmp_path / "binary.toml"
@@ -59,7 +60,7 @@ def test_what_is_no_text_file_is_refused(run: Run, tmp_path: Path) -> None:
         path.write_bytes(content)
         assert (
             run("evaluate", str(path)).sentence
-            == f"'{path}' is not UTF-8 text (invalid start byte); expected a TOML file"
+            == f"'{path}' cannot be read (it is not UTF-8 text: invalid start byte); expected a TOML file"
         )
 
 

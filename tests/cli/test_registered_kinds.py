@@ -227,3 +227,43 @@ def test_commands_of_a_package_are_added_unless_their_name_is_taken(tmp_path: Pa
     assert done.stdout == "hello\n"
     assert "the commands of the package more are not used, since the command show exists already" in done.stderr
     assert "the command line needs missing_commands, which cannot be imported" in done.stderr
+
+
+def test_a_package_that_ends_the_process_on_its_import_is_named(tmp_path: Path) -> None:
+    """Commands, kinds, problems and laws that call ``sys.exit``; every command of this package still works."""
+    site = tmp_path / "site"
+    env = installed(site, {"gone": "gone"}, "first", "taciturn.commands")
+    installed(site, {"gone": "gone:KIND"}, "second", "taciturn.kinds")
+    installed(site, {"gone": "gone.problems"}, "third", "taciturn.problems")
+    installed(site, {"gone": "gone:LAW"}, "fourth", "taciturn.bursts")
+    (site / "gone.py").write_text("import sys\nsys.exit(3)\n", encoding="utf-8")
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "taciturn", *words]
+        return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+
+    shown = run("show", "two-mass")
+    assert (shown.returncode, shown.stderr.count("\n")) == (0, 1)
+    told = "cannot be imported (SystemExit: 3); expected an existing object: repair or remove the package first"
+    assert told in shown.stderr
+    missing = run("evaluate", "nosuch")
+    assert missing.returncode == 2
+    assert missing.stderr.count("the problems of the package third are not used, since gone.problems cannot be") == 1
+    assert "there is no file 'nosuch'; expected a problem file, or one of the built-in problems" in missing.stderr
+    kind = run("show", "two-mass", "--set", "kind=gone")
+    assert kind.returncode == 2
+    assert "the policy kind gone needs gone:KIND, which cannot be imported (SystemExit: 3)" in kind.stderr
+
+
+def test_entry_points_that_are_no_text_leave_all_other_packages_as_they_are(tmp_path: Path) -> None:
+    """The package need not have to do with this library; it is named once."""
+    site = tmp_path / "site"
+    env = installed(site, {"decaying": "decaying:KIND"})
+    installed(site, {"other": "other:KIND"}, "broken")
+    (site / "broken-1.0.dist-info" / "entry_points.txt").write_bytes("[taciturn.kinds]".encode("utf-16"))
+    code = "from taciturn.design.catalogue import CATALOGUE\nprint(CATALOGUE['decaying'].name)\n"
+    code += "from taciturn import load\nprint(load('rover').kind)"
+    run = [sys.executable, "-c", code]
+    done = subprocess.run(run, env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["decaying", "remote-lqg"]
+    assert done.stderr.count("the package broken has entry points that cannot be read") == 1

@@ -45,6 +45,22 @@ def rows(text: str) -> dict[str, str]:
     return {line[:14].strip(): line[15:] for line in text.split("\n\n")[0].splitlines() if line[:14].strip()}
 
 
+def test_set_points_that_change_are_shown_as_data(run: Run, tmp_path: Path) -> None:
+    """As JSON and as text: steps at random times, and a timetable."""
+    text = "[plant]\nA = [[0.9]]\nB = [[1.0]]\nW = [[0.1]]\nC = [[1.0]]\nV = [[0.1]]\ndt = 0.5\n" + ONE
+    text += '[policy]\nkind = "excess"\ntheta = 0.1\n[reference]\n'
+    (tmp_path / "levels.csv").write_text("0, 1\n20, 3\n50, 1\n", encoding="utf-8")
+    expected: dict[str, dict[str, object]] = {
+        "steps = {rate = 0.01, covariance = [[4.0]]}": {"rate": 0.01, "covariance": [[4.0]]},
+        'file = "levels.csv"': {"times": [0.0, 20.0, 50.0], "values": [[1.0], [3.0], [1.0]]},
+    }
+    for line, changes in expected.items():
+        path = tmp_path / "p.toml"
+        path.write_text(text + line, encoding="utf-8")
+        assert document(run, str(path))["plant"]["exosystem"]["changes"] == changes
+        assert run("show", str(path)).code == 0
+
+
 def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
     """The gains are found in the steps; here they are computed from the matrices."""
     problem = taciturn.load("two-mass-lqg")

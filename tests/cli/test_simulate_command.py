@@ -55,6 +55,11 @@ def test_keys_are_changed_without_a_file(run: Run) -> None:
         (("--set", "network.actuator_burst={to_bad=2}"), "network.actuator_burst"),
         (("--set", "thta=1"), "policy.thta is not a parameter of lqg"),
         (("--set", "kind=optimal", "--set", "theta=none", "--set", "price=1"), "optimal"),
+        (("--ticks", f"1{14 * '0'}"), f"--ticks is 1{14 * '0'}, and a record of so many steps needs 1.2e+07 GB, more"),
+        (
+            ("--ticks", f"1{19 * '0'}"),
+            "more memory than there is; expected fewer steps, or an evaluation, which records",
+        ),
         (("--ticks", "0"), "ticks is 0; expected a whole number, at least 1"),
         (("--table", "nowhere/path.csv"), "the folder of the table 'nowhere/path.csv' does not exist"),
     ],

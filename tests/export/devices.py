@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ctypes as c
 import shutil
+import struct
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -263,3 +264,31 @@ class Device:
         """What it has counted, without what it has not met."""
         found = (c.c_uint32 * len(COUNTERS)).from_address(self.code.shim_counters(self.node))
         return {name: count for name, count in zip(COUNTERS, found, strict=True) if count}
+
+
+def compile_checked(policy: Policy, role: str, network: Network, folder: Path) -> Path:
+    """Return the program ``feed`` with a node, as the export gives it, whose every access and operation is checked.
+
+    The sizes of the core are those of the exported folder.
+    """
+    found = print_node(policy, role, network, "device")
+    (folder / "device.h").write_text(found.header, encoding="ascii")
+    (folder / "device.c").write_text(found.source, encoding="ascii")
+    sizes = CoreSizes.of(policy, network, WAITING, "float64")
+    (folder / "taciturn_config.h").write_text(sizes.text("", named=False), encoding="ascii")
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
+    sources = [*(CORE / name for name in CORE_SOURCES), HERE / "feed.c", folder / "device.c"]
+    command = [needs_compiler(), *STRICT, *checks, f"-I{CORE}", f"-I{folder}", "-o", str(folder / "feed")]
+    made = subprocess.run([*command, *map(str, sources)], capture_output=True, text=True, check=False)
+    if "cannot find -lasan" in made.stderr or "libclang_rt" in made.stderr:
+        pytest.skip("NOT SHOWN: the compiler has no checker of addresses")
+    assert made.returncode == 0, made.stderr
+    return folder / "feed"
+
+
+def feed(program: Path, datagrams: Iterable[bytes], *options: str) -> list[str]:
+    """Give datagrams to a node (an empty one is the next step), and return the lines that the program prints."""
+    records = b"".join(struct.pack("!H", len(one)) + one for one in datagrams)
+    done = subprocess.run([str(program), *options], input=records, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    return done.stdout.decode().splitlines()

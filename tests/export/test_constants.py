@@ -12,6 +12,7 @@ from export.devices import CORE, Device, compile_core_for, compile_node, needs_c
 from export.test_folders import compile_check, run_check, two_mass, write
 from export.test_nodes_in_c import LOOPS, places
 
+from taciturn.export.data import FORMAT
 from taciturn.export.folder import print_folder
 from taciturn.export.node import print_node
 
@@ -80,7 +81,10 @@ def test_a_node_with_another_constant_is_not_started(tmp_path: Path) -> None:
     text = source.read_text()
     assert run_check(compile_check(folder))[0] == 0
     gain = re.findall(r"-?\d\.\d{16}", text)[0]
-    for old, new in ((gain, gain[:-1] + ("1" if gain[-1] != "1" else "9")), ("2u, /* format */", "1u, /* format */")):
+    for old, new in (
+        (gain, gain[:-1] + ("1" if gain[-1] != "1" else "9")),
+        (f"{FORMAT}u, /* format */", "1u, /* format */"),
+    ):
         assert text.count(old) >= 1
         source.write_text(text.replace(old, new, 1))
         code, line = run_check(compile_check(folder))

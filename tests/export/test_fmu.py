@@ -18,18 +18,19 @@ import pytest
 from catalogue import POLICIES
 from counts import few
 from export.devices import STRICT
+from export.test_set_points_in_c import tank
 from export.units import FMI, SEED, Instance, build_driver, differing_ticks, drive, given, make_unit, record
 from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from parity.loops import with_functions
-from runtime.test_nodes import PARTICULAR
+from runtime.test_nodes import PARTICULAR, long
 from runtime.test_nodes import build as build_loop
 from systems import make_system
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.export.description import Version, tick_length
+from taciturn.export.description import Version, list_variables, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
 from taciturn.export.node import identifier
 from taciturn.loop import Loop
@@ -43,6 +44,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "several inputs": lambda: build_loop("lqg joint model"),
     LOSSY: lambda: of_problem(LOSSY),
     "several sensors": lambda: build_loop("tank, crossed"),
+    "set-points": lambda: tank(),
     "own draws": lambda: build_loop("stochastic"),
     "single precision": lambda: replace(LOOPS["two-mass-lqg"](), precision="float32"),
 }
@@ -159,10 +161,15 @@ def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make
     refused("step is 0 s long", lambda: instance.step(10 * tick, 0.0))
     refused(f"begins at {9 * tick:.9g} s; expected {10 * tick:.9g}", lambda: instance.step(9 * tick, tick))
     refused("begins at", lambda: instance.step(11 * tick, tick))
-    refused("begins at", lambda: instance.step(np.nan, tick))
-    for value in (np.nan, np.inf):
+    for time in (np.nan, np.inf, -np.inf, 1e308):
+        refused("begins at", lambda time=time: instance.step(time, tick))
+    refused("step is inf s long", lambda: instance.step(10 * tick, np.inf))
+    for value in (np.nan, np.inf, 1.7e308):
         instance.set({"y[1]": value})
-        refused(r"y\[1\] is -?(nan|inf)", lambda: instance.step(10 * tick, tick))
+        refused(
+            r"y\[1\] is (-?(nan|inf)|1\.7e\+308); expected a finite number up to 3\.4",
+            lambda: instance.step(10 * tick, tick),
+        )
     set_number = instance.fmu.setFloat64 if instance.new else instance.fmu.setReal
     get_truth = instance.fmu.getBoolean
     refused("no number that can be set with reference 2048", lambda: set_number([2048], [1.0]))
@@ -173,6 +180,20 @@ def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make
     instance.fmu.terminate()
     refused("does not run", lambda: instance.step(30 * tick, tick))
     instance.close()
+
+
+def test_a_unit_names_the_set_point_that_is_too_large_and_the_page_lists_all_variables(make: Make) -> None:
+    """Set-points are counted by themselves, after the measurements."""
+    loop, _, folder = make("set-points", "3.0")
+    instance = Instance(folder).start()
+    instance.set({"y[1]": 1.0, "setpoint[1]": 1e39})
+    with pytest.raises(FMICallException):
+        instance.step(0.0, tick_length(loop))
+    assert "setpoint[1] is 1e+39; expected a finite number up to 3.4" in instance.messages[-1]
+    instance.close()
+    page = (Path(__file__).parents[2] / "docs" / "fmu.md").read_text(encoding="utf-8")
+    for one in list_variables(loop):
+        assert f"`{one.name.partition('_')[0]}" in page, one.name
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -335,6 +356,6 @@ def test_units_decide_as_the_loop_for_100_000_ticks(name: str, tmp_path: Path) -
     loop = build_loop(name)
     unit = make_unit(loop, tmp_path / "unpacked")
     assert validate_fmu(str(tmp_path / "unpacked.fmu")) == []
-    vector = record(loop, 100_000)
+    vector = record(loop, long(name))
     library = tmp_path / "unpacked" / str(unit.binary)
     assert drive(build_driver(tmp_path), library, unit, loop, vector) == len(vector.sent) > 0

@@ -278,7 +278,7 @@ def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -
         met |= set(pair.device.counters)
         recoveries += pair.recoveries
         packets += pair.packets
-    assert met == {
+    assert met - {"overflowed"} == {  # of an unstable loop
         "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
         "missed", "repeated",
     }  # fmt: skip
@@ -337,7 +337,7 @@ def test_what_is_no_tick_and_no_measurement_changes_nothing() -> None:
     assert node.step(0, [1.0, 2.0])
     node.send()
     before = node.memory
-    for y in (None, [1.0, float("nan")], [float("-inf"), 1.0]):
+    for y in (None, [1.0, float("nan")], [float("-inf"), 1.0], [1.0, -3.5e38]):
         assert not node.step(1, y)
     assert not node.step(2**64 - 1, [1.0, 2.0])
     assert node.counters == {}
@@ -348,27 +348,26 @@ def test_what_is_no_tick_and_no_measurement_changes_nothing() -> None:
     assert node.degraded
 
 
-def test_a_packet_that_holds_no_finite_number_is_not_sent_but_counted() -> None:
-    """A plant that has left the range of numbers: its measurement is finite, and what follows of it is not."""
-    found = case("ideal", "controller", 0)
-    node = Device(found.library)
-    for tick in range(50):
-        node.step(tick, [1.7e308, -1.7e308])
-        assert all(isinstance(Wire(found.policy, found.network).decode(one), Packet) for one in node.send())
-    assert node.counters["unsent"] > 0
-
-
-def test_a_number_that_leaves_its_range_degrades_a_node_and_holds_its_input() -> None:
-    """A measurement of 1e308: what follows is no number, and nobody is to take it for one."""
-    node = Device(compiled("ideal", "controller"))
-    assert node.step(0, [1.0, 1.0])
-    assert not node.degraded
-    for tick in range(1, 40):
-        assert node.step(tick, [1e308, -1e308])
-        node.send()
-    assert not np.isfinite(node.memory).all()
-    assert node.degraded
-    assert node.counters["unsent"] > 0
+def test_a_node_whose_results_are_too_large_holds_and_starts_its_memory_again() -> None:
+    """It keeps its input, sends nothing, and is degraded; a few steps later it is as before. So does one in Python."""
+    loop = LOOPS["ideal"]()
+    wire, device = Wire(loop.policy, loop.network), Device(compiled("ideal", "controller"))
+    host = Node(loop.policy, "controller", network=loop.network, seed=SEED)
+    start, sent = list(host._memory), 0
+    for tick in range(30):
+        y = [3.4e38, -3.4e38] if 10 <= tick < 13 else [1.0, 0.5]
+        overflows, packets = host.counters["overflowed"], host.step(tick, y).packets
+        assert device.step(tick, y)
+        assert [wire.decode(one) for one in device.send()] == list(packets)
+        assert device.memory == list(host._memory)
+        assert device.degraded == host.degraded == (tick >= 10 and host.counters["overflowed"] > 0)
+        if host.counters["overflowed"] > overflows:
+            assert packets == ()
+            assert list(host._memory) == start
+        sent += len(packets) * (tick > 15)
+    assert host.counters["overflowed"] == device.counters["overflowed"] == host.reasons["overflow"] > 0
+    assert max(map(abs, host._memory)) < 100.0
+    assert sent > 0
 
 
 def test_a_node_that_starts_late_begins_in_the_tick_it_hears_of() -> None:

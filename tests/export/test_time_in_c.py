@@ -96,7 +96,7 @@ def test_steps_for_which_a_node_did_not_run_are_no_silence_once_a_packet_has_com
             assert node.step(step)
             assert node.input == host.step(step).input
             assert node.silent == host.silent == (step == 10)
-    assert dict(host.reasons) == {"lost": 1, "missed": 2, "silent": 1}
+    assert dict(host.reasons) == {"lost": 1, "missed": 2, "silent actuator": 1}
 
 
 def test_a_watchdog_expires_while_no_step_begins() -> None:

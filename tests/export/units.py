@@ -107,7 +107,9 @@ def record(loop: Loop, ticks: int, seed: int = SEED) -> RecordedRun:
 
 def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     """Return the inputs of a unit in a step."""
-    values: dict[str, Any] = {f"y[{i + 1}]": float(value) for i, value in enumerate(vector.measured[tick])}
+    p = loop.policy.model.sensed  # then come the set-points
+    names = [f"y[{i + 1}]" if i < p else f"setpoint[{i + 1 - p}]" for i in range(loop.policy.model.outputs)]
+    values: dict[str, Any] = dict(zip(names, map(float, vector.measured[tick]), strict=True))
     if may_lose(loop):
         values |= {f"lost_{identifier(link)}": not vector.arrived[tick, i] for i, link in enumerate(vector.links)}
     return values

@@ -7,18 +7,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from catalogue import closed, outputs, size_of, steep
+from drawn import over
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from measured import average
 from systems import System, make_system, systems
 
-from taciturn import Cost, Plant, ProblemError, UnstableError, average, close, design, load, simulate
+from taciturn import Cost, Plant, ProblemError, UnstableError, close, design, load, simulate
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.program.names import Entry, Option, Sent
 from taciturn.simulation.average import completed_squares, plain_average
 
-MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 SOME = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -45,8 +46,7 @@ DYNAMIC = {
 def test_the_dynamic_trigger_sends_only_where_the_static_one_would(examples: int) -> None:
     """From the same state never more often; most systems send."""
     sends: list[int] = []
-    law = given(**DYNAMIC, sends=st.just(sends))(dynamic_sends_are_static_sends)
-    settings(MANY, max_examples=examples)(law)()
+    over(dynamic_sends_are_static_sends, examples, **DYNAMIC, sends=st.just(sends))
     assert np.mean(np.array(sends) > 0) > 0.5
 
 
@@ -100,8 +100,7 @@ def silence_is_a_determinant(system: System, share: float) -> None:
 @pytest.mark.parametrize("examples", [pytest.param(300, marks=pytest.mark.evidence), 8])
 def test_silence_of_the_stochastic_trigger_is_a_determinant(examples: int) -> None:
     """Its renewal formula against the joint law of the errors."""
-    law = given(system=systems(states=3), share=st.floats(0.1, 5.0))(silence_is_a_determinant)
-    settings(MANY, max_examples=examples)(law)()
+    over(silence_is_a_determinant, examples, system=systems(states=3), share=st.floats(0.1, 5.0))
 
 
 @SOME

@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from catalogue import POLICIES, closed, dear
-from hypothesis import HealthCheck, assume, given, settings
+from counts import scaled
+from drawn import over
+from hypothesis import assume
+from measured import average
 from scipy.optimize import newton
 from systems import System, make_system, systems, well_posed
 
@@ -19,10 +22,7 @@ from taciturn.renewal.dual import bound_schedules
 from taciturn.renewal.fitted import Fitted, fit_schedule
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.optimal import Optimum, solve_optimal
-from taciturn.simulation.average import average
 
-FEW = settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck))
-MANY = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 ACCURACY = {1: 1e-7, 2: 1e-5, 3: 1e-3}
 RATE = {1: 1e-6, 2: 1e-3, 3: 3e-3}  # of log(δ), to which a rate is met
 PATHS, LOOKS, APART, BURN_IN = 400, 40, 10, 100
@@ -162,7 +162,7 @@ def test_best_nearly_best_and_threshold_are_in_order() -> None:
 @pytest.mark.evidence
 def test_best_nearly_best_and_threshold_are_in_order_on_50_plants() -> None:
     """One, two and three states: bound ≤ best ≤ nearly best ≤ threshold at the same rate; the bound within 1 %."""
-    gaps = ordered(50, [1, 2, 2, 2, 2, 1, 2, 2, 2, 3], seed=1000)
+    gaps = ordered(scaled(50, 10), [1, 2, 2, 2, 2, 1, 2, 2, 2, 3], seed=1000)
     for name, gap in zip(("below the best: bound", "above it: nearly best", "threshold"), gaps.T, strict=True):
         print(f"{name}: median {np.median(gap):.2e}, most {gap.max():.2e} of the cost")
     assert np.median(gaps[1::5, 1]) < 0.1 * np.median(gaps[1::5, 2])
@@ -207,7 +207,7 @@ def test_little_is_left_between_the_nearly_best_schedule_and_the_lower_bound() -
 @pytest.mark.evidence
 def test_little_is_left_between_the_nearly_best_schedule_and_the_lower_bound_on_a_dozen_plants() -> None:
     """Four, five and six states: at most 1 % of the cost."""
-    gaps = meetings(12, [4, 5, 6], seed=300)
+    gaps = meetings(scaled(12, 3), [4, 5, 6], seed=300)
     print(f"gaps over the cost: median {np.median(gaps):.2e}, most {gaps.max():.2e}")
 
 
@@ -233,11 +233,12 @@ def no_policy_beats_the_lower_bound(system: System, name: str, steps: int) -> No
 @pytest.mark.parametrize("name", RESETTING[::3])
 def test_no_policy_beats_the_lower_bound(name: str) -> None:
     """Random systems, unstable plants and cross terms included."""
-    FEW(given(system=systems(states=4))(lambda system: no_policy_beats_the_lower_bound(system, name, 200_000)))()
+    over(lambda system: no_policy_beats_the_lower_bound(system, name, 200_000), 2, system=systems(states=4))
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", RESETTING)
 def test_no_policy_beats_the_lower_bound_over_100_systems(name: str) -> None:
     """Random systems, unstable plants and cross terms included, 20 of each policy."""
-    MANY(given(system=systems())(lambda system: no_policy_beats_the_lower_bound(system, name, 2_000_000)))()
+    steps, systems_each = scaled(2_000_000, 250_000), scaled(20, 5)
+    over(lambda system: no_policy_beats_the_lower_bound(system, name, steps), systems_each, system=systems())

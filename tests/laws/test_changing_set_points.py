@@ -31,6 +31,18 @@ def plant_with(*disturbances: ExternalDisturbance, value: tuple[float, ...] = (1
     return follow(Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, disturbances)
 
 
+def test_a_kind_that_does_not_use_changing_set_points_says_so_of_any_nodes() -> None:
+    """The set-points are outputs of the plant to the library, but not in the file: none of these is named."""
+    tank = load("quadruple-tank")
+    plant = follow(
+        tank.plant, [[1.0, 0, 0, 0], [0, 1.0, 0, 0]], changes=Timetable([0, 30, 60], [[0, 0], [2, -1], [0, 0]])
+    )
+    with pytest.raises(
+        ProblemError, match=r"the set-points change \(reference.steps or file\), which send-on-delta does"
+    ):
+        design.send_on_delta(plant, tank.cost, delta=0.1, network=tank.network, period=4.0)
+
+
 def test_held_values_follow_set_points_that_change() -> None:
     """Of several nodes: set-points are no outputs of a sensor, and a timetable needs no more packets later."""
     tank = load("quadruple-tank")
@@ -124,7 +136,7 @@ def test_the_tables_of_a_file_state_changes(tmp_path: Path) -> None:
     for reference, words in (
         ({"steps": steps, "file": path}, "reference.steps and reference.file are given"),
         ({"file": path, "value": [1.0]}, "reference.value and reference.file are given"),
-        ({"file": "none.csv"}, "none.csv cannot be read"),
+        ({"file": "none.csv"}, "'none.csv' cannot be read"),
         ({"steps": {"rate": 2.0, "covariance": [[1.0]]}}, "more than one step in each sampling period"),
         ({"steps": {"rate": 0.1, "covariance": [[0.0]]}}, "covariance is zero"),
         (

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from counts import few
+from counts import few, scaled
+from drawn import over
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from measured import average
 from systems import continuous_system, price_of
 
-from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, average, close, design, simulate
+from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, close, design, simulate
 from taciturn.model.policy import Policy
 from taciturn.simulation.average import completed_squares, plain_average
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-DRAWN = given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))
+DRAWN = {"seed": SEEDS, "share": st.sampled_from([0.3, 1.0])}
 LAWS = ["wiener", "normal", "uniform", "two-point"]
 
 
@@ -41,15 +43,15 @@ def it_beats_periodic_control(seed: int, law: str, share: float, steps: int = 15
 @pytest.mark.parametrize("law", few(LAWS))
 def test_a_consistent_policy_beats_periodic_control_at_its_own_rate(law: str) -> None:
     """A random plant for each law of the noise, thresholds up to the largest consistent one."""
-    settings(FEW, max_examples=1)(DRAWN(lambda seed, share: it_beats_periodic_control(seed, law, share, 100_000)))()
+    over(lambda seed, share: it_beats_periodic_control(seed, law, share, 100_000), 1, **DRAWN)
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize(("law", "systems"), [("wiener", 300), ("normal", 50), ("uniform", 30), ("two-point", 30)])
-def test_a_consistent_policy_beats_periodic_control_over_many_systems(law: str, systems: int) -> None:
+@pytest.mark.parametrize("law", LAWS)
+def test_a_consistent_policy_beats_periodic_control_over_many_systems(law: str) -> None:
     """Three hundred random plants under Wiener noise, more than a hundred under jumps."""
-    many = settings(FEW, max_examples=systems)
-    many(DRAWN(lambda seed, share: it_beats_periodic_control(seed, law, share)))()
+    systems = 300 if law == "wiener" else scaled(40, 8)
+    over(lambda seed, share: it_beats_periodic_control(seed, law, share), systems, **DRAWN)
 
 
 @pytest.mark.evidence
@@ -71,9 +73,8 @@ def test_without_disturbances_nothing_is_sent(seed: int) -> None:
 @pytest.mark.parametrize("examples", [2, pytest.param(6, marks=pytest.mark.evidence)])
 def test_the_exact_cost_is_the_average_of_the_stage_cost(examples: int) -> None:
     """Random plants under any law of the noise."""
-    drawn = given(seed=SEEDS, law=st.sampled_from(LAWS))
     steps = 500_000 if examples > 2 else 100_000
-    settings(FEW, max_examples=examples)(drawn(lambda seed, law: exact_is_average(seed, law, steps)))()
+    over(lambda seed, law: exact_is_average(seed, law, steps), examples, seed=SEEDS, law=st.sampled_from(LAWS))
 
 
 def exact_is_average(seed: int, law: str, steps: int) -> None:

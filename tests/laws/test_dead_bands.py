@@ -19,6 +19,8 @@ from taciturn.design.dead_bands import Filtered
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.gain import largest_gain
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.policy import Policy
@@ -253,6 +255,23 @@ def test_certify_shows_the_gains_of_several_links() -> None:
     assert found.notes[0].startswith("only the gains from errors are available: send-on-delta makes 4 decisions")
     with pytest.raises(ProblemError, match="makes 4 decisions"):
         taciturn.certify(design.distributed(plant, Cost(np.eye(2), np.eye(2)), theta=0.1, network=network))
+
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "constant": {}, "ramp": {}, "sinusoid": {"frequency": 0.3}, "slow sinusoid": {"frequency": 1e-3},
+    "matrix": {"matrix": [[0.0, 1.0], [-1.0, 0.0]]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("wander", [1e-3, 1e-8])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_with_a_vanishing_threshold_the_base_is_lqg_in_spite_of_any_disturbance(shape: str, wander: float) -> None:
+    """Disturbances never decay, and what they cost does: J_b is the cost with every sample."""
+    push = ExternalDisturbance([0.0, 1.0], wander, shape.split()[-1], **SHAPES[shape])  # type: ignore[arg-type]
+    plant = Plant([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], 0.01 * np.eye(2), [[1.0, 0.0]], [[0.01]])
+    policy = design.send_on_delta(follow(plant, disturbances=push), Cost(np.diag([1.0, 0.0]), [[0.1]]), delta=1e-9)
+    assert policy.guarantee is not None
+    assert policy.guarantee.cost == pytest.approx(policy.cost_all_time, rel=1e-6)
 
 
 def test_what_dead_bands_cannot_have_is_refused() -> None:

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from counts import few
-from hypothesis import HealthCheck, assume, given, settings
+from counts import few, scaled
+from drawn import over
+from hypothesis import assume
 from hypothesis import strategies as st
+from measured import average
 from scipy.linalg import expm
 from systems import System, make_system, well_posed
 
@@ -19,10 +21,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import EXCESS
 from taciturn.model.network import LinkLaw, NodeRole
 from taciturn.program.numpy import run
-from taciturn.simulation.average import average, completed_squares, plain_average
-
-MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-LEAST = settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+from taciturn.simulation.average import completed_squares, plain_average
 
 
 @st.composite
@@ -83,19 +82,15 @@ def the_bound_holds_on_every_path(system: System, policy: Policy, steps: int) ->
     assert sharper.value <= guarantee.cost * (1 + 1e-12)
 
 
-@given(designs())
-@LEAST
-def test_the_bound_holds_on_every_path(drawn: tuple[System, Policy]) -> None:
+def test_the_bound_holds_on_every_path() -> None:
     """A few systems."""
-    the_bound_holds_on_every_path(*drawn, steps=100_000)
+    over(lambda drawn: the_bound_holds_on_every_path(*drawn, steps=100_000), 3, drawn=designs())
 
 
 @pytest.mark.evidence
-@given(designs())
-@MANY
-def test_the_bound_holds_on_every_path_of_300_systems(drawn: tuple[System, Policy]) -> None:
+def test_the_bound_holds_on_every_path_of_300_systems() -> None:
     """One to six states, one to four sensors and actuators, unstable plants and correlated noise included."""
-    the_bound_holds_on_every_path(*drawn, steps=250_000)
+    over(lambda drawn: the_bound_holds_on_every_path(*drawn, steps=scaled(250_000, 60_000)), 300, drawn=designs())
 
 
 def two_masses() -> tuple[Plant, Cost, Network]:
@@ -216,23 +211,19 @@ def j_all_is_that_of_an_attempt_on_every_link(system: System, network: Network, 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taciturn.analyse.outcomes.MOST", 1e6)
         assume(found is None or (found.F.shape[1] <= 12 and found.growth(2) < 0.8 and found.growth(4) < 0.9))
-    simulated = average(loop, plain_average(loop), seed=system.seed, steps=200_000).cost
+    simulated = average(loop, plain_average(loop), seed=system.seed, steps=scaled(200_000, 60_000)).cost
     assert abs(simulated.value - policy.cost_all_time) <= 5 * simulated.standard_error
 
 
-@given(lossy_designs())
-@LEAST
-def test_j_all_is_that_of_an_attempt_on_every_link(drawn: tuple[System, Network, dict[str, str]]) -> None:
+def test_j_all_is_that_of_an_attempt_on_every_link() -> None:
     """A few systems."""
-    j_all_is_that_of_an_attempt_on_every_link(*drawn)
+    over(lambda drawn: j_all_is_that_of_an_attempt_on_every_link(*drawn), 3, drawn=lossy_designs())
 
 
 @pytest.mark.evidence
-@given(lossy_designs())
-@settings(MANY, max_examples=100)
-def test_j_all_of_100_systems_is_that_of_an_attempt(drawn: tuple[System, Network, dict[str, str]]) -> None:
+def test_j_all_of_100_systems_is_that_of_an_attempt() -> None:
     """Single losses and bursts, with and without acknowledgement, on any of the links."""
-    j_all_is_that_of_an_attempt_on_every_link(*drawn)
+    over(lambda drawn: j_all_is_that_of_an_attempt_on_every_link(*drawn), 100, drawn=lossy_designs())
 
 
 @pytest.mark.parametrize("seed", few(range(20), 1))

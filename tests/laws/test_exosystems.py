@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,9 @@ from taciturn import (
     simulate,
 )  # fmt: skip
 from taciturn.analyse.limits import bound_below
+from taciturn.design.certainty import design_certainty
 from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance
 from taciturn.model.following import follow
@@ -40,7 +43,8 @@ A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
 B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])
 C = np.array([[1.0, 0, 0], [0, 0, 1.0]])
 COST = Cost(C.T @ C + 0.1 * np.eye(3), 0.1 * np.eye(2))
-KEPT = "which a given controller and the options of excess do not use"
+COST_OF_ONE = Cost(np.diag([1.0, 0.0]), [[0.1]])
+KEPT, OPTIONS = "which a given controller does not use", "which LQG with these options does not use; expected"
 PUSH = ExternalDisturbance([0.0, 0.3, 0.1], 1e-3)
 
 
@@ -247,12 +251,12 @@ def test_what_cannot_be_compensated_or_seen_is_refused(
     [
         (
             lambda plant: design.excess(plant, COST, delta=0.1, link="sensor"),
-            KEPT,
+            OPTIONS,
         ),
-        (lambda plant: design.excess(plant, COST, delta=0.1, every=2), KEPT),
+        (lambda plant: design.excess(plant, COST, delta=0.1, every=2), OPTIONS),
         (
             lambda plant: design.excess(plant, COST, delta=0.1, network=Network("tcp", actuator_loss=0.1)),
-            KEPT,
+            OPTIONS,
         ),
         (
             lambda plant: design.distributed(plant, COST, theta=0.1, network=Network("tcp", sensor_loss=0.1)),
@@ -268,6 +272,42 @@ def test_options_without_disturbances_are_refused(design_it: Callable[[Plant], o
     """By name, where the theory does not have them."""
     with pytest.raises(ProblemError, match=words):
         design_it(plant_with(PUSH))
+
+
+@pytest.mark.parametrize("frequency", np.linspace(0.05, 3.0, 24))
+def test_a_disturbance_that_an_input_cancels_leaves_the_gain_of_the_states(frequency: float) -> None:
+    """Whatever its shape: the gain is that of the plant alone, and −1 for the disturbance, at every frequency."""
+    plant, weights = Plant([[0.9, 0.1], [0, 0.8]], [[0], [1.0]], 0.01 * np.eye(2), [[1.0, 0]], [[0.01]]), [[0.1]]
+    cost = Cost(np.diag([1.0, 0.0]), weights)
+    K = solve_discrete_are(plant.A, plant.B, cost.Q, cost.R)
+    L = -np.linalg.solve(cost.R + plant.B.T @ K @ plant.B, plant.B.T @ K @ plant.A)
+    push = ExternalDisturbance([0.0, 1.0], 1e-3, "sinusoid", frequency)
+    found = design_certainty("lqg", discretise(follow(plant, disturbances=push), cost, None))
+    assert pytest.approx(np.hstack([L, [[-1.0, 0.0]]]), abs=1e-9) == found.regulator.L
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-200, 1e-150, 1e-9])
+def test_extreme_disturbances_are_refused_in_a_sentence_or_followed(size: float) -> None:
+    """With the bound of an error, or a reason; never with an error of the linear algebra."""
+    plant = Plant([[0.9, 0.1], [0, 0.8]], [[0], [1.0]], 0.01 * np.eye(2), [[1.0, 0]], [[0.01]])
+    for matrix in ([[0, size], [-size, 0]], [[1, size], [0, 1]], [[1, 1 / size], [0, 1]]):
+        with suppress(TaciturnError), np.errstate(all="ignore"):
+            push = ExternalDisturbance([0.0, 1.0], 1.0, "matrix", matrix=matrix)
+            policy = design.excess(follow(plant, disturbances=push), COST_OF_ONE, delta=0.1)
+            assert policy.cost_all_time > 0
+
+
+def test_a_failing_computation_with_matrices_is_a_sentence() -> None:
+    """Whatever part of a design it is in, in Python."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    problem = Problem(plant_with(), COST, Network(), "excess", {"delta": 0.1})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taciturn.design.kinds.excess.discretise", fails)
+        with pytest.raises(ProblemError, match=r"fails \(SVD did not converge\); expected numbers nearer to 1"):
+            problem.designed()
 
 
 @pytest.mark.parametrize("shape", ["constant", "ramp", "sinusoid"])

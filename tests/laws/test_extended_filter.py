@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from drawn import over
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from systems import System, systems
@@ -80,7 +81,7 @@ def shown(loop: Loop, name: str, ticks: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("examples", [4, pytest.param(25, marks=pytest.mark.evidence)])
 def test_from_any_covariance_it_is_the_filter_that_varies_in_time(examples: int) -> None:
     """Random systems."""
-    settings(max_examples=examples)(given(system=systems(states=4), seed=SEEDS)(it_varies_in_time))()
+    over(it_varies_in_time, examples, system=systems(states=4), seed=SEEDS)
 
 
 def it_varies_in_time(system: System, seed: int) -> None:

@@ -15,6 +15,8 @@ from taciturn import (
     UnstableError,
     design,
 )
+from taciturn.design.certainty import design_certainty
+from taciturn.lqg.discrete import discretise
 from taciturn.model.policy import Decide, Location
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
@@ -103,6 +105,31 @@ def test_a_base_that_sends_periodically(seeds: range) -> None:
     assert off
     assert np.abs(off).max() < 4.5
     assert np.mean(np.square(off)) < 1 + 6 / np.sqrt(len(off))
+
+
+def test_the_base_of_lqg_with_few_packets_is_lqg() -> None:
+    """J_all is the cost of LQG with every sample, a model applies its input, and no sentence speaks of a controller."""
+    for actuation in ("hold", "model"):
+        always = design.excess(TANK, WEIGHTS, theta=0.2, actuation=actuation)  # type: ignore[arg-type]
+        policy = design.excess(TANK, WEIGHTS, theta=0.2, every=4, actuation=actuation)  # type: ignore[arg-type]
+        assert policy.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)
+        assert policy.guarantee is not None
+        assert policy.guarantee.cost > policy.cost_all_time
+        assert "the cost of LQG with a packet at every 4th step" in policy.guarantee.statement
+        assert not any("controller" in note for note in policy.notes)
+    # between packets the model applies the input of LQG, but for the corrections by measurements since the last packet
+    known, power, missed, costs = (
+        design_certainty("lqg", discretise(TANK, WEIGHTS, None)),
+        np.eye(2),
+        np.zeros((2, 2)),
+        [],
+    )
+    for _ in range(4):
+        costs.append(float(np.sum(known.square * missed)))
+        missed += power @ known.corrections @ power.T
+        power = TANK.A @ power
+    found = policy.guarantee.base + policy.guarantee.per_silence * (1 - 1 / 4)
+    assert found == pytest.approx(known.cost_all_time + np.mean(costs), rel=1e-7)
 
 
 def test_at_its_own_rate_a_periodic_base_is_improved() -> None:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import CLOSED_FORM, FIELD, GUARANTEED, IDENTITY, POLICIES, closed
-from hypothesis import HealthCheck, assume, given, settings
+from counts import scaled
+from drawn import over
+from hypothesis import assume
 from hypothesis import strategies as st
+from measured import agree_together, average
 from systems import System, systems
 
 from taciturn import ContinuousPlant, Cost, Loop, Policy, close, design
@@ -15,12 +18,10 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.lqg.sampling import sample
 from taciturn.model.policy import Decide
-from taciturn.simulation.average import Averages, Estimator, average, completed_squares, plain_average
+from taciturn.simulation.average import Averages, Estimator, completed_squares, plain_average
 
-STEPS, FEW_STEPS = 500_000, 100_000
+STEPS, FEW_STEPS = scaled(500_000, 120_000), 100_000
 MOST_STEPS = 5_000_000  # a loop that keeps its start for longer hardly sends, and more steps show little
-LEAST = settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of what has more below
-MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def settled(loop: Loop, estimator: Estimator | None, seed: int, steps: int) -> Averages:
@@ -73,18 +74,21 @@ def test_the_statement_of_a_sampled_plant_leaves_out_what_noise_costs_between_sa
     assert "s (tr(QΣ) + c)" in relative.guarantee.statement
 
 
-def both_estimators_agree(system: System, name: str, steps: int = STEPS) -> None:
-    """Completed squares without the plant and the average of the stage cost with it are one number."""
+def both_estimators_agree(system: System, name: str, steps: int = STEPS) -> float:
+    """Completed squares without the plant and the average of the stage cost with it are one number; return z."""
     loop = closed(POLICIES[name](system))
     squares = settled(loop, completed_squares(loop), system.seed, steps)
     plain = settled(loop, plain_average(loop), system.seed + 1, 4 * steps)
     assume(squares.reached and plain.reached)  # a loop that keeps its start for longer is told, not compared
     combined = np.hypot(squares.cost.standard_error, plain.cost.standard_error)
-    assert abs(squares.cost.value - plain.cost.value) <= 4.5 * combined  # 300 comparisons: 4 would fail once in 50 runs
+    z = (squares.cost.value - plain.cost.value) / combined if combined else 0.0
+    assert combined or squares.cost.value == pytest.approx(plain.cost.value, rel=1e-12)
+    assert abs(z) <= 4.5  # 300 comparisons: 4 would fail once in 50 runs
     for link in loop.policy.scheduled:
         combined = np.hypot(squares.rates[link].standard_error, plain.rates[link].standard_error)
         rare = 20 / min(squares.steps, plain.steps)  # sends so rare that one run may have seen none
         assert abs(squares.rates[link].value - plain.rates[link].value) <= 4.5 * combined + rare
+    return z
 
 
 def closed_forms_are_what_is_simulated(system: System, name: str, steps: int = 2 * STEPS) -> None:
@@ -99,7 +103,7 @@ def closed_forms_are_what_is_simulated(system: System, name: str, steps: int = 2
 @pytest.mark.parametrize("name", GUARANTEED[::4])
 def test_no_policy_exceeds_its_guarantee(name: str) -> None:
     """J_all ≤ J ≤ bound."""
-    LEAST(given(system=systems())(lambda system: no_policy_exceeds_its_guarantee(system, name, FEW_STEPS)))()
+    over(lambda system: no_policy_exceeds_its_guarantee(system, name, FEW_STEPS), 2, system=systems())
 
 
 @pytest.mark.evidence
@@ -107,41 +111,43 @@ def test_no_policy_exceeds_its_guarantee(name: str) -> None:
 def test_no_policy_exceeds_its_guarantee_over_300_systems(name: str) -> None:
     """J_all ≤ J ≤ bound, 300 systems each."""
     drawn = systems(states=4, inputs=2) if name in FIELD else systems()
-    MANY(given(system=drawn)(lambda system: no_policy_exceeds_its_guarantee(system, name)))()
+    over(lambda system: no_policy_exceeds_its_guarantee(system, name), 300, system=drawn)
 
 
 @pytest.mark.parametrize("name", IDENTITY[::6])
 def test_reduced_and_plain_estimators_agree(name: str) -> None:
     """One number by two programs."""
-    LEAST(given(system=systems())(lambda system: both_estimators_agree(system, name, FEW_STEPS)))()
+    over(lambda system: both_estimators_agree(system, name, FEW_STEPS), 2, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", IDENTITY)
 def test_reduced_and_plain_estimators_agree_whatever_the_policy(name: str) -> None:
     """One number by two programs, five systems each."""
-    settings(MANY, max_examples=5)(given(system=systems())(lambda system: both_estimators_agree(system, name)))()
+    steps = 500_000  # paths start in phase: short runs of nearly periodic sends would see the ends of the paths
+    over(lambda system: both_estimators_agree(system, name, steps), 5, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ["lqg joint hold", "lqg separate model"])
 def test_reduced_and_plain_estimators_agree_over_300_systems(name: str) -> None:
     """One number by two programs, 300 systems each, in runs of half the length."""
-    MANY(given(system=systems())(lambda system: both_estimators_agree(system, name, STEPS // 2)))()
+    found: list[float] = []
+    over(lambda system: found.append(both_estimators_agree(system, name, STEPS // 2)), 300, system=systems())
+    assert agree_together(found)
 
 
 @pytest.mark.parametrize("name", CLOSED_FORM[1::3])
 def test_closed_forms_are_what_is_simulated(name: str) -> None:
     """Exact against simulated."""
-    LEAST(given(system=systems())(lambda system: closed_forms_are_what_is_simulated(system, name, 2 * FEW_STEPS)))()
+    over(lambda system: closed_forms_are_what_is_simulated(system, name, 2 * FEW_STEPS), 2, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", CLOSED_FORM)
 def test_closed_forms_are_what_is_simulated_over_a_dozen_systems(name: str) -> None:
     """Exact against simulated, whatever the policy."""
-    dozen = settings(MANY, max_examples=12)
-    dozen(given(system=systems())(lambda system: closed_forms_are_what_is_simulated(system, name)))()
+    over(lambda system: closed_forms_are_what_is_simulated(system, name), 12, system=systems())
 
 
 def trigger_values(policy: Policy, estimate: np.ndarray, candidate: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -177,8 +183,8 @@ def separate_fires_whenever_joint_does(system: System, theta: float, share: floa
 @pytest.mark.parametrize("examples", [8, pytest.param(300, marks=pytest.mark.evidence)])
 def test_the_separate_trigger_fires_whenever_the_joint_one_does(examples: int) -> None:
     """Random systems, any θ."""
-    drawn = given(system=systems(), theta=st.floats(0.001, 20), share=st.floats(0.01, 0.99))
-    settings(MANY, max_examples=examples)(drawn(separate_fires_whenever_joint_does))()
+    drawn = {"system": systems(), "theta": st.floats(0.001, 20), "share": st.floats(0.01, 0.99)}
+    over(separate_fires_whenever_joint_does, examples, **drawn)
 
 
 def silence_adds_what_the_joint_trigger_says(system: System, theta: float, actuation: Actuation) -> None:
@@ -206,8 +212,8 @@ def silence_adds_what_the_joint_trigger_says(system: System, theta: float, actua
 @pytest.mark.parametrize("examples", [6, pytest.param(50, marks=pytest.mark.evidence)])
 def test_the_joint_trigger_is_what_silence_adds_to_the_cost_to_go(examples: int) -> None:
     """Random systems, any θ, both actuators."""
-    drawn = given(system=systems(), theta=st.floats(0.001, 20), actuation=st.sampled_from(["hold", "model"]))
-    settings(MANY, max_examples=examples)(drawn(silence_adds_what_the_joint_trigger_says))()
+    drawn = {"system": systems(), "theta": st.floats(0.001, 20), "actuation": st.sampled_from(["hold", "model"])}
+    over(silence_adds_what_the_joint_trigger_says, examples, **drawn)
 
 
 def close_gain(policy: Policy) -> np.ndarray:
@@ -235,7 +241,7 @@ def vanishes_into_all_time_control(system: System, trigger: str, actuation: str)
 @pytest.mark.parametrize(("trigger", "actuation"), [("joint", "model"), ("separate", "hold")])
 def test_a_vanishing_theta_is_all_time_control(trigger: str, actuation: str) -> None:
     """θ = 0 and θ → 0."""
-    LEAST(given(system=systems())(lambda system: vanishes_into_all_time_control(system, trigger, actuation)))()
+    over(lambda system: vanishes_into_all_time_control(system, trigger, actuation), 2, system=systems())
 
 
 @pytest.mark.evidence
@@ -243,5 +249,4 @@ def test_a_vanishing_theta_is_all_time_control(trigger: str, actuation: str) -> 
 @pytest.mark.parametrize("trigger", ["joint", "separate"])
 def test_a_vanishing_theta_is_all_time_control_over_300_systems(trigger: str, actuation: str) -> None:
     """θ = 0 and θ → 0, 300 systems, a quarter of them for each variant."""
-    quarter = settings(MANY, max_examples=75)
-    quarter(given(system=systems())(lambda system: vanishes_into_all_time_control(system, trigger, actuation)))()
+    over(lambda system: vanishes_into_all_time_control(system, trigger, actuation), 75, system=systems())

@@ -7,14 +7,15 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from counts import few
-from drawn import rows
+from counts import few, scaled
+from drawn import over, rows
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from measured import average
 from systems import continuous_system, price_of
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, simulate
+from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, close, design, simulate
 from taciturn.lqg.prediction import PredictionCost
 from taciturn.problem import parse
 from taciturn.renewal.cycles import estimate_cycles, sweep_thresholds
@@ -25,7 +26,6 @@ from taciturn.study.losses import find_losses
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-MANY = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 @pytest.fixture(autouse=True)
@@ -78,14 +78,14 @@ def test_the_bound_of_the_dynamic_trigger_is_its_statement() -> None:
 @pytest.mark.evidence
 def test_the_dynamic_trigger_beats_periodic_control_at_its_own_interval() -> None:
     """A random plant under jumps of normal size."""
-    settings(FEW, max_examples=1)(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, "normal", 20_000)))()
+    over(lambda seed: it_beats_periodic_control(seed, "normal", 20_000), 1, seed=SEEDS)
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("law", ["normal", "uniform", "two-point"])
 def test_the_dynamic_trigger_beats_periodic_control_over_many_plants(law: str) -> None:
     """Twenty random plants for each law of the jumps."""
-    MANY(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, law)))()
+    over(lambda seed: it_beats_periodic_control(seed, law), scaled(20, 4), seed=SEEDS)
 
 
 @pytest.mark.parametrize("law", ["normal", "two-point"])

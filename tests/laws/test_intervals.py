@@ -10,6 +10,7 @@ from catalogue import POLICIES, UNPROVED, closed
 from counts import few
 from drawn import law
 from hypothesis import strategies as st
+from measured import average
 from systems import System, make_system, systems
 
 import taciturn
@@ -21,7 +22,7 @@ from taciturn.model.policy import Assign, Decide, Send
 from taciturn.model.trigger import Form, Trigger
 from taciturn.program.names import Sent
 from taciturn.program.numpy import run
-from taciturn.simulation.average import average, plain_average
+from taciturn.simulation.average import plain_average
 from taciturn.study.describe import describe
 from taciturn.study.record import origin
 

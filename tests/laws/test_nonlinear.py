@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from counts import few
-from hypothesis import given, settings
+from drawn import over
 from hypothesis import strategies as st
+from measured import average
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from systems import System, systems
@@ -23,7 +24,6 @@ from taciturn import (
     Network,
     Plant,
     UnstableError,
-    average,
     close,
     design,
     difference,
@@ -177,8 +177,8 @@ def test_long_loops_decide_as_those_of_scipy(name: str, seed: int) -> None:
 @pytest.mark.parametrize("examples", [4, pytest.param(25, marks=pytest.mark.evidence)])
 def test_a_function_that_is_linear_is_the_linear_plant(examples: int) -> None:
     """Random systems, inputs held or predicted."""
-    drawn = given(system=systems(), model=st.booleans(), seed=st.integers(0, 2**32 - 1))
-    settings(max_examples=examples)(drawn(a_linear_function_is_the_linear_plant))()
+    drawn = {"system": systems(), "model": st.booleans(), "seed": st.integers(0, 2**32 - 1)}
+    over(a_linear_function_is_the_linear_plant, examples, **drawn)
 
 
 def a_linear_function_is_the_linear_plant(system: System, model: bool, seed: int) -> None:

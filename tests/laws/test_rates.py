@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from drawn import over
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from renewal.chains import KINDS, large_chain
@@ -71,19 +72,15 @@ def test_certified_bounds_bracket_the_rate_in_many_dimensions(chain):
 
 
 @pytest.mark.evidence
-@given(FEW_DIMENSIONS)
-@settings(max_examples=200)
-def test_certified_bounds_bracket_the_exact_rates_of_two_hundred_chains(chain):
+def test_certified_bounds_bracket_the_exact_rates_of_two_hundred_chains():
     """The same law, two hundred times."""
-    bracket_the_quadrature(chain)
+    over(bracket_the_quadrature, 200, chain=FEW_DIMENSIONS)
 
 
 @pytest.mark.evidence
-@given(MANY_DIMENSIONS)
-@settings(max_examples=60)
-def test_certified_bounds_bracket_the_rates_of_sixty_chains_in_many_dimensions(chain):
+def test_certified_bounds_bracket_the_rates_of_sixty_chains_in_many_dimensions():
     """The same law, sixty times."""
-    bracket_the_paths(chain)
+    over(bracket_the_paths, 60, chain=MANY_DIMENSIONS)
 
 
 @pytest.mark.evidence

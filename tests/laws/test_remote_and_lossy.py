@@ -9,13 +9,13 @@ from counts import few
 from drawn import law
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measured import average
 from systems import System, systems
 
 from taciturn import Cost, Network, Plant, ProblemError, close, design
 from taciturn._modes import accumulate, radius
 from taciturn.errors import InformationError
 from taciturn.model.policy import Policy
-from taciturn.simulation.average import average
 
 FEW = settings(max_examples=15, deadline=None)
 NETWORKS = (Network("udp"), Network("tcp"), Network())

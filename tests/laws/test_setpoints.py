@@ -146,6 +146,16 @@ def test_a_command_beyond_a_limit_is_sent_at_every_sample() -> None:
             ),
             "the plant cannot rest at the set-point [0.0, 1.0]",
         ),
+        *(
+            (
+                lambda kind=kind: kind(
+                    Plant(TANK.A, TANK.B, TANK.W, TANK.C, TANK.V, TANK.dt, input_limit=[[-0.1, 0.3]]), WEIGHTS,
+                    delta=0.1, controller=replace(KEPT, start_input=0.4),
+                ),
+                "start_input is [0.4], beyond the input_limit [[-0.1, 0.3]]; expected an input within the limits",
+            )
+            for kind in (design.excess, design.event_pid, design.send_on_delta)
+        ),
         (lambda: PID(1.2, start_input=1.0), "pid.start_input is given without ki"),
         (lambda: PID(1.2, 1.0, tracking_time=0.0), "pid.tracking_time is 0"),
         (

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import FIELD, POLICIES, STATIONARY, UNPROVED, VANISHING, closed
-from hypothesis import HealthCheck, given, settings
+from drawn import over
 from systems import System, systems
 
 from taciturn import Plant, close
 from taciturn.program.machine import Kernel
-
-FEW = settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def quiet(plant: Plant) -> Plant:
@@ -58,38 +55,38 @@ def decays_without_noise(system: System, name: str) -> None:
 @pytest.mark.parametrize("name", [*UNPROVED, *FIELD[1::3]])
 def test_the_mean_square_stays(name: str) -> None:
     """Long runs do not grow."""
-    FEW(given(system=systems())(lambda system: mean_square_stays(system, name)))()
+    over(lambda system: mean_square_stays(system, name), 2, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", [*UNPROVED, *FIELD])
 def test_the_mean_square_stays_of_the_baselines(name: str) -> None:
     """Long runs do not grow, six systems each: that the cost stays below its bound is shown over 300."""
-    settings(MANY, max_examples=6)(given(system=systems())(lambda system: mean_square_stays(system, name)))()
+    over(lambda system: mean_square_stays(system, name), 6, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", sorted(set(STATIONARY) - set(FIELD)))
 def test_the_mean_square_stays_over_300_systems(name: str) -> None:
     """Long runs do not grow, 300 systems each."""
-    MANY(given(system=systems())(lambda system: mean_square_stays(system, name)))()
+    over(lambda system: mean_square_stays(system, name), 300, system=systems())
 
 
 @pytest.mark.parametrize("name", VANISHING[::3])
 def test_the_state_decays_exponentially_without_noise(name: str) -> None:
     """W = 0 and V = 0 are legal and the loop decays."""
-    FEW(given(system=systems())(lambda system: decays_without_noise(system, name)))()
+    over(lambda system: decays_without_noise(system, name), 2, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", sorted(set(VANISHING) & set(FIELD)))
 def test_the_state_of_a_baseline_decays_exponentially_without_noise(name: str) -> None:
     """W = 0 and V = 0 are legal and the loop decays, six systems each."""
-    settings(MANY, max_examples=6)(given(system=systems())(lambda system: decays_without_noise(system, name)))()
+    over(lambda system: decays_without_noise(system, name), 6, system=systems())
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", sorted(set(VANISHING) - set(FIELD)))
 def test_the_state_decays_exponentially_without_noise_over_300_systems(name: str) -> None:
     """W = 0 and V = 0 are legal and the loop decays, 300 systems each."""
-    MANY(given(system=systems())(lambda system: decays_without_noise(system, name)))()
+    over(lambda system: decays_without_noise(system, name), 300, system=systems())

@@ -13,6 +13,7 @@ from taciturn import Burst, ContinuousPlant, Cost, Network, Plant, close, design
 from taciturn.analyse.renewal import solve_renewal
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
+from taciturn.model.link import LinkLaw
 from taciturn.program.controls import MOST
 from taciturn.program.engine import prepare
 from taciturn.program.names import Control, Sent
@@ -114,6 +115,25 @@ def test_intervals_of_missions_cover_the_exact_cost(seeds: int) -> None:
     loop = close(plant, policy, cost=Cost(*weights, horizon=12, terminal=[[2.0]]))
     found = [average(loop, seed=seed, steps=1200).cost for seed in range(seeds)]
     assert covers(coverage([(e.value, e.standard_error) for e in found], truth + 2 * second), seeds)
+
+
+@pytest.mark.parametrize("steps", [50_000, 200_000, 1_000_000])
+def test_the_error_of_a_rate_contains_the_end_of_paths_that_send_in_phase(steps: int) -> None:
+    """A trigger that sends whenever a pause of two steps lets it: half of the steps, within two standard errors."""
+    A, B, C = [[0.9324, -0.1028], [0.4638, 0.2719]], [[-0.4827], [0.0737]], [[-1.2907, 0.5337]]
+    plant = Plant(A, B, 0.2 * np.eye(2), C, [[0.1]])
+    network = Network(links={"actuator": LinkLaw(min_interval=2, max_interval=5)})
+    policy = design.dynamic(plant, Cost(np.eye(2), [[0.5]]), sigma=0.2, rho=0.8, gain=2.0)
+    rate = average(close(plant, policy, network), seed=steps, steps=steps).rates["actuator"]
+    assert abs(rate.value - 0.5) <= 2 * rate.standard_error <= 2e-3
+
+
+def test_a_schedule_and_sending_always_have_rates_without_an_error_of_the_end() -> None:
+    """Windows hold whole cycles, and where every step sends, no end is seen."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]])
+    for policy in (design.periodic(plant, cost, every=3), design.all_time(plant, cost)):
+        found = average(close(plant, policy, cost=cost), plain_average(close(plant, policy, cost=cost)), steps=50_000)
+        assert found.rates["actuator"].standard_error <= 1 / found.steps
 
 
 def test_the_sends_of_a_course_have_a_standard_error() -> None:

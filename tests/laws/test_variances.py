@@ -9,6 +9,7 @@ import pytest
 from drawn import law
 from hypothesis import assume
 from hypothesis import strategies as st
+from measured import average
 from scipy.linalg import block_diag, solve_discrete_are
 from systems import System, make_system, well_posed
 
@@ -21,7 +22,6 @@ from taciturn import (
     Problem,
     ProblemError,
     UnstableError,
-    average,
     close,
     design,
     simulate,

@@ -12,7 +12,7 @@ import scipy.linalg
 from drawn import law
 from hypothesis import strategies as st
 
-from taciturn import ContinuousPlant, Cost
+from taciturn import ContinuousPlant, Cost, Network, Problem
 from taciturn._modes import accumulate
 from taciturn.design import excess
 from taciturn.errors import ProblemError, UnstableError
@@ -266,3 +266,14 @@ def test_a_period_that_is_not_positive_is_refused(period):
     """h > 0 and finite."""
     with pytest.raises(ProblemError, match="period"):
         sample([[1.0]], [[1]], [[1]], [[1]], [[0]], [[1]], period)
+
+
+@pytest.mark.parametrize("period", [1e-7, 1e-9, 1e-12])
+def test_a_period_that_rounding_hides_is_named(period: float) -> None:
+    """Neither the noise V nor the weight Q is the reason; an error of another kind keeps its own."""
+    plant = ContinuousPlant([[-0.1, 1.0], [0.0, -0.2]], [[0.0], [1.0]], 0.01 * np.eye(2), C=[[1.0, 0.0]], V=[[0.01]])
+    cost = Cost(np.diag([1.0, 0.0]), [[0.1]])
+    with pytest.raises(UnstableError, match=rf"^period is {period:g} s, in which the plant moves by .*longer"):
+        Problem(plant, cost, Network(), "excess", {"theta": 0.1, "period": period}).designed()
+    with pytest.raises(ProblemError, match="neither delta nor theta is given"):
+        Problem(plant, cost, Network(), "excess", {"period": period}).designed()

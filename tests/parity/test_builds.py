@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import CLOSED_FORM, POLICIES, STATIONARY, closed
-from counts import few
+from counts import few, scaled
 from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, every_feature, programs, same, with_functions, with_precision
@@ -95,7 +95,7 @@ def test_steps_that_are_functions_agree_bit_for_bit(system: System, seed: int, p
 def test_loops_of_three_hundred_random_systems_agree_bit_for_bit() -> None:
     """In turn every policy of the catalogue, and on each the policy with every feature; in single precision in turn."""
     found, draws = 0, np.random.default_rng(2024)
-    while found < 300:
+    while found < scaled(300, 2 * len(POLICIES)):  # each kind in turn, in both precisions
         n = int(draws.integers(1, 7))
         m, p = int(draws.integers(1, min(n, 3) + 1)), int(draws.integers(1, n + 1))
         system = make_system(int(draws.integers(2**32)), n, m, p, bool(draws.integers(2)))

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from counts import few
+from counts import few, scaled
 from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, differences, programs, with_precision
@@ -159,9 +159,10 @@ def test_a_sweep_of_ten_thousand_values_compiles_once(monkeypatch: pytest.Monkey
     compiled: list[str] = []
     compile_once = machine._load
     monkeypatch.setattr(machine, "_load", lambda text: compiled.append(text) or compile_once(text))
-    bank = Bank([masses(float(theta)) for theta in np.linspace(0.01, 2.0, 10_000)])
+    loops = scaled(10_000, 1_000)
+    bank = Bank([masses(float(theta)) for theta in np.linspace(0.01, 2.0, loops)])
     bank.run(300)
-    sends = bank.run(300).sends["actuator"].reshape(10, 1000).mean(axis=1)
+    sends = bank.run(300).sends["actuator"].reshape(10, loops // 10).mean(axis=1)
     assert (bank.structures, len(compiled)) == (1, 1)
     assert (np.diff(sends) < 0).all()
 

@@ -76,8 +76,12 @@ def _never_earlier(true: Callable[..., bool], phase: Phase, tick: int, now: floa
     return True if -JUMPED * phase.tick <= off < 0 else true(phase, tick, now)
 
 
+def _silent_only_without_steps(node: Node) -> tuple[str, ...]:
+    return tuple(node._heard_at) if node._unheard else ()
+
+
 def _marks_are_not_heard(true: Callable[..., str], node: Node, packet: Packet) -> str:
-    heard, unheard = node._heard_at, node._unheard
+    heard, unheard = dict(node._heard_at), node._unheard
     handling = true(node, packet)
     if packet.kind == "mark":
         node._heard_at, node._unheard = heard, unheard
@@ -127,8 +131,8 @@ DEFECTS: dict[str, Defect] = {
     "the plant applies a late input": around(world.PlantServer, "_sort", _late_input_wins),
     "a clock that is some steps fast is not corrected": Defect(((Phase, "_follow", lambda *_: None),)),
     "a node does not doubt its clock after a gap": Defect(((NodeServer, "_notice", lambda *_: None),)),
-    "the watchdog never expires": Defect(((Node, "silent", property(lambda node: node._unheard)),)),
-    "the watchdog never expires in C": Defect(core={"(node->watchdog > 0U &&": "(false &&"}),
+    "the watchdog never expires": Defect(((Node, "silent_links", property(_silent_only_without_steps)),)),
+    "the watchdog never expires in C": Defect(core={"bool late = limit > 0U &&": "bool late = false && limit > 0U &&"}),
     "sequence numbers start again from a saved state": around(Node, "restore", _numbers_start_again),
     "all starts have one epoch": around(Node, "__init__", _of_one_epoch),
     "the checksum is not checked": around(Wire, "decode", _any_sum),

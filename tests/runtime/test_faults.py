@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from counts import scaled
 from runtime.attacks import KEY, await_ticks, capture, chapter_7, noise, throw
 from runtime.test_network import assert_added_up, proofs, refused
 
@@ -38,10 +39,10 @@ def changed(fates: dict, **what: float) -> dict:
 
 
 def test_chapter_7_over_three_processes_costs_and_sends_what_the_loop_does(tmp_path: Path) -> None:
-    """20 seeds of 1,000 steps: cost and rate within three standard errors of the simulated loop."""
+    """20 seeds of 1,000 steps, or fewer: cost and rate within three standard errors of the simulated loop."""
     file = chapter_7(tmp_path)
     expected = taciturn.evaluate(taciturn.load(file))
-    runs = [run_network(file, ticks=1000, seed=seed) for seed in range(20)]
+    runs = [run_network(file, ticks=scaled(1000, 400), seed=seed) for seed in range(20)]
     for run in runs:
         assert_added_up(run)
     for what, wanted in (("costs", expected.cost), ("sends", expected.rates["actuator"])):

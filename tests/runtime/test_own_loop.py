@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from catalogue import POLICIES, closed
 from counts import few
+from scipy.linalg import solve_discrete_are
 from systems import make_system
 
 import taciturn
@@ -18,8 +20,10 @@ from taciturn.lqg.discrete import discretise
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.policy import Received
+from taciturn.problem import parse
 from taciturn.program.names import Entry
 from taciturn.program.numpy import run
+from taciturn.runtime.node import Node
 
 SYSTEM = make_system(7, 3, 2, 2, False)
 TICKS = 120
@@ -207,3 +211,77 @@ def test_what_nodes_cannot_do_is_refused_in_one_sentence() -> None:
     clipped = design.excess(Plant(p.A, p.B, p.W, p.C, p.V, input_limit=[1.0, 1.0]), SYSTEM.cost, delta=0.5)
     with pytest.raises(ProblemError, match="beyond the input_limit"):
         Nodes(clipped, start_input=[2.0, 0.0])
+
+
+TANK = {
+    "plant": {
+        "A": [[1.0, 0.1], [0.0, 0.9]], "B": [[0.0], [0.1]], "C": [[1.0, 0.0]],
+        "W": [[1e-4, 0.0], [0.0, 4e-4]], "V": [[1e-3]], "dt": 0.1,
+    },
+    "cost": {"Q": [[1.0, 0.0], [0.0, 0.0]], "R": [[0.05]]},
+    "reference": {"value": [3.0], "steps": {"rate": 0.01, "covariance": [[4.0]]}},
+    "nodes": {"probe": {"measures": True, "site": "box"}, "box": {"controls": True}, "valve": {"applies": True}},
+    "policy": {"kind": "distributed", "theta": 0.5},
+}  # fmt: skip
+
+
+def test_the_filter_uses_the_input_that_was_applied_also_with_changing_set_points() -> None:
+    """The predictions are those of a Kalman filter in NumPy; the entry of the set-point is no memory of the nodes."""
+    policy, draws = parse(TANK, "tank").design(), np.random.default_rng(7)
+    A, B, C = (np.array(TANK["plant"][name]) for name in ("A", "B", "C"))  # type: ignore[index]
+    W, V = (np.array(TANK["plant"][name]) for name in ("W", "V"))  # type: ignore[index]
+    P = solve_discrete_are(A.T, C.T, W, V)
+    K = P @ C.T / (C @ P @ C.T + V)
+    nodes, expected, u, given = Nodes(policy), np.zeros(2), np.zeros(1), np.zeros(1)
+    places = [nodes.turns.states.index(f"prior[{i}]") for i in range(2)]
+    assert "prior[2]" not in nodes.turns.states
+    for tick in range(60):
+        told = tick > 0 and tick % 3 != 1
+        expected = expected + B @ (given - u if told else np.zeros(1))
+        y = draws.normal(size=1)
+        u = nodes.step(y, reference=draws.normal(size=1) if tick % 5 == 0 else None, applied=given if told else None)
+        expected = A @ (expected + K @ (y - C @ expected)) + B @ u
+        assert [nodes._memory[i] for i in places] == pytest.approx(expected, abs=1e-9)
+        given = draws.normal(size=1)
+
+
+@pytest.mark.parametrize("kind", ["distributed", "excess"])
+def test_an_applied_input_that_is_the_returned_one_changes_no_bit(kind: str) -> None:
+    """With several nodes and with three."""
+    tables = TANK if kind == "distributed" else {k: v for k, v in TANK.items() if k != "nodes"}
+    policy = parse({**tables, "policy": {"kind": kind, "theta": 0.5}}, "tank").design()
+    told, alone, u = Nodes(policy), Nodes(policy), None
+    for y in np.random.default_rng(1).normal(size=(50, 1)):
+        u, expected = told.step(y, applied=u), alone.step(y)
+        assert u.tobytes() == expected.tobytes()
+        assert told._memory == alone._memory
+
+
+def test_nodes_are_pickled_with_their_state() -> None:
+    """All nodes in one object, and a single one; copies go on alike."""
+    policy, draws = parse(TANK, "tank").design(), np.random.default_rng(2)
+    nodes, node = Nodes(policy, seed=3), Node(policy, "box")
+    for tick in range(20):
+        y = draws.normal(size=1)
+        nodes.step(y)
+        node.step(tick, y)
+    again, other = pickle.loads(pickle.dumps(nodes)), pickle.loads(pickle.dumps(node))
+    for tick in range(20, 40):
+        y = draws.normal(size=1)
+        assert again.step(y).tobytes() == nodes.step(y).tobytes()
+        assert other.step(tick, y) == node.step(tick, y)
+    assert (again.tick, again.sent) == (nodes.tick, nodes.sent)
+
+
+def test_results_that_are_too_large_are_refused_and_leave_the_nodes_as_they_were() -> None:
+    """And a number that no packet carries does not enter."""
+    policy = design.excess(Plant([[1.2]], [[1e-3]], [[1.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1e-9]]), delta=0.1)
+    nodes, alone = Nodes(policy), Nodes(policy)
+    for tick in range(10):
+        for y in ([1.7e308], [float("nan")]):
+            with pytest.raises(ProblemError, match="expected"):
+                nodes.step(y)
+        if tick == 5:
+            with pytest.raises(ProblemError, match="hold the last input, or reset them"):
+                nodes.step([3.4e38])
+        assert nodes.step([1.0]).tobytes() == alone.step([1.0]).tobytes()

@@ -168,9 +168,9 @@ def test_the_watchdog_runs_before_the_first_step(here: Endpoint) -> None:
         packets = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.2)]
         assert len(packets) >= 2
         assert {(packet.values, packet.epoch, packet.tick) for packet in packets} == {((-1.5,), 100, 0)}
-        assert report["degraded"] == {"silent": 1}
+        assert report["degraded"] == {"silent actuator": 1}
         assert len(said) == 1
-        assert "no usable packet for 5 steps" in said[0]
+        assert "no usable packet on the link actuator for 5 steps" in said[0]
         assert "1 malformed" in said[0]
         here.send(WIRE.encode(Packet("data", "actuator", 7, 0, (0.1,), 100)), there.address)
         server.run(8, soon(2.0))

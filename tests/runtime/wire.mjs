@@ -9,6 +9,7 @@ export const NONCE = 8; // bytes
 const BACK = [ACKNOWLEDGEMENT, INPUT]; // kinds that travel against their link
 const VERSION = 2, BYTES = 3;
 const HEADER = 32, CRC = 4, TAG = 16, TAGGED = 128;
+const LARGEST = (2 - 2 ** -23) * 2 ** 127; // number that every encoding carries
 const ENTRIES = [[8, "DoubleBE"], [4, "FloatBE"], [2, "Int16BE"]]; // bytes of an entry, and its name in Node.js
 
 // ---- tag ------------------------------------------------------------------------------------------------------------
@@ -113,7 +114,7 @@ export class Wire {
     if (end !== HEADER + entries * bytes) return "malformed";
     const scale = (i) => (encoding === 2 ? shape.ranges[i] / 32767 : 1);
     const values = Array.from({ length: entries }, (_, i) => datagram[`read${name}`](HEADER + bytes * i) * scale(i));
-    if (!values.every(Number.isFinite)) return "malformed";
+    if (!values.every((value) => Math.abs(value) <= LARGEST)) return "malformed"; // not if it is no number
     return { ...header, values };
   }
 }

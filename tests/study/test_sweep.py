@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from counts import few
+from counts import few, scaled
 
 import taciturn
 from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
@@ -356,16 +356,16 @@ def test_ten_thousand_cells_need_no_more_memory_and_four_executors_give_the_same
     (tmp_path / "line.toml").write_text(LINE)
     problem = load(tmp_path / "line.toml")
     variants: dict[str, list[object]] = {"trigger": ["joint", "separate"], "actuation": ["hold", "model"]}
-    large = {"theta": np.geomspace(0.01, 1.0, 2500).tolist(), **variants}
+    large = {"theta": np.geomspace(0.01, 1.0, scaled(2500, 500)).tolist(), **variants}
     small = {"theta": large["theta"][::10], **variants}
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         sweep(problem, small, executor=pool, steps=2000, seed=3)
         before = peak()
         found = sweep(problem, large, executor=pool, steps=2000, seed=3)
         after = peak()
-    assert found.cost.size == 10_000
+    assert found.cost.size == 4 * len(large["theta"])
     assert np.isfinite(found.cost).all()
-    assert len(np.unique(found.seed)) > 9_990  # of 32 bits
+    assert len(np.unique(found.seed)) > 0.999 * found.cost.size  # of 32 bits
     assert after < 1.1 * before
     tenth = found.sel(theta=small["theta"])
     with ThreadPoolExecutor(2) as pool:

@@ -17,6 +17,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn._progress import check_time
 from taciturn.analyse.inequalities import Inequalities, Inequality, Square, Unknowns, Widest
 from taciturn.analyse.switched import Switched
 from taciturn.errors import ProblemError
@@ -139,6 +140,7 @@ def find_decay(loop: Switched) -> Decay:
         )
     low, rate = 0.0, LAST
     for _ in range(HALVINGS):
+        check_time()
         middle = (low + rate) / 2
         better = _falling(loop, widest, middle)
         if better is None:

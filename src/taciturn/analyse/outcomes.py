@@ -23,6 +23,7 @@ from taciturn._arrays import Array, pushed
 from taciturn._display import Displayed
 from taciturn._growth import growth, normal_moments
 from taciturn._modes import radius
+from taciturn._progress import check_time
 from taciturn.analyse.reduction import relevant
 from taciturn.analyse.switched import attempt_of, read_steps, refuse_loops
 from taciturn.errors import ProblemError, UnstableError
@@ -106,6 +107,7 @@ class Outcomes(Displayed):
 
     def _moved(self, moments: Array, power: int) -> Array:
         """Return the moments after a step without noise, from those before it."""
+        check_time()
         each = [pushed(F, moments, power) for F in self.F]
         before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
         return np.tensordot(self.turns.T, np.stack(before), 1)
@@ -116,6 +118,7 @@ def outcomes(loop: Loop) -> Outcomes | None:
 
     The result is None if no link drops packets, or if the loop is not a jump linear map.
     """
+    loop = loop.deviations
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     links = [link for link in loop.network.links if link in sent and loop.network.loss(link) > 0]
     if not links:

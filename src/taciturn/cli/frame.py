@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import logging
 import os
+import select
 import sys
 import warnings
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import typer
 import typer.core
@@ -127,7 +128,7 @@ Confidence = Annotated[
 Steps = Annotated[int | None, typer.Option(help="Fixed total number of simulated steps (instead of a standard error).")]
 TimeLimit = Annotated[
     float | None,
-    typer.Option("--time", metavar="SECONDS", help="Time limit after the design, at which the best result is printed."),
+    typer.Option("--time", metavar="SECONDS", help="Time limit, with the design of the policy. Default: none."),
 ]
 StandardError = Annotated[
     float | None, typer.Option(help="Absolute standard error of the cost. Default: 1e-4 of the cost.")
@@ -151,6 +152,8 @@ def add_commands() -> None:
     """Import the modules with the commands of other packages; print a message about one that fails or is not new."""
     from taciturn._plugins import find_plugins, load_plugin, package_of
     from taciturn.errors import ProblemError
+
+    _replace_closed_streams()
 
     def names() -> list[str | None]:
         return [one.name or getattr(one.callback, "__name__", None) for one in app.registered_commands]
@@ -181,6 +184,7 @@ def _run() -> None:
     from taciturn.errors import TaciturnError
 
     prefer_one_thread()
+    _replace_closed_streams()
     reconfigure = getattr(sys.stdout, "reconfigure", None)
     if reconfigure is not None:  # a terminal without ≤ shows \u2264 instead of an error
         reconfigure(errors="backslashreplace")
@@ -196,15 +200,17 @@ def _run() -> None:
         refuse(usage_text(error))
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(130)
-    except BrokenPipeError:
-        drop_output()
-        sys.exit(1)
+    except SystemExit as error:
+        if isinstance(error.__context__, BrokenPipeError):  # typer exits with 1 and no message
+            _end_broken(error.__context__)
+        raise
     except OSError as error:
-        drop_output()
-        refuse(f"reading or writing failed ({error}); expected files that can be opened, and enough disk space")
+        _end_broken(error)
     except MemoryError:
         refuse("the computation needs more memory than there is; expected fewer steps, runs or states")
-    except ArithmeticError as error:
+    except (ArithmeticError, ValueError) as error:
+        if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":  # numpy may not be imported
+            raise
         refuse(
             f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
             "expected numbers nearer to 1: scale the problem"
@@ -247,20 +253,59 @@ def _message(sentence: str) -> str:
     return wrapped_text(text) if sys.stderr.isatty() else text
 
 
-def refuse(sentence: str) -> None:
+def refuse(sentence: str) -> NoReturn:
     """Print an error message and exit with code 2; if a signal has stopped the command, raise Interrupted instead."""
     if has_ended():
         raise Interrupted
-    print(end="", flush=True)  # the results so far come before the error
+    try:
+        print(end="", flush=True)  # the results so far come before the error
+    except OSError:  # a full disk
+        drop_output()
     shown = "".join(letter if letter.isprintable() else " " for letter in sentence)
-    print(_message(" ".join(shown.split())), file=sys.stderr)
+    try:
+        print(_message(" ".join(shown.split())), file=sys.stderr, flush=True)
+    except OSError:
+        drop_output()
     sys.exit(2)
 
 
 def drop_output() -> None:
-    """Discard buffered output, so that Python reports no error when it exits."""
-    with suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Discard the buffered output of a stream that cannot be written to, so that Python reports no error at its end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+            broken = _has_no_reader(stream)
+        except OSError:
+            broken = True
+        if broken:
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _end_broken(error: OSError) -> NoReturn:
+    """End after an error of reading or writing; a reader of the output that left early, as ``head -1``, is none."""
+    left = not hasattr(select, "poll") or any(map(_has_no_reader, (sys.stdout, sys.stderr)))
+    if isinstance(error, BrokenPipeError) and left:
+        drop_output()
+        sys.exit(0)
+    refuse(f"reading or writing failed ({error}); expected files that can be opened, and enough disk space")
+
+
+def _has_no_reader(stream: TextIO) -> bool:
+    """Return whether a stream is a pipe whose reader has closed it; False if this is unknown."""
+    try:
+        poll = select.poll()
+        poll.register(stream.fileno(), select.POLLOUT)
+    except (OSError, ValueError, AttributeError):  # a stream without a descriptor, and Windows
+        return False
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def _replace_closed_streams() -> None:
+    """Discard the output to streams that were closed when this process began, for which Python has None."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8"))
 
 
 def print_json(document: dict[str, Any], origin: Mapping[str, Any]) -> None:

@@ -221,7 +221,7 @@ def node(
         )
         for loop in range(loops)
     ]  # fmt: skip
-    here = parse_address("--bind", bind)
+    here = parse_address("--bind", bind, own=True)
     to = parse_peers("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
     secret = read_keys(key, hosts_of(here, to, world))
@@ -275,7 +275,7 @@ def plant(
     loop = problem.close(problem.design())
     length = tick_length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
-    here, to = parse_address("--bind", bind), parse_peers("--peer", peer)
+    here, to = parse_address("--bind", bind, own=True), parse_peers("--peer", peer)
     wire = Wire(loop.policy, problem.network, read_keys(key, hosts_of(here, to)))
     with logged(log) as told, until_stopped() as stopped, Endpoint(here) as endpoint:
         server = PlantServer(plants, wire, endpoint, to, tick=length, told=told, say=say)
@@ -320,7 +320,7 @@ def relay(
         **{name: read_probability(f"--{name}", text) for name, text in chances.items()},
     )  # fmt: skip
     to = parse_address("--peer", peer)
-    with until_stopped() as stopped, Endpoint(parse_address("--bind", bind), LARGEST_OF_ALL) as endpoint:
+    with until_stopped() as stopped, Endpoint(parse_address("--bind", bind, own=True), LARGEST_OF_ALL) as endpoint:
         say_where("relay", endpoint.address)
         typer.echo(json.dumps(carry(EmulatedLink(fate), endpoint, to, stopped)))
 

@@ -23,6 +23,7 @@ from taciturn.cli.frame import (
     Settings,
     StandardError,
     Steps,
+    TimeLimit,
     app,
     load_changed,
     note_seed,
@@ -59,11 +60,13 @@ def tradeoff(
         typer.Option(metavar="DIR", help="Folder for the results, so that an interrupted run can continue."),
     ] = None,
     workers: Workers = 1,
+    time: TimeLimit = None,
 ) -> None:
     """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn._grid import parse_grid
+    from taciturn._progress import answered_within
     from taciturn.study.lower import choose_confidence
     from taciturn.study.record import origin
     from taciturn.study.sweeping.workers import processes
@@ -71,18 +74,19 @@ def tradeoff(
     values = parse_grid(over)
     if plot is not None:
         check_format(plot)
-    problem = load_changed(file, settings, no_functions)
-    with progress_bar("computing") as progress, processes(workers) as executor:
-        found = taciturn.tradeoff(
-            problem,
-            values,
-            seed=seed or 0,
-            standard_error=standard_error,
-            confidence=choose_confidence(problem, confidence),
-            executor=executor,
-            store=store,
-            progress=progress,
-        )
+    with answered_within(time):
+        problem = load_changed(file, settings, no_functions)
+        with progress_bar("computing") as progress, processes(workers) as executor:
+            found = taciturn.tradeoff(
+                problem,
+                values,
+                seed=seed or 0,
+                standard_error=standard_error,
+                confidence=choose_confidence(problem, confidence),
+                executor=executor,
+                store=store,
+                progress=progress,
+            )
     if as_json:
         print_json(found.document(), origin(problem, seed or 0))
     else:
@@ -128,11 +132,13 @@ def sweep(
     confidence: Annotated[
         float | None, typer.Option(help="Confidence level of lower bounds on the cost. Default: no lower bounds.")
     ] = None,
+    time: TimeLimit = None,
 ) -> None:
     """Evaluate a grid of problems on many processors, and store each result when it is finished."""
     import taciturn
     from taciturn._dask import dask_workers
     from taciturn._grid import parse_grid
+    from taciturn._progress import answered_within
     from taciturn._table import check_table, save_table
     from taciturn.study.sweeping.store import save_whole
     from taciturn.study.sweeping.table import SweepTable
@@ -148,7 +154,7 @@ def sweep(
     pool = processes(workers) if dask is None else dask_workers(dask)
     cells = math.prod(map(len, values.values()))
     kept = f"the results so far are in {store}; run the same command to continue"
-    with remark(kept), progress_bar("sweeping", cells) as progress, pool as executor:
+    with answered_within(time), remark(kept), progress_bar("sweeping", cells) as progress, pool as executor:
         found = taciturn.sweep(
             problem,
             values,
@@ -221,20 +227,23 @@ def compare(
     standard_error: Annotated[
         float | None, typer.Option(help="Standard error of each cost. Default: 3e-4 of the cost of periodic LQG.")
     ] = None,
+    time: TimeLimit = None,
 ) -> None:
     """Rank several policies at the same rate, with the standard errors of their differences."""
     import taciturn
     from taciturn._figure import check_format, save
+    from taciturn._progress import answered_within
     from taciturn.study.record import origin
 
     if plot is not None:
         check_format(plot)
-    problems = _load_all(files, settings, no_functions)
-    with progress_bar("comparing") as progress:
-        found = taciturn.compare(
-            problems, rate, traffic=traffic, link=cast("Any", link), seed=seed or 0, standard_error=standard_error,
-            progress=progress,
-        )  # fmt: skip
+    with answered_within(time):
+        problems = _load_all(files, settings, no_functions)
+        with progress_bar("comparing") as progress:
+            found = taciturn.compare(
+                problems, rate, traffic=traffic, link=cast("Any", link), seed=seed or 0, standard_error=standard_error,
+                progress=progress,
+            )  # fmt: skip
     if as_json:
         print_json(found.document(), origin(problems, seed or 0))
     else:
@@ -279,30 +288,33 @@ def channel(
     ticks: Annotated[int | None, typer.Option(help="Fixed number of simulated steps per channel.")] = None,
     confidence: Confidence = None,
     workers: Workers = 1,
+    time: TimeLimit = None,
 ) -> None:
     """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
     from taciturn._figure import check_format, save
+    from taciturn._progress import answered_within
     from taciturn.analyse.limits import LEVEL
     from taciturn.study.record import origin
     from taciturn.study.sweeping.workers import processes
 
     if plot is not None:
         check_format(plot)
-    problems = _load_all(files, settings, no_functions)
-    with progress_bar("sharing") as progress, processes(workers) as executor:
-        found = taciturn.share_channel(
-            problems,
-            copies=_numbers("--copies", copies),
-            capacity=capacity,
-            scheduler=cast("Any", scheduler),
-            seed=seed,
-            standard_error=standard_error,
-            ticks=ticks,
-            confidence=LEVEL if confidence is None else confidence,
-            executor=executor,
-            progress=progress,
-        )
+    with answered_within(time):
+        problems = _load_all(files, settings, no_functions)
+        with progress_bar("sharing") as progress, processes(workers) as executor:
+            found = taciturn.share_channel(
+                problems,
+                copies=_numbers("--copies", copies),
+                capacity=capacity,
+                scheduler=cast("Any", scheduler),
+                seed=seed,
+                standard_error=standard_error,
+                ticks=ticks,
+                confidence=LEVEL if confidence is None else confidence,
+                executor=executor,
+                progress=progress,
+            )
     if as_json:
         print_json(found.document(), origin(problems, seed))
     else:

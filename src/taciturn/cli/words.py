@@ -9,7 +9,10 @@ from typing import Any
 
 import typer
 
+from taciturn._files import read_text
 from taciturn._plugins import problem_folders
+
+LARGEST = 2**24  # bytes of a problem file
 
 
 def complete_file(incomplete: str) -> list[str]:
@@ -49,9 +52,15 @@ def _links(name: str) -> Iterable[str]:
     """Return the links of a problem file: one of each node that is not at the controller's place."""
     paths = (Path(name), *(folder / f"{name}.toml" for folder in problem_folders()))
     try:
-        tables: dict[str, Any] = tomllib.loads(next(path.read_text() for path in paths if path.is_file()))
+        tables: dict[str, Any] = tomllib.loads(next(read_text(path, LARGEST) for path in paths if path.is_file()))
         nodes = tables.get("nodes", {"sensor": {}, "actuator": {}})
         (controller,) = (node for node, role in nodes.items() if role.get("controls")) if "nodes" in tables else ("",)
         return [node for node, role in nodes.items() if controller not in (node, role.get("site"))]
-    except (StopIteration, OSError, ValueError, AttributeError):  # a file that is not a problem has no links
+    except (
+        StopIteration,
+        OSError,
+        ValueError,
+        AttributeError,
+        RecursionError,
+    ):  # a file that is not a problem has no links
         return ()

@@ -13,6 +13,7 @@ import numpy as np
 
 from taciturn._arrays import Array, pushed, symmetrised
 from taciturn._growth import growth, normal_moments
+from taciturn._progress import check_time
 from taciturn.errors import ProblemError
 
 Fate: TypeAlias = tuple[float, Array, Array]
@@ -37,6 +38,7 @@ def least_value(F: Array, M: Array) -> tuple[Array, float]:
     P, step = M, F
     size = float(np.abs(P).max(initial=0.0))
     for _ in range(DOUBLINGS):
+        check_time()
         added = symmetrised(step.T @ P @ step)
         P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
         if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
@@ -86,6 +88,7 @@ def lossy(cycle: Cycle, turns: Array) -> tuple[Array, float] | None:
                 before[here, other * d : (other + 1) * d] = turns[m, other] * mean
         step, value = before @ step, before @ value + stage
     for doubling in range(DOUBLINGS):
+        check_time()
         added = step @ value
         value = value + added
         largest = float(np.abs(value).max(initial=0.0))

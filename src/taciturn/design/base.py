@@ -25,6 +25,7 @@ import numpy as np
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import mode_text, radius
+from taciturn._progress import check_time
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
 from taciturn.model.losses import stationary
@@ -177,6 +178,7 @@ def critical_scale(base: Base, attempts: Attempts) -> float:
     else:
         return most
     while high - low > WIDTH * high:
+        check_time()
         middle = (low + high) / 2
         low, high = (middle, high) if repeated_value(base, attempts.scaled(middle)) is not None else (low, middle)
     return low

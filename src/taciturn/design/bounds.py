@@ -163,7 +163,9 @@ def bound_by_errors(problem: Discrete, base: float, errors: Mapping[str, ErrorGa
     )
 
 
-def bound_by_attempts(problem: Discrete, base: float, price: float, every: int, lossy: bool) -> Guarantee:
+def bound_by_attempts(
+    problem: Discrete, base: float, price: float, every: int, lossy: bool, lqg: bool = False
+) -> Guarantee:
     """Return the bound J ≤ J_b + δ(a_b − a) for attempts a of the policy and a_b of the base, both per step.
 
     Args:
@@ -172,10 +174,11 @@ def bound_by_attempts(problem: Discrete, base: float, price: float, every: int, 
         price: δ per step.
         every: steps between attempts of the base.
         lossy: whether the link drops packets.
+        lqg: whether the base is LQG, and not a given controller.
     """
     cost, word = problem.cost, "an attempt to send" if lossy else "a packet"
     name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {every}th step")
-    base_of = f"{name} the cost of this controller with {word} at {at}"
+    base_of = f"{name} the cost of {'LQG' if lqg else 'this controller'} with {word} at {at}"
     if cost.discount < 1:
         power = "α" if every == 1 else f"α^{every}"
         most = price / (1 - cost.discount**every)

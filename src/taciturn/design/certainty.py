@@ -9,7 +9,7 @@ the next state.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeAlias
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
+from taciturn._modes import radius
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
@@ -36,6 +37,8 @@ from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 Actuation: TypeAlias = Literal["hold", "model"]
 COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
+FASTER = 1e-6  # relative difference of two rates of decay that is no rounding
+AT_INSTANTS = "J and J_all at the sampling instants"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,6 +68,19 @@ class CertaintyEquivalentDesign(Displayed):
     def timed(self) -> bool:
         """True if the set-points change at known times, so that neither identity nor closed form holds."""
         return self.pull > 0
+
+    @property
+    def recovery(self) -> float | None:
+        """Time constant of regulator and filter without disturbances that decay more slowly; None if there are none.
+
+        A fault of a node does not change the disturbances, which are states of the problem.
+        """
+        p, source = self.problem, self.problem.source
+        if source is None or source.exosystem is None:
+            return None
+        plant = (p.plant.A + p.plant.B @ self.regulator.L)[: source.states, : source.states]
+        slowest = max(radius(plant), self.filter.slowest)
+        return 1 / (1 - slowest) if slowest < 1 - (1 + FASTER) / self.settling else None
 
     @property
     def corrections(self) -> Array:
@@ -149,6 +165,15 @@ def expect_average(kind: str, cost: Cost) -> None:
             )
 
 
+def expect_constant_set_points(kind: str, plant: Plant) -> None:
+    """Raise a ``ProblemError`` if the set-points of a plant change while the loop runs."""
+    if plant.changes is not None:
+        raise ProblemError(
+            f"the set-points change (reference.steps or file), which {kind} does not use; expected constant "
+            "set-points, or the kind excess or distributed"
+        )
+
+
 def control_steps(
     plant: Plant,
     estimation: FilterSteps,
@@ -222,7 +247,8 @@ def certainty_policy(
         notes: remarks that a reader of the results should know.
 
     If set-points change at known times, the error of the input is correlated with the changes. Then no identity holds,
-    and only a bound that allows for this, by ``pull``.
+    and only a bound that allows for this, by ``pull``. If the cost is that at the sampling instants, the statement of
+    the bound says so.
     """
     problem, fixed_rates = certainty.problem, fixed_rates or {}
     if certainty.timed:
@@ -230,6 +256,8 @@ def certainty_policy(
             closed_form, fixed_rates = None, {**closed_form.rates, **fixed_rates}
         identity, reset = None, None
         guarantee = guarantee if guarantee is not None and guarantee.pull else None
+    if problem.instants and guarantee is not None:
+        guarantee = replace(guarantee, statement=f"{guarantee.statement}; {AT_INSTANTS}")
     policy = Policy(
         kind=kind,
         steps=steps,
@@ -239,6 +267,7 @@ def certainty_policy(
             cost_all_time=problem.per_unit(certainty.cost_all_time),
             noise_cost=problem.noise_cost,
             settling=slower * certainty.settling,
+            recovery=None if certainty.recovery is None else slower * certainty.recovery,
             guarantee=guarantee,
             identity=identity,
             innovations=certainty.estimation.innovations,

@@ -16,13 +16,13 @@ import numpy as np
 from taciturn._arrays import choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
-from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, advantage
+from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
+from taciturn.design.routes import MEASURED, REGISTER, Actuation, actuator_base, nonempty, route_over
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
@@ -55,6 +55,7 @@ def keep_controller(
     network: Network,
     every: int,
     retry: bool = False,
+    lqg: Controller | None = None,
 ) -> Policy:
     """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller.
 
@@ -71,12 +72,14 @@ def keep_controller(
         network: the network; losses of the link must be acknowledged.
         every: q, the number of steps between packets of the base.
         retry: whether the node that decides attempts again in the step after a missing acknowledgement.
+        lqg: LQG with every sample as a controller, whose cost is J_all, if ``kept`` is LQG for these packets; default:
+            J_all is the cost of ``kept`` with every sample.
 
     Raises:
         ProblemError: the controller does not suit the plant, or the options do not suit each other.
         UnstableError: the base is unstable.
     """
-    loop = KeptLoop.of(plant, cost, period, kept)
+    loop = KeptLoop.of(plant, cost, period, kept, lqg is not None)
     problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
@@ -95,7 +98,7 @@ def keep_controller(
     route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, loop.point.start)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time = StepCounter.of(problem, every)
-    attempts = _attempts(problem, route, network, link, time, lossy)
+    attempts = _attempts(problem, route.base, network, link, time, lossy)
     found = advantage(route.base, loop.remedy, attempts)
     base = _cost(problem, found)
     price = price_at(base / problem.ticks)
@@ -127,7 +130,8 @@ def keep_controller(
     )
     alike = average and every == 1 and not lossy  # the base is the linear loop with every sample
     finite = found.fourth is None or found.fourth < 1
-    all_time = base if lossy or every == 1 else _with_every_sample(problem, route, loop.remedy)
+    alone_always = route.base if lqg is None else actuator_base(problem, lqg)
+    all_time = base if lossy or every == 1 else _with_every_sample(problem, alone_always, loop.remedy)
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
@@ -135,7 +139,7 @@ def keep_controller(
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
         recovery=recovery(route.base, plant, loop.disturbance, steady.slowest) if alike else None,
-        guarantee=bound_by_attempts(problem, base, price, every, lossy) if finite else None,
+        guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
@@ -164,13 +168,13 @@ def drops(network: Network, link: str) -> bool:
     return network.acknowledges(link) and network.loss(link) > 0
 
 
-def _attempts(problem: Discrete, route: Route, network: Network, link: str, time: StepCounter, lossy: bool) -> Attempts:
+def _attempts(problem: Discrete, base: Base, network: Network, link: str, time: StepCounter, lossy: bool) -> Attempts:
     """Return the attempts of the base, with the weight of the final state over a horizon."""
     turns, losses = network.chain(link) if lossy else (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses)
     key = network.lost(link)
     cost, terminal = problem.cost, None
     if cost.terminal is not None:
-        terminal = np.pad(cost.terminal, (0, len(route.base.Phi) - len(cost.terminal)))
+        terminal = np.pad(cost.terminal, (0, len(base.Phi) - len(cost.terminal)))
     return Attempts(time.pattern, turns, losses, cost.discount, terminal, key)
 
 
@@ -190,11 +194,11 @@ def _cost(problem: Discrete, found: Advantage) -> float:
     return found.cost + float(np.sum(P * moment))
 
 
-def _with_every_sample(problem: Discrete, route: Route, remedy: str) -> float:
-    """Return the cost of the same control with every sample."""
+def _with_every_sample(problem: Discrete, base: Base, remedy: str) -> float:
+    """Return the cost of a base with every sample."""
     always = StepCounter((True,) * (problem.cost.horizon or 1), (0,))
-    attempts = _attempts(problem, route, Network(), "actuator", always, False)
-    return _cost(problem, advantage(route.base, remedy, attempts))
+    attempts = _attempts(problem, base, Network(), "actuator", always, False)
+    return _cost(problem, advantage(base, remedy, attempts))
 
 
 def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: float) -> tuple[tuple[Step, ...], Form]:

@@ -27,6 +27,8 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy, Step
 from taciturn.model.theory import ErrorGain, Theory
 
+MORE_PACKETS = "send more packets, or let a model predict the input between them (actuation)"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KeptLoop(Displayed):
@@ -38,6 +40,7 @@ class KeptLoop(Displayed):
         problem: the discrete-time problem of the deviations, with the slow disturbance.
         point: the point at which the loop rests.
         disturbance: the slow disturbance, or None.
+        lqg: whether the controller is LQG with the weights of the cost, and not one that a user has.
     """
 
     kept: Kept
@@ -45,20 +48,25 @@ class KeptLoop(Displayed):
     problem: Discrete
     point: Rest
     disturbance: Disturbance | None
+    lqg: bool = False
 
     @staticmethod
-    def of(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept) -> KeptLoop:
+    def of(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, lqg: bool = False) -> KeptLoop:
         """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
         if plant.exosystem is not None:
+            ideal = "link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
+            who, expected = (
+                ("LQG with these options", f"the kind excess with {ideal}")
+                if lqg
+                else ("a given controller", f"its keys setpoint and disturbance, or LQG: the kind excess with {ideal}")
+            )
             raise ProblemError(
-                "the plant has disturbances or set-points, which a given controller and the options of excess do not "
-                "use; expected LQG with link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links, or "
-                "the keys setpoint and disturbance of the controller"
+                f"the plant has disturbances or set-points, which {who} does not use; expected {expected}"
             )
         kept = relative_to(kept, plant)
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
         point = rest_of(problem, controller)
-        return KeptLoop(kept, controller, point.deviations(problem), point, disturbance)
+        return KeptLoop(kept, controller, point.deviations(problem), point, disturbance, lqg)
 
     def carried_out(self, policy: Policy) -> Policy:
         """Return a policy with the start of the controller and with the limits of the inputs."""
@@ -67,7 +75,7 @@ class KeptLoop(Displayed):
     @cached_property
     def remedy(self) -> str:
         """The remedy if the loop is unstable."""
-        return remedy_of(self.problem, self.controller)
+        return MORE_PACKETS if self.lqg else remedy_of(self.problem, self.controller)
 
     def every_sample(self) -> Base:
         """Return the loop that sends every sample.
@@ -94,7 +102,7 @@ class KeptLoop(Displayed):
 
     def beside_lqg(self, all_time: float) -> list[str]:
         """Return a remark on the cost of LQG, given that of the controller per step, both with every sample."""
-        if self.cost_lqg is None:
+        if self.cost_lqg is None or self.lqg:
             return []
         cost, noise = self.problem.per_unit(all_time), self.problem.per_unit(0.0)
         if abs(self.cost_lqg - cost) <= 1e-9 * cost:

@@ -26,6 +26,7 @@ AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
 Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
+FollowedClass = Literal["constant", "changing"]
 REPAIR = "; expected a policy of this kind, or a ProblemError: repair or remove the package"
 ANY_PLANT: tuple[PlantClass, ...] = ("discrete", "continuous", "outputs", "jumps")
 
@@ -70,6 +71,8 @@ class Kind(Displayed):
         plants: properties that the plant may have: ``"discrete"`` or ``"continuous"`` time, ``"outputs"`` with noise
             instead of a measured state, and ``"jumps"``.
         costs: the costs that the design supports: an ``"average"``, a finite ``"horizon"``, a ``"discount"``.
+        follows: the set-points of a plant that the design supports: ``"constant"`` ones, which include disturbances,
+            and ``"changing"`` ones, at random times or by a timetable. A given controller states its own.
         proved: the proved result, in Markdown.
         relative_to: the control whose cost the bound refers to, in Markdown.
         refused: further conditions under which the design refuses a problem, in Markdown.
@@ -102,6 +105,7 @@ class Kind(Displayed):
     nodes: str = "S+C, A"
     plants: tuple[PlantClass, ...] = ANY_PLANT
     costs: tuple[CostClass, ...] = ("average",)
+    follows: tuple[FollowedClass, ...] = ("constant", "changing")
     proved: str = "no bound"
     relative_to: str = "—"
     refused: str = ""

@@ -19,6 +19,7 @@ from taciturn.lqg.regulation import beyond_limits
 from taciturn.model.controller import Controller
 from taciturn.model.coordinates import about
 from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import assigned
 
@@ -56,9 +57,10 @@ class Rest(Displayed):
 
     def begun(self, policy: Policy) -> Policy:
         """Return a policy whose memories of the input start with the input before the start."""
-        names = {name for step in policy.steps for name in assigned(step)} & {HELD, "command", "input"}
         if not self.before.any():
             return policy
+        signals = {name for step in policy.steps for name in assigned(step)}
+        names = [name for name in ("command", HELD, "input") if name in signals]  # fingerprints contain their order
         return replace(policy, initial={**dict.fromkeys(names, self.before), **policy.initial})
 
 
@@ -89,9 +91,22 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
         rest = rest + controller.rest
     start, before = -rest, -steady
     if controller.start_input is not None:
+        _expect_within_limits(plant, controller.start_input)
         before = controller.start_input - steady
         start = _bumpless(controller, plant.C @ plant.mean - r, before)
     return Rest(state, steady, start, before)
+
+
+def _expect_within_limits(plant: Plant, start_input: Array) -> None:
+    """Raise a ``ProblemError`` if an actuator cannot have applied the stated input before the start."""
+    limit, point = plant.input_limit, plant.operating_point
+    if limit is None or ((start_input >= limit[:, 0]) & (start_input <= limit[:, 1])).all():
+        return
+    units = np.zeros(len(start_input)) if point is None else point.u
+    raise ProblemError(
+        f"start_input is {(start_input + units).tolist()}, beyond the input_limit {(limit + units[:, None]).tolist()}; "
+        "expected an input within the limits, as the plant had it before the start"
+    )
 
 
 def _bumpless(c: Controller, error: Array, command: Array) -> Array:

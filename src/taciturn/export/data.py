@@ -5,13 +5,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from taciturn._display import Displayed
+from taciturn.model.intervals import longest_silence
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.places import wire_links
@@ -19,11 +20,11 @@ from taciturn.model.policy import Policy
 from taciturn.model.wire import CODES, FULL_SCALE, KINDS, SETPOINT, Encoding, PacketKind
 from taciturn.program.c import CONSTANTS, REAL, c_literal, constant_array
 from taciturn.program.draws import seed_generators
-from taciturn.program.layout import Layout, first_inputs
+from taciturn.program.layout import Arrival, Layout, first_inputs
 from taciturn.program.node import NodeProgram
 from taciturn.program.ops import Precision
 
-FORMAT = 2  # version of the data, TAC_FORMAT of the core
+FORMAT = 3  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
@@ -55,7 +56,7 @@ class NodeData(Displayed):
     network: Network
     program: NodeProgram
     layout: Layout
-    constants: list[float]
+    constants: list[float] = field(hash=False)
     precision: Precision
     seed: int
 
@@ -114,11 +115,17 @@ class NodeData(Displayed):
         for one in layout.arrivals:
             kind, link = KINDS.index(one.kind), self._links.index(one.link)
             found += struct.pack(">6BH", kind, link, one.lag, one.part, one.size, one.acknowledged, one.at)
+            found += struct.pack(">I", self._interval(one))
         for one in layout.departures:
             found += struct.pack(">BBH", self._links.index(one.link), one.size, one.at)
         for place in self.program.clocks:
             found += np.array([*place.table, place.period, place.initial], dtype=">u2").tobytes()
         return zlib.crc32(found + self._bytes(self._start) + self._bytes(self.constants))
+
+    def _interval(self, one: Arrival) -> int:
+        """Return the largest number of steps between packets, or 0 if it is not known or beyond the type of C."""
+        steps = longest_silence(self.network, one.link) if one.kind == "data" else None
+        return steps if steps is not None and steps <= UINT32_MAX else 0
 
     def arrays(self) -> list[str]:
         """Return the arrays to which the node's data point."""
@@ -135,7 +142,7 @@ class NodeData(Displayed):
         )  # fmt: skip
         channels = [
             f"{{{_KIND[one.kind]}, {link_code(self.policy, one.link)}, {one.lag}u, {one.part}u, {one.size}u, "
-            f"{_truth(one.acknowledged)}, {one.at}u}}"
+            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u}}"
             for one in layout.arrivals
         ]
         sends = [f"{{{link_code(self.policy, one.link)}, {one.size}u, {one.at}u}}" for one in layout.departures]

@@ -274,7 +274,7 @@ def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -
     """Return a C header with the token of the unit, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
         mark=GENERATED_BY, token=token, stamp=digest[:16], tick=c_literal(tick_length(loop), "float64"),
-        measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
+        measured=loop.policy.model.outputs, sensed=loop.policy.model.sensed, applied=loop.policy.model.inputs,
         references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in references(loop).items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),
         memory="\n".join(f"  {node.name} {node.name};" for node in nodes),
@@ -302,7 +302,8 @@ _DATA = """{mark}: the data of a unit. Do not edit. */
 #define FMU_TOKEN "{token}"
 #define FMU_STAMP UINT64_C(0x{stamp})
 #define FMU_TICK {tick}    /* seconds */
-#define FMU_MEASURED {measured}
+#define FMU_SENSED {sensed}     /* measurements of the plant */
+#define FMU_MEASURED {measured} /* with the set-points after them */
 #define FMU_APPLIED {applied}
 
 /* value references; for an array, the reference of the first entry */

@@ -20,8 +20,18 @@ from taciturn.export.library import named, print_library
 from taciturn.export.node import EXPORTED, CNode, CoreSizes, identifier, print_node, table
 from taciturn.export.vector import RecordedRun, record_loop
 from taciturn.loop import Loop
-from taciturn.model.places import inputs_at, outputs_at, place_of, receiver_of, roles, sender_of, wire_links
+from taciturn.model.places import (
+    inputs_at,
+    outputs_at,
+    place_of,
+    plant_links,
+    receiver_of,
+    roles,
+    sender_of,
+    wire_links,
+)
 from taciturn.model.policy import Send
+from taciturn.model.wire import SETPOINT
 from taciturn.program.c import REAL, c_literal, constant_array
 
 CORE_SOURCES = tuple(
@@ -238,6 +248,11 @@ def _print_readme(
             f"{wire_links(loop.policy).index(link)}: from `{sender_of(loop.policy, link)}` to "
             f"`{receiver_of(loop.policy, link)}`"
             for link in dict.fromkeys(step.link for step in loop.policy.steps if isinstance(step, Send))
+        )
+        + "".join(
+            f", {wire_links(loop.policy).index(link)}: set-points to `{ends.measures}`"
+            for link, ends in plant_links(loop.policy).items()
+            if link == SETPOINT
         ),
         mission="" if horizon is None else _MISSION.format(horizon=horizon),
         snippets="\n".join(_snippet(loop, one) for one in nodes),
@@ -374,13 +389,15 @@ are the set-points of a controller, if they may change: `tac_receive` takes them
   must remain in memory.
 * `NODE_start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
 * `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
-  the measurement is not finite, or if more missed steps are left than one call executes (`tac_behind`, `TAC_CATCH_UP`).
+  the measurement is missing or beyond FLT_MAX, or if more missed steps are left than one call executes
+  (`tac_behind`, `TAC_CATCH_UP`).
 * A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it
   applies a safe input after `ticks` steps without a packet. Use `tac_mark_after(node, ticks)` at the sender, with a
-  third of these steps, so that the watchdog does not expire while the policy is silent. `tac_silent(node)` returns
-  whether it has expired. `tac_expire(node)` lets it expire while no step begins.
+  third of these steps, so that the watchdog does not expire while the policy is silent. Each link has its own watchdog:
+  `tac_silent_on(node, link)` returns whether it has expired, which degrades the node, and `tac_silent(node)` whether
+  those of all links have expired. `tac_expire(node)` lets all expire while no step begins.
 {mission}
 Compile with `-ffp-contract=off`, and without `-ffast-math` or any part of it. Two policies on one device share the
 core; compile it with the larger sizes of their two `taciturn_config.h`.

@@ -16,7 +16,7 @@ from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import place_of, wire_links
 from taciturn.model.policy import Policy
-from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
+from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, SETPOINT, TAG_SIZE
 from taciturn.program.c import ROOT, print_c, print_root
 from taciturn.program.ir import Program
 from taciturn.program.layout import Layout, lay_out
@@ -144,9 +144,12 @@ def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: 
 
 
 def core_links(policy: Policy) -> int:
-    """Return the largest number of a link between the nodes of a policy, plus one."""
+    """Return the largest number of a link on which a node receives or sends packets with proofs, plus one.
+
+    These are the links between nodes and the link of set-points. Measurements and inputs do not pass through the core.
+    """
     codes = wire_links(policy)
-    return 1 + max([codes.index(link) for link in policy.network.links], default=0)
+    return 1 + max([codes.index(link) for link in (*policy.network.links, SETPOINT) if link in codes], default=0)
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,7 +157,7 @@ class CoreSizes(Displayed):
     """The sizes for which the core is compiled.
 
     Args:
-        links: largest number of a link between nodes, plus one.
+        links: size of the tables by link (``core_links``).
         values: entries of the largest packet.
         datagram: bytes of the largest datagram, with its tag.
         waiting: early packets of each link that a node stores, a power of two.
@@ -205,7 +208,7 @@ _CONFIG = """{mark}
 #define TACITURN_CONFIG_H
 
 #define TAC_FLOAT32 {single}    /* 1: numbers are floats */
-#define TAC_LINKS {links}      /* links between nodes have smaller numbers */
+#define TAC_LINKS {links}      /* links on which nodes receive or send have smaller numbers */
 #define TAC_VALUES {values}     /* numbers in the largest packet */
 #define TAC_DATAGRAM {datagram}   /* bytes of the largest datagram, with its tag */
 #define TAC_WAITING {waiting}    /* buffered early packets of each link, a power of two */

@@ -9,6 +9,7 @@ from typing import TypeVar, TypeVarTuple, cast
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import check_time
 
 MOST = 16  # most results in the cache of a function
 
@@ -30,6 +31,7 @@ def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
 
     @wraps(solve)
     def found(*args: *Ts) -> T:
+        check_time()  # every design and every search for periodic control solves such equations
         given = cast("tuple[Array | float, ...]", args)
         return of_bits(*((one.shape, one.tobytes()) if isinstance(one, np.ndarray) else one for one in given))
 

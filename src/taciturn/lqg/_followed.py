@@ -6,6 +6,10 @@ Let d⁺ = Sd be such states, and x⁺ = Ax + Bu + Ed the others. If x = Xd and 
 
 then the deviations x − Xd and u − Ud have the dynamics and the cost of the problem without d. The regulator of this
 problem is u = L(x − Xd) + Ud, and its cost-to-go (x − Xd)'K(x − Xd), also if d never decays.
+
+A disturbance that decays may be among the states x if an input cannot cancel its effect, such as its movement between
+samples. It may move d, d⁺ = Sd + Dx, if it stays at rest where x = Xd; then D X = 0, and the deviations have the
+dynamics A − XD.
 """
 
 from __future__ import annotations
@@ -18,12 +22,14 @@ import numpy as np
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, eigenvalues, reach
+from taciturn.errors import ProblemError
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._worth import closure, paths
 
 FORGETS = 24  # 2^24 steps after which noise without a remaining effect is forgotten
 ROUNDS = 1e-12  # entry of X or U, relative to the largest, that counts as zero
 CANCELS = 1e-9  # relative residual of the equations for X and U
+EXACTLY = 1e-13  # relative cost left that is rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,12 +124,15 @@ class Followed(Displayed):
 def followed(given: Quadratic) -> Followed | None:
     """Return the deviations from what costs nothing, or None if no state needs them or an input cannot cancel it."""
     free = ~closure((given.B != 0).any(axis=1), np.asarray(given.A != 0, dtype=np.bool_))
-    tried = [free] if np.array_equal(free, lasting := _lasting(given.A, free)) else [free, lasting]
-    return next((found for states in tried if (found := _cancelled(given, states)) is not None), None)
+    others = [states for states in _lasting(given.A, free) if not np.array_equal(states, free)]
+    # states that decay slowly cost little between samples; if the others suffice, no cost is left out
+    tried = [(free, EXACTLY), *((states, CANCELS) for states in others)] if others else []
+    tried.append((free, CANCELS))
+    return next((found for states, left in tried if (found := _cancelled(given, states, left)) is not None), None)
 
 
-def _cancelled(given: Quadratic, states: Bits) -> Followed | None:
-    """Return the deviations if an input can cancel the effect of some states."""
+def _cancelled(given: Quadratic, states: Bits, most: float) -> Followed | None:
+    """Return the deviations if an input can cancel the effect of some states, but for a relative cost of ``most``."""
     if not states.any() or states.all():
         return None
     size, unit = reach(given.A, given.B)  # so that the result does not depend on the units
@@ -134,31 +143,40 @@ def _cancelled(given: Quadratic, states: Bits) -> Followed | None:
     d: list[int] = np.flatnonzero(states).tolist()
     n, q, m = len(x), len(d), B.shape[1]
     order = [*x, *range(len(A), len(A) + m)]
-    cost, push, none = M[np.ix_(order, order)] / largest, M[np.ix_(order, d)] / largest, M[np.ix_(d, d)] / largest
+    cost, push, none = (M[np.ix_(*place)] / largest for place in ((order, order), (order, d), (d, d)))
     S, E, same = A[np.ix_(d, d)], A[np.ix_(x, d)], np.eye(q)
     # A X + B U − X S = −E, and the derivatives of the cost with respect to x and u are zero
     moves = np.hstack([np.kron(same, A[np.ix_(x, x)]) - np.kron(S.T, np.eye(n)), np.kron(same, B[x])])
     costs = np.hstack([np.kron(same, cost[:, :n]), np.kron(same, cost[:, n:])])
     matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise ProblemError(
+            "the effects of disturbances or set-points on each other differ by a factor beyond the range of numbers; "
+            "expected effects nearer to 1, such as a faster or a constant disturbance"
+        )
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     found[np.abs(found) < ROUNDS * np.abs(found).max(initial=0.0)] = 0.0
     if not found.any():  # they have no effect
         return None
     rest = np.vstack([found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T])
     left = none + rest.T @ push + push.T @ rest + rest.T @ cost @ rest
-    limit = CANCELS * max(1.0, float(np.abs(found).max()))
-    if np.abs(matrix @ found - right).max() > limit or np.abs(left).max() > limit:
+    most_needed = max(1.0, float(np.abs(found).max()))
+    beside = A[np.ix_(d, x)] @ rest[:n]
+    residual = max(float(np.abs(part).max(initial=0.0)) for part in (matrix @ found - right, beside))
+    if residual > CANCELS * most_needed or np.abs(left).max() > most * most_needed:
         return None
     T, U = np.eye(len(A)), np.zeros((m, len(A)))
     T[np.ix_(x, d)], U[:, d] = -rest[:n] * size[x, None] / size[d], rest[n:] * unit[:, None] / size[d]
     keep, both = np.outer(~states, ~states), np.outer(states, states)
     A, B, Q, R, N = given
-    problem = Quadratic(np.where(keep | both, A, 0.0), B, np.where(keep, Q, 0.0), R, np.where(states[:, None], 0.0, N))
+    A = np.where(keep | both, A, 0.0)
+    A[np.ix_(x, x)] += T[np.ix_(x, d)] @ given.A[np.ix_(d, x)]
+    problem = Quadratic(A, B, np.where(keep, Q, 0.0), R, np.where(states[:, None], 0.0, N))
     return Followed(states, T, U, problem)
 
 
-def _lasting(A: Array, free: Bits) -> Bits:
-    """Return the states that no input moves and that do not decay, with those of them that affect each other."""
+def _lasting(A: Array, free: Bits) -> tuple[Bits, Bits]:
+    """Return the states that no input moves and that do not decay, with those that affect each other, and alone."""
     leads = paths(np.asarray(A != 0, dtype=np.bool_).T)
     found, left = np.zeros_like(free), free.copy()
     while left.any():
@@ -168,4 +186,4 @@ def _lasting(A: Array, free: Bits) -> Bits:
         if np.abs(eigenvalues(A[np.ix_(cycle, cycle)])).max() >= 1 - SCATTER:
             found = found | cycle
     between = leads[:, found].any(axis=1) | leads[found].any(axis=0)
-    return np.asarray(found | (free & between), dtype=np.bool_) if found.any() else found
+    return np.asarray(found | (free & between), dtype=np.bool_) if found.any() else found, found

@@ -26,6 +26,11 @@ from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 from taciturn.model.saturation import limit_entries
 
+INSTANTS = (
+    "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
+    "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
+    "at the sampling instants; nothing is claimed for the integral, or for another period"
+)
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
 
@@ -44,6 +49,8 @@ class Discrete(Displayed):
         prediction: the model of an actuator that predicts, or None; the input of ``plant`` is the state of this model.
         source: the plant before it was sampled.
         rest: the state and input from which the cost counts deviations; None for zero.
+        instants: whether the cost is that of the deviations at the sampling instants, because disturbances let the
+            integral of the cost grow without limit; otherwise it is the integral, or a sum over the steps.
     """
 
     plant: Plant
@@ -58,11 +65,12 @@ class Discrete(Displayed):
     prediction: Prediction | None = None
     source: Plant | ContinuousPlant | None = None
     rest: OperatingPoint | None = None
+    instants: bool = False
 
     def summary(self) -> Mapping[str, object]:
         """Return the fields by name, with the number of inputs of the plant before it was sampled."""
         shown = {**super().summary(), "plant": self.short()}
-        return {name: value for name, value in shown.items() if name not in ("source", "rest")}
+        return {name: value for name, value in shown.items() if name not in ("source", "rest", "instants")}
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
@@ -120,6 +128,11 @@ class Discrete(Displayed):
     def gaussian(self) -> bool:
         """True if all noise is Gaussian: the plant has no jumps, and no set-points that change."""
         return self.jumps is None and self.plant.changes is None
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A remark on what the cost counts, if it is not the integral of the stage cost."""
+        return (INSTANTS,) if self.instants else ()
 
     @property
     def ticks(self) -> float:
@@ -233,6 +246,8 @@ def _with_exosystem(
         "the cost is discounted; expected an average cost": cost.discount < 1,
         "the full state is measured without noise; expected C and V": plant.full_state,
         "the actuator predicts between sampling instants; expected a held input": prediction is not None,
+        "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
+        and plant.jumps is not None,
     }
     for got in (got for got, given in refused.items() if given):
         raise ProblemError(f"disturbances or set-points are given, and {got}")

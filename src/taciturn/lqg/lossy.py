@@ -14,6 +14,7 @@ from taciturn import _scipy
 from taciturn._arrays import Array, Bits, frozen, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
+from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, rounding_floor, units_of
@@ -191,6 +192,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         L = axes.gain(_stabilising(A, B, channel))
     previous = gap = np.inf
     for _ in range(TURNS):
+        check_time()
         try:
             K, P = _cost_of(here, L, channel)
         except np.linalg.LinAlgError:  # so close to the critical losses that the cost of the gain cannot be computed
@@ -313,6 +315,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     free = Quadratic(A_u, B_u, np.eye(count), np.zeros((m, m)), np.zeros((count, m)))
     rate, slack = mean_square_rate(A_u, B_u, L, channel), 1.0
     while rate > NILPOTENT and slack > STRICT:
+        check_time()
         try:
             K, P = _cost_of(free, L, channel, rate * (1 + slack))
         except np.linalg.LinAlgError:  # the discount equals the growth up to rounding

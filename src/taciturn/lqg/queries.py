@@ -11,6 +11,7 @@ import numpy as np
 from taciturn._arrays import Array, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import radius, summed
+from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._flow import riccati_flow
@@ -195,6 +196,7 @@ class QueryValue:
         largest = float(np.trace(prices, axis1=-2, axis2=-1).max(initial=0.0))
         total, factor = 0.0, alpha
         for s in range(LONGEST if horizon is None else len(prices)):
+            check_time()
             if s % 64 == 0:
                 self._count(64 * STEP, 10 * 64)
             P = prices[0 if horizon is None else s]
@@ -246,6 +248,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     predictor, horizon = Predictor(plant), weights.horizon
     worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
     for tick in range(horizon or LONGEST):
+        check_time()
         value.append(worth(covariance[-1], tick))
         covariance.append(predictor.follow(covariance[-1], value[-1] > price))
         cycle = None if horizon is not None else cycle_of(predictor, covariance)
@@ -277,6 +280,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     """
     predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
     for _ in range((horizon or LONGEST) - 1):
+        check_time()
         covariance.append(predictor.follow(covariance[-1], True))
         if horizon is None:
             cycle = cycle_of(predictor, covariance)

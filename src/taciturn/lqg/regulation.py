@@ -1,4 +1,15 @@
-"""Regulator equations: the states and inputs for which an output does not react to disturbances and set-points."""
+"""Regulator equations: the states and inputs for which an output does not react to disturbances and set-points.
+
+The cost counts the deviations ξ = x − Xd and μ = u − Ud from them. Between the samples of a continuous plant, the
+disturbance moves on and the input is held, so μ moves too:
+
+    dξ = (Aξ + Bμ) dt + w − X w_d,   dμ = −U S d dt − U w_d,   dd = S d dt + w_d,
+
+and the cost of a period is the integral of the stage cost over this path (``sample_moving``). If a disturbance that
+does not decay changes Ud between samples (U S d ≠ 0: a sinusoid, or a ramp that the input must follow), its ripple
+costs d'(…)d, which grows without limit, so the integral has no average. The cost is then that of the deviations at the
+sampling instants, Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant and without noise between samples.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +17,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
-from taciturn._modes import eigenvalues, lost_modes, reach
+from taciturn._arrays import Array, block_diagonal, symmetrised
+from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
+from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
+from taciturn.lqg._worth import paths
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.sampling import sample
+from taciturn.lqg.sampling import Sampled, sample, sample_moving
 from taciturn.model.coordinates import counted_from
+from taciturn.model.cost import Cost
 from taciturn.model.disturbed import DisturbedDynamics
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
@@ -21,7 +35,10 @@ from taciturn.model.set_points import Timetable
 
 SOLVED = 1e-9  # relative residual of the equations
 BEYOND = 1e-9  # rounding of an input at its limit
+CRUMB = 1e-13  # entry of X or U, relative to the largest for the same state of d, that is a rounding error
 FREE = 1e-10  # relative singular value below which a direction is free
+ROUNDS = 1e-12  # entry of U, relative to the largest of its input, that counts as zero
+STILL = 1e-9  # relative rate of change of an input that counts as zero
 
 
 def regulator_equations(
@@ -78,13 +95,57 @@ def regulator_equations(
     if free.shape[1]:
         found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
     X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
+    both = np.asarray(np.vstack([X, U]), dtype=np.float64)
+    least = CRUMB * _sizes(both, S)
+    X, U = (np.where(np.abs(part) > least, part, 0.0) for part in (X, U))  # the cost has no weight on crumbs of d
     return X * state[:, None], U * unit[:, None]
+
+
+def _sizes(found: Array, S: Array) -> Array:
+    """Return the largest effect of the states of each disturbance, in the units of each of its states, (q,)."""
+    unit = balancing(S)
+    together = paths(np.asarray((S != 0) | (S.T != 0), dtype=np.bool_))
+    largest = np.abs(found * unit).max(axis=0, initial=0.0)
+    return np.where(together, largest, 0.0).max(axis=1, initial=0.0) / unit
+
+
+def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
+    """Return whether the integral of the cost has an average, with an input that is held between samples.
+
+    It has none if a disturbance that does not decay changes the input Ud that it needs between samples. The sums over
+    the steps of a discrete plant always have one.
+
+    Args:
+        plant: the plant, with its disturbances and set-points.
+        cost: the cost per second.
+    """
+    e = plant.exosystem
+    if e is None or isinstance(plant, Plant):
+        return True
+    return _is_still(_equations(plant, e, cost)[1], e.S)
+
+
+def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array, Array]:
+    """Return X and U of the plant in continuous time, which do not depend on the sampling period."""
+    weights = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
+    return regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
+
+
+def _is_still(U: Array, S: Array) -> bool:
+    """Return whether the modes of d that do not decay leave Ud at rest, so that U S d is zero or decays."""
+    U = np.where(np.abs(U) > ROUNDS * np.abs(U).max(axis=1, keepdims=True, initial=0.0), U, 0.0)
+    moved = U @ S
+    moved = np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
+    seen = invariant(unit_columns(moved.T), [S.T])
+    rates = eigenvalues(seen.T @ S.T @ seen).real
+    return not (rates > -SCATTER * pace(S)).any()
 
 
 def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
     """Return the problem of a plant with its disturbances and set-points: its states are (x, d), its cost deviations.
 
-    The cost is (x − Xd)'Q(x − Xd) + (u − Ud)'R(u − Ud) + 2(x − Xd)'N(u − Ud), with X and U of the regulator equations.
+    The cost of a discrete plant is (x − Xd)'Q(x − Xd) + (u − Ud)'R(u − Ud) + 2(x − Xd)'N(u − Ud), with X and U of the
+    regulator equations; that of a continuous plant is the integral of these deviations over a period.
 
     Args:
         base: the problem without them.
@@ -95,8 +156,9 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     n, q, m = plant.states, len(e.S), plant.inputs
     A = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
     W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
-    B, noise_cost = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost
+    B, noise_cost, instants = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost, False
     weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
+    stage = np.insert(np.insert(weights, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
     changes = None if e.changes is None else e.changes.sampled(base.tick)
     given = 0 if changes is None else changes.size  # the controller is given the last states
     if isinstance(source, ContinuousPlant):
@@ -109,20 +171,24 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
             )
         none = np.zeros((n + q, n + q))
         sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
-        X, U = regulator_equations(plant.A, plant.B, sampled.A[n:, n:], sampled.A[:n, n:], e.outputs, e.F, weights)
-        T = np.hstack([np.eye(n), -X])
-        T[:, n + q - given :] = 0.0  # set-points do not change between sampling instants
-        cost = base.cost
-        noise_cost = sample(source.A, source.B, cost.Q, cost.R, cost.N, T @ W @ T.T, base.tick).noise_cost
+        X, U = _equations(source, e, base.cost)
+        instants = not _is_still(U, e.S)
+        if instants:
+            X, U = regulator_equations(plant.A, plant.B, sampled.A[n:, n:], sampled.A[:n, n:], e.outputs, e.F, weights)
+            noise_cost = 0.0
+        else:
+            within = _within_a_period(source, e, base.cost, X, U, given, base.tick)
+            noise_cost = within.noise_cost
+            stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
         A, W = sampled.A, sampled.W
     else:
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(A, seen, n, e)
-    deviation = np.block([[np.eye(n), -X, np.zeros((n, m))], [np.zeros((m, n)), -U, np.eye(m)]])
-    whole = symmetrised(deviation.T @ weights @ deviation)
-    states = n + q
+    deviation = np.eye(n + q + m)
+    deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
+    whole = symmetrised(deviation.T @ stage @ deviation)
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
@@ -139,9 +205,40 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     if isinstance(source, Plant):
         object.__setattr__(with_all, "alone", source)
     return replace(
-        base, plant=with_all, Q=whole[:states, :states], N=whole[:states, states:], noise_cost=noise_cost,
-        source=source,
+        base, plant=with_all, Q=whole[: n + q, : n + q], N=whole[: n + q, n + q :], noise_cost=noise_cost,
+        source=source, instants=instants,
     )  # fmt: skip
+
+
+def _within_a_period(
+    plant: ContinuousPlant, e: Exosystem, cost: Cost, X: Array, U: Array, given: int, period: float
+) -> Sampled:
+    """Return the problem of the deviations (ξ, d) with the input μ over a period; only its weights and cost are used.
+
+    Args:
+        plant: the plant.
+        e: its disturbances and set-points.
+        cost: the cost per second.
+        X, U: the states and inputs from which the deviations count.
+        given: number of set-points, the last states of d, that change; they do so at sampling instants only.
+        period: seconds.
+    """
+    (n, m), q = plant.B.shape, len(e.S)
+    rest = np.zeros((q, q))
+    moves = np.where(np.arange(q) < q - given, e.W, 0.0)
+    moves[q - given :] = 0.0
+    noise = np.vstack([-X, np.eye(q), -U])
+    W = symmetrised(noise @ moves @ noise.T + block_diagonal(plant.W, np.zeros((q + m, q + m))))
+    return sample_moving(
+        block_diagonal(plant.A, e.S),
+        np.vstack([plant.B, np.zeros((q, m))]),
+        block_diagonal(cost.Q, rest),
+        cost.R,
+        np.vstack([cost.N, np.zeros((q, m))]),
+        W,
+        np.hstack([np.zeros((m, n)), -U @ e.S]),
+        period,
+    )
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:

@@ -266,13 +266,13 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
 
     A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
     """
+    change = followed(Quadratic(A, B, Q, R, N))
+    if change is not None:  # first: such states may have modes on the unit circle, and a cost that is only rounding
+        inner = regulate_checked(*change.problem, unit)
+        K, error = (_arrays.frozen(change.weight(part)) for part in (inner.K, inner.error))
+        return Regulator(K, _arrays.frozen(change.gain(inner.L)), inner.H, error, inner.slowest)
     found = _dare.solve(A, B, Q, R, N)
     if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
-        change = followed(Quadratic(A, B, Q, R, N))
-        if change is not None:
-            inner = regulate_checked(*change.problem, unit)
-            K, error = (_arrays.frozen(change.weight(part)) for part in (inner.K, inner.error))
-            return Regulator(K, _arrays.frozen(change.gain(inner.L)), inner.H, error, inner.slowest)
         seen = Quadratic(A, B, Q, R, N).among(_dare.worth(A, B, Q, R, N).states)
         lost = lost_modes(seen.A, seen.B, False)
         _refuse_unmoved(lost / unit, _disc(unit), np.abs(np.abs(lost) - 1) <= SCATTER, _disc(unit))

@@ -11,7 +11,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._interval import Interval, Sampled, integrate_interval, repeat, split
 
-__all__ = ["Sampled", "sample", "sample_prediction"]
+__all__ = ["Sampled", "sample", "sample_moving", "sample_prediction"]
 
 LONG = 1e4  # period, in time constants of the fastest mode, from which on the result is checked by a second computation
 
@@ -52,13 +52,48 @@ def sample(
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
-    F = np.block([[A, B], [np.zeros((m, n + m))]])
-    M = np.block([[Q, N], [N.T, R]])
     period = _arrays.number("period", period, 0.0)
-    scale = balancing(A)
-    reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
-    units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
-    return split(_integrated(F, M, _padded(W, m), period, units), n)
+    return _sampled(A, B, np.block([[Q, N], [N.T, R]]), _padded(W, m), np.zeros((m, n)), balancing(A), period)
+
+
+def sample_moving(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, moved: ArrayLike, period: float
+) -> Sampled:
+    """Return the discrete-time LQ problem of a continuous-time problem whose input moves between samples by itself.
+
+    [dx; du] = ([Ax + Bu; Dx])dt + noise of intensity W, from the input u at the start of the period. Weights and
+    noise_cost are those of :func:`sample`, with F = [[A, B], [D, 0]]. Such an input is the deviation u − Ud of a held
+    input from what a disturbance d needs at each instant.
+
+    Args:
+        A: (n, n) dynamics, per unit of time.
+        B: (n, m) input matrix, per unit of time.
+        Q: (n, n) symmetric state weight, per unit of time.
+        R: (m, m) symmetric input weight, per unit of time.
+        N: (n, m) cross weight, per unit of time.
+        W: (n + m, n + m) semidefinite intensity of the noise of states and inputs.
+        moved: D, (m, n), how the states move the inputs, per unit of time.
+        period: h > 0, in the same unit of time.
+
+    Returns:
+        The sampled problem, exact to rounding.
+
+    Raises:
+        ProblemError: data of the wrong shape or range, or the state overflows within a period.
+
+    Source: vanloan1978
+
+    Example:
+        >>> found = sample_moving([[0]], [[1]], [[1]], [[1]], [[0]], [[0, 0], [0, 1]], [[0]], 1.0)
+        >>> round(found.noise_cost * 12, 12)  # ∫ Var u dt = 1/2, and ∫ Var x dt = ∫ t³/3 dt = 1/12
+        7.0
+    """
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
+    n, m = B.shape
+    W = _arrays.semidefinite("W", W, n + m, "(states + inputs) × (states + inputs)")
+    D = _arrays.array("moved", moved, (m, n), "inputs × states")
+    period, scale = _arrays.number("period", period, 0.0), balancing(A)
+    return _sampled(A, B, np.block([[Q, N], [N.T, R]]), W, D, scale, period)
 
 
 def sample_prediction(
@@ -111,6 +146,13 @@ def sample_prediction(
     M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
     units = np.tile(balancing(A), 2)
     return split(_integrated(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)
+
+
+def _sampled(A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, period: float) -> Sampled:
+    """Return the problem of ẋ = Ax + Bu, u̇ = Dx with noise of intensity G, in the units ``scale`` of the states."""
+    reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
+    units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
+    return split(_integrated(np.block([[A, B], [D, np.zeros((len(D), len(D)))]]), M, G, period, units), len(A))
 
 
 def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, ArrayLike, array, choice, number, quoted
+from taciturn._arrays import Array, ArrayLike, array, choice, expect_unmasked, number, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
@@ -89,6 +89,7 @@ class Controller(Displayed):
         object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
         object.__setattr__(self, "disturbance", checked_disturbance("controller.disturbance", disturbance))
         for name, value, size in (("setpoint", setpoint, p), ("rest", rest, k)):
+            expect_unmasked(f"controller.{name}", value)
             found = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
             object.__setattr__(self, name, array(f"controller.{name}", found, (size,), f"({size},)"))
         found = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -90,7 +90,7 @@ class Link(Displayed):
     name: str
     sender: str
     receiver: str
-    payload: Mapping[str, int]
+    payload: Mapping[str, int] = field(hash=False)
     when: When
     decision: str | None = None
     labels: tuple[str, ...] = ()

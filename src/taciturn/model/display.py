@@ -58,9 +58,18 @@ class DisplayedPlant(Displayed):
     @property
     def unlimited(self) -> Self:
         """The plant without limits of its inputs."""
+        return self._without("input_limit", "input_rate")
+
+    @property
+    def linear(self) -> Self:
+        """The plant of the design: linear, and without limits of its inputs."""
+        return self._without("input_limit", "input_rate", "function")
+
+    def _without(self, *names: str) -> Self:
         found = copy(self)
-        for name in ("input_limit", "input_rate"):
-            object.__setattr__(found, name, None)
+        for name in names:
+            if getattr(self, name, None) is not None:
+                object.__setattr__(found, name, None)
         return found
 
     @property
@@ -143,9 +152,9 @@ def matrix_lines(name: str, value: Matrix) -> Lines:
         note = (name, f"selected by {value.by}, {len(value.values)} matrices; the first:")
         return [note, *(("", text) for _, text in matrix_lines("", first))]
     rows, columns = value.shape
-    diagonal = np.diag(value) if rows == columns else value[:0, 0]
     if not value.any():
         return [(name, f"0 ({rows}×{columns})")]
+    diagonal = np.diag(value) if rows == columns else value[:0, 0]
     if rows == columns > 1 and np.array_equal(value, np.diag(diagonal)):
         same = (diagonal == diagonal[0]).all()
         factor = "" if diagonal[0] == 1 else f"{diagonal[0]:.6g} "

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, quoted
+from taciturn._arrays import Array, ArrayLike, array, count, expect_unmasked, frozen, number, quoted
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
@@ -57,6 +57,7 @@ class Dynamics(Displayed):
         """
         given = [np.array(value, dtype=np.float64) for value in (x, u, w)]
         found = _called("function", self.function, given)
+        expect_unmasked("the value of function", found)
         try:
             result = np.asarray("nothing" if found is None else found, dtype=np.float64)  # None would be NaN
         except (TypeError, ValueError) as error:

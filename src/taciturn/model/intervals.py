@@ -24,6 +24,7 @@ from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 
 if TYPE_CHECKING:
+    from taciturn.model.network import Network
     from taciturn.model.policy import Policy
 
 HALF = 0.5  # between two counts of steps
@@ -32,6 +33,16 @@ HALF = 0.5  # between two counts of steps
 def steps_since(link: str) -> str:
     """Return the name of the signal that counts the steps since the last send on a link."""
     return f"steps since a packet on {link}"
+
+
+def longest_silence(network: Network, link: str) -> int | None:
+    """Return the number of steps after which a packet of a running sender must have arrived.
+
+    It is ``max_interval`` on a link without losses, and otherwise None, because a link that drops packets may drop this
+    one.
+    """
+    law = network.links[link]
+    return None if law.mean_loss else law.max_interval
 
 
 def keep_intervals(policy: Policy) -> Mapping[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, frozen
+from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen
 from taciturn._display import Displayed
 from taciturn._text import Lines
 from taciturn.errors import ProblemError
@@ -157,6 +157,7 @@ def _bounds(name: str, value: ArrayLike | None, size: int, side: int) -> Array:
     """Return bounds as an array; only the infinity on their own side is allowed."""
     if value is None:
         return frozen(np.full(size, side * np.inf))
+    expect_unmasked(f"limits.{name}", value)
     try:
         given = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

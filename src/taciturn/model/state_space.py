@@ -8,7 +8,7 @@ from typing import Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import ArrayLike
+from taciturn._arrays import ArrayLike, expect_unmasked
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant, Plant
 
@@ -61,9 +61,10 @@ def plant_from(
         0.1
     """
     linear, step = state_space_of("system", system)
+    expect_unmasked("system.D", linear.D)
     if np.any(np.asarray(linear.D) != 0):
         raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
-    C = np.asarray(linear.C, dtype=np.float64)
+    C = linear.C
     if step == 0:
         return ContinuousPlant(
             linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit,

@@ -46,8 +46,8 @@ class Guarantee(Displayed):
     source: str
     base: float | None = None
     per_silence: float = 0.0
-    deciders: Mapping[tuple[str, ...], float] = field(default_factory=lambda: {})
-    weights: Mapping[str, float] = field(default_factory=lambda: {})
+    deciders: Mapping[tuple[str, ...], float] = field(hash=False, default_factory=lambda: {})
+    weights: Mapping[str, float] = field(hash=False, default_factory=lambda: {})
     more_sends: bool = False
     pull: float = 0.0
 
@@ -188,7 +188,7 @@ class ClosedForm(Displayed):
     """
 
     cost: float
-    rates: Mapping[str, float]
+    rates: Mapping[str, float] = field(hash=False)
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, frozen, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen, number, semidefinite
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
@@ -30,6 +30,7 @@ class Scheduled(Displayed):
 
     def __init__(self, by: str, values: ArrayLike) -> None:
         """Validate and store the arguments."""
+        expect_unmasked(f"the table indexed by {by!r}", values)
         try:
             table = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Literal, NamedTuple
@@ -30,6 +30,7 @@ FULL_SCALE = 32767  # integer that represents the full scale
 # adding and subtracting these constants rounds to the nearest integer, ties to even
 ROUNDERS = {"float64": 1.5 * 2.0**52, "float32": 1.5 * 2.0**23}
 CRC_SIZE, TAG_SIZE = 4, 16
+LARGEST = (2.0 - 2.0**-23) * 2.0**127  # largest number in a payload, of any encoding: the largest float32
 PERSON = b"taciturn"  # BLAKE2s personalisation string of tags and fingerprints
 
 
@@ -137,6 +138,16 @@ class Encoding(Displayed):
             step = np.array(self.full_scale) / FULL_SCALE
             return np.clip(np.rint(exact * (FULL_SCALE / np.array(self.full_scale))), -FULL_SCALE, FULL_SCALE) * step
         return exact
+
+
+def fits(values: Iterable[float]) -> bool:
+    """Return whether payloads carry all of these numbers: none is infinite, NaN, or larger than ``LARGEST``.
+
+    Example:
+        >>> fits([0.0, -3.4e38]), fits([1.7e308]), fits([float("nan")])
+        (True, False, False)
+    """
+    return all(-LARGEST <= value <= LARGEST for value in values)
 
 
 def read_place(datagram: bytes) -> tuple[int, int, int, int]:

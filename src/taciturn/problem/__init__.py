@@ -23,15 +23,19 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from taciturn._arrays import Array as Array
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
-from taciturn._files import read_text
+from taciturn._files import read_text, why_unreadable
+from taciturn._modes import pace
 from taciturn._plugins import problem_folders
 from taciturn._pydantic import ValidationError, validate
+from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import AnyPolicy, Kind
-from taciturn.errors import PlacementError, ProblemError, TaciturnError
+from taciturn.errors import PlacementError, ProblemError, TaciturnError, UnstableError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -91,6 +95,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
 TABLES = frozenset(one.name for one in fields(File)) - {"policy"}  # tables of a file that are replaced as a whole
+SHORT = 1e-5  # change of the state of a plant within a period that is too short for a design
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -193,7 +198,26 @@ class Problem(Displayed):
         except TaciturnError as error:
             key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
             text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
+            if isinstance(error, UnstableError) and (moved := self._moved_in_a_period()) is not None:
+                key, text = (
+                    "policy.",
+                    f"period is {self.parameters['period']:g} s, in which the plant moves by {moved:.1g} ",
+                )
+                text += "of its state, so rounding hides its modes; expected a longer period"
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
+        except np.linalg.LinAlgError as error:
+            raise ProblemError(
+                f"{self.name or 'the problem'}: a computation with matrices fails ({error}); expected numbers nearer "
+                "to 1: scale the problem"
+            ) from None
+
+    def _moved_in_a_period(self) -> float | None:
+        """Return by which share of its state a plant moves within a period that is too short for a design, or None."""
+        period, plant = self.parameters.get("period"), self.plant
+        if not isinstance(period, float | int) or not isinstance(plant, ContinuousPlant):
+            return None
+        moved = period * pace(plant.A)
+        return moved if 0 < moved < SHORT else None
 
     def _others(self) -> str:
         """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""
@@ -332,14 +356,15 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
             f"there is no file {str(path)!r}; expected a problem file, or one of the built-in problems "
             f"{', '.join(built_in)}{suggest(str(path), built_in)}"
         ) from None
-    except UnicodeDecodeError as error:
-        raise ProblemError(f"{str(path)!r} is not UTF-8 text ({error.reason}); expected a TOML file") from None
-    except OSError as error:
-        raise ProblemError(f"{str(path)!r} cannot be read ({error.strerror}); expected a TOML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ProblemError(f"{str(path)!r} cannot be read ({why_unreadable(error)}); expected a TOML file") from None
     except RecursionError:
         raise ProblemError(f"{path} is not valid TOML: it is nested too deeply; expected tables of matrices") from None
     except ValueError as error:  # errors of tomllib, and integers that are too long for Python
-        raise ProblemError(f"{path} is not valid TOML: {error}; expected the format of docs/problem-file") from None
+        raise ProblemError(
+            f"{path} is not valid TOML: {error}; expected the format of docs/problem-file"
+            f"{backslash_text('', str(error))}"
+        ) from None
     if not functions:
         refuse_functions(tables, str(path))
     return parse(locate_functions(tables, file.parent), str(path))

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from taciturn._arrays import quoted
-from taciturn._files import check_regular, read_text
+from taciturn._files import read_text, why_unreadable
+from taciturn._text import backslash_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, dynamics_of
 from taciturn.model.operating_point import stated_function
@@ -36,17 +37,11 @@ def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
             f"plant.function is {quoted(named)}; expected 'file.py:name', a Python file and a function in it"
         )
     try:
-        check_regular(Path(path))
         text = read_text(Path(path), LARGEST)
-    except UnicodeDecodeError as error:
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8 text, or a null character in the path
         raise ProblemError(
-            f"plant.function names {path!r}, which is not UTF-8 text ({error.reason}); expected a Python file"
-        ) from None
-    except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        why = error.strerror if isinstance(error, OSError) else error
-        raise ProblemError(
-            f"plant.function names {path!r}, which cannot be read ({why}); expected a Python file, with a path "
-            "relative to the folder of the problem file"
+            f"plant.function names {path!r}, which cannot be read ({why_unreadable(error)}); expected a Python file, "
+            f"with a path relative to the folder of the problem file{backslash_text(path)}"
         ) from None
     try:
         return dynamics_of(text, path, name)

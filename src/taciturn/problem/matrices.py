@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, quoted
+from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, quoted
 from taciturn.errors import ProblemError
 
 FORMS = "[1 2; 3 4] or [[1, 2], [3, 4]]"
@@ -109,6 +109,7 @@ def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
         >>> square_matrix("Q", [[1.0, 2.0]], 2).tolist()
         [[1.0, 0.0], [0.0, 2.0]]
     """
+    expect_unmasked(name, value)
     found = array(name, np.atleast_2d(np.asarray(value)), (None, None), "(rows, columns)")
     if found.size == 1:
         return found[0, 0] * np.eye(size)

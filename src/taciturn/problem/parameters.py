@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, quoted
+from taciturn._arrays import Array, ArrayLike, expect_unmasked, quoted
 from taciturn._pydantic import ValidationError, validate
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind
@@ -80,7 +80,9 @@ def check_parameter(kind: Kind, key: str, value: object) -> Any:
         ProblemError: if the parameter is of the wrong type.
     """
     if isinstance(value, np.ndarray):
-        return cast("Array", value)
+        given = cast("Array", value)
+        expect_unmasked(f"policy.{key}", given)
+        return given
     try:
         return validate(_accepted(kind)[key][0], value)
     except ValidationError as error:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import warnings
+from pathlib import Path
 
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
+from taciturn._text import backslash_text
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.exosystem import ExternalDisturbance
@@ -18,6 +22,7 @@ from taciturn.model.reference import Reference
 from taciturn.model.set_points import Changes, RandomSteps, SetPoint, Timetable
 from taciturn.problem.tables import DisturbanceEntry, File, ReferenceTable
 
+LARGEST = 2**24  # bytes of a timetable: more than 500,000 set-points
 SLOW = 1e-3  # distance from a mode of a constant, relative to the pace of the plant
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
 
@@ -87,11 +92,12 @@ def _changes(table: ReferenceTable) -> Changes | None:
     try:
         with warnings.catch_warnings():  # of a file without rows, which Timetable refuses
             warnings.simplefilter("ignore", UserWarning)
-            rows = np.loadtxt(table.file, delimiter=",", ndmin=2, encoding="utf-8-sig")
+            rows = np.loadtxt(io.StringIO(read_text(Path(table.file), LARGEST)), delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise ProblemError(
-            f"reference.file {table.file} cannot be read ({str(error).split(';')[0]}); expected rows of a time and "
-            "the set-points from then on, separated by commas, without a header"
+            f"reference.file {table.file!r} cannot be read ({why_unreadable(error).split(';')[0]}); expected rows of a "
+            "time and the set-points from then on, separated by commas, without a header"
+            f"{backslash_text(table.file)}"
         ) from None
     return Timetable(rows[:, 0], rows[:, 1:])
 

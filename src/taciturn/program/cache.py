@@ -14,9 +14,10 @@ import sys
 import warnings
 from pathlib import Path
 
-from taciturn._files import write_whole
+from taciturn._files import open_regular, write_whole
 
 SPARE = 8  # files are deleted when the limit is exceeded by 1/8, since deletion reads the age of each file
+LARGEST = 2**28  # bytes of a compiled program
 PRIVATE = 0o700  # mode of the folder
 LAYOUT = "digest of key and code, code"  # of a file; part of its key
 
@@ -51,8 +52,9 @@ def read_code(folder: Path, key: str) -> bytes | None:
     """Return the cached object code of a program, or None if no complete and trusted file exists."""
     path = folder / f"{key}.o"
     try:
-        with path.open("rb") as file:
-            reason = _why_not(os.fstat(file.fileno()))
+        with open_regular(path) as file:
+            found = os.fstat(file.fileno())
+            reason = "is larger than any program" if found.st_size > LARGEST else _why_not(found)
             content = file.read() if reason is None else b""
     except OSError:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -23,7 +23,7 @@ from taciturn.program.ops import Precision
 FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
-MEASURED, COMMAND = "measured", "command"
+MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
 def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
@@ -89,6 +89,8 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
     p, outputs = plant.sensed, plant.outputs
     y, given = tick.supplied("y", p), tick.supplied(REFERENCE, outputs - p)
     predicted = predicted_outputs(policy)
+    if isinstance(tick, Informed):
+        tick.correct({copy.signal for copy in copies_of_inputs(policy)})
     if isinstance(tick, Informed) and predicted is not None:
         y = tick.completed(y, tick.combine(predicted, outputs)[:p])
     measure(tick, policy, [*y, *given])
@@ -96,11 +98,22 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
 
 
 class Informed(TimeStep):
-    """A time step whose program has inputs for outputs that are not measured, and for the fates of packets.
+    """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets.
 
     Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter predicts
-    the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn.
+    the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn;
+    ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy
+    enters its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
     """
+
+    def correct(self, signals: Iterable[str]) -> None:
+        """Add the change to memories into which copies of inputs have entered, if the applied input is known."""
+        for signal in sorted(signals):
+            held = self.read(signal)
+            changes = self.supplied(change_of(signal), len(held))
+            told = self.builder.emit("greater", *self.supplied(TOLD, 1), self.builder.constant(0.0))
+            moved = add_values(self, held, changes)
+            self.signals[signal] = [self.choose(told, *one) for one in zip(moved, held, strict=True)]
 
     def arrives(self, link: str, sent: Truth) -> Truth:
         """Return whether a packet is sent and arrives, by its fate or else at random."""
@@ -114,6 +127,11 @@ class Informed(TimeStep):
         flags, none = self.supplied(MEASURED, len(y)), self.builder.constant(0.0)
         known = [self.builder.emit("greater", flag, none) for flag in flags]
         return [self.choose(*one) for one in zip(known, y, predicted, strict=True)]
+
+
+def change_of(signal: str) -> str:
+    """Return the name of the inputs of a program that change a memory, because other inputs were applied."""
+    return f"change of {signal}"
 
 
 def fate_of(link: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 from typing import Literal, NamedTuple
 
@@ -79,7 +79,7 @@ class Layout:
     arrivals: tuple[Arrival, ...]
     departures: tuple[Departure, ...]
     applied: slice | None
-    options: dict[Option, int]
+    options: dict[Option, int] = field(hash=False)
     remembers: int
 
 

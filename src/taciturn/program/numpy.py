@@ -106,7 +106,7 @@ _RULES: Mapping[str, Callable[..., Value]] = {
 _GIVEN = ("const", "word", "half", "state", "input")  # operations without a computation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """The result of a run.
 

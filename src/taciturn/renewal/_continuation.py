@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
+from taciturn._progress import check_time
 from taciturn.renewal._quadrature_nodes import ErrorRegion
 from taciturn.renewal._renewal_equations import Solved, gaussian_factors
 from taciturn.renewal._white_coordinates import White
@@ -138,6 +139,7 @@ class ContinuationRegion:
         points, value, slope, below, above = points[rows], value[rows], slope[rows], below[rows], above[rows]
         size = np.maximum(np.abs(below), np.abs(above))
         for _ in range(ROUNDS):  # Newton's method within the bracket [below, above], bisection where it leaves it
+            check_time()
             if not rows.size:
                 break
             here = points[:, axis]
@@ -169,6 +171,7 @@ class ContinuationRegion:
         # Newton steps of limited length: the limit doubles after a descent, and shrinks when U would increase
         rows, stride = np.arange(len(points)), np.full(len(points), STRIDE)
         for _ in range(ROUNDS):
+            check_time()
             step = _downhill(gradient[rows, axis:], curvature[rows, axis:, axis:])
             length = np.linalg.norm(step, axis=1)
             going = length > FLAT

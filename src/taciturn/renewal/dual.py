@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._display import Displayed
-from taciturn._progress import Progress, Stages
+from taciturn._progress import Progress, Stages, check_time
 from taciturn.errors import ProblemError
 from taciturn.renewal._martingale import Martingale, lengths
 from taciturn.renewal._quasi_monte_carlo import Lattice
@@ -334,6 +334,7 @@ def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random
     """
     looks = max(16, int(4 * interval))
     while looks <= LONGEST:
+        check_time()
         best, last = _left_over(game, gain, looks, draws)
         saved = SAFETY * max(float(best.mean()), gain)
         for _ in range(ROUNDS):
@@ -358,6 +359,7 @@ def _left_over(game: Martingale, gain: float, looks: int, draws: np.random.Gener
     seen, rows = np.empty((looks * entries, FREE)), np.empty((looks * entries, n))
     power, before, best, squares = np.eye(n), np.zeros(FREE), np.zeros(FREE), np.zeros(FREE)
     for check in range(1, looks + 1):
+        check_time()
         end = check * entries
         rows[end - entries : end], seen[end - entries : end] = weigh @ power, weigh @ error.T
         squares = squares + (seen[end - entries : end] ** 2).sum(axis=0)

@@ -14,6 +14,7 @@ import numpy as np
 from taciturn._arrays import Array, Bits, frozen, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import radius, root
+from taciturn._progress import check_time
 from taciturn.errors import ProblemError
 from taciturn.renewal._quasi_monte_carlo import Lattice
 from taciturn.renewal.rare_sends import bound_rare_rate
@@ -154,6 +155,7 @@ class _Ground:
         gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
         fit[: size + 1] = [np.log(price / 2), *[-0.2] * size]
         for _ in range(ITERATIONS):
+            check_time()
             value = np.maximum(-self._saved(price, gain, fit), FLOOR * price)
             weight = value / price
             found = _least_squares(here * weight[:, None], np.log(value) * weight)
@@ -272,6 +274,7 @@ def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: in
     settle, growth = 8, radius(F)
     settled = SETTLE / (1 - growth) if growth < 1 else np.inf
     while checks < settle + SNAPSHOTS:
+        check_time()
         error = error @ F.T + draws.standard_normal((PATHS, half.shape[1])) @ half.T
         sent = sends(error)
         checks, sent_ever = checks + 1, sent_ever + int(sent.sum())

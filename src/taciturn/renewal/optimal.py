@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, array, number, semidefinite, square
-from taciturn._progress import Progress, Stages
+from taciturn._progress import Progress, Stages, check_time
 from taciturn.renewal._continuation import ContinuationRegion, holes, improve
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._quadrature_nodes import Ellipsoid, ErrorRegion, Region, TooManyNodes, place
@@ -222,6 +222,7 @@ class _Iteration:
         window: ErrorRegion = self.window.scaled(factor)
         before = NO_VARIANCE
         for _ in range(ROUNDS):
+            check_time()
             found = solve_on_nodes(self.white, place(self.white, self.region, window, density, step, most), self.effort)
             if found is None:
                 return None
@@ -252,6 +253,7 @@ def _periodic(white: White) -> float:
     """Return the cost of the best periodic schedule, in units of the price."""
     spreads, total, best = np.zeros_like(white.F), 1.0, 1.0
     for checks in range(1, AGES):
+        check_time()
         spreads = white.F @ spreads @ white.F.T + np.eye(len(white.m))
         total += float(white.m @ np.diag(spreads))
         if total >= best * (checks + 1):

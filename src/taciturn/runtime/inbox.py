@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from taciturn._display import Displayed
-from taciturn.model.wire import SETPOINT
+from taciturn.errors import ProblemError
+from taciturn.model.wire import LARGEST, SETPOINT, fits
 from taciturn.program.layout import Arrival
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.window import Window
@@ -102,13 +103,22 @@ class Inbox:
         return sum(len(stream.waiting) for stream in self.streams.values())
 
     def take(self, packet: Packet, past: int) -> Handling:
-        """Store a packet after the step ``past``, and return how it was handled."""
+        """Store a packet after the step ``past``, and return how it was handled.
+
+        Raises:
+            ProblemError: the packet was made in this process, and its payload is not one that can be sent.
+        """
         self.counters["received"] += 1
         stream = self.streams.get((packet.kind, packet.link))
         mark = packet.kind == "mark" and packet.link in self.marks
         if packet.loop != self.loop or not (mark or stream):
             self.counters["misdirected"] += 1
             return "misdirected"
+        if stream is not None and (len(packet.values) != stream.size or not fits(packet.values)):
+            raise ProblemError(
+                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
+                f"{stream.size} finite numbers, none beyond {LARGEST:.2g}"
+            )
         window = self.marks[packet.link] if stream is None else stream.window
         begun = window.epoch
         news = window.admit(packet.epoch, packet.sequence)

@@ -13,10 +13,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from taciturn._files import read_text, why_unreadable
 from taciturn.errors import ProblemError
 from taciturn.runtime.udp import is_loopback
 
 KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
+LARGEST = 2**20  # bytes of a key file
 LOOKED = 1.0  # seconds between checks whether a key file has changed
 EVERY = ""  # name under which a key for all links is stored
 
@@ -195,9 +197,11 @@ class KeyFile(RenewedKeys):
     def _read(self) -> dict[str, tuple[bytes, ...]]:
         source = f"the key file {self._path}"
         try:
-            text, mode = self._path.read_text(encoding="ascii"), self._path.stat().st_mode & 0o777
+            text, mode = read_text(self._path, LARGEST), self._path.stat().st_mode & 0o777
         except (OSError, UnicodeDecodeError) as error:
-            raise ProblemError(f"{source} cannot be read ({error}); expected hexadecimal digits") from None
+            raise ProblemError(
+                f"{source} cannot be read ({why_unreadable(error)}); expected a file with hexadecimal digits"
+            ) from None
         if os.name == "posix" and mode & 0o077:
             raise ProblemError(
                 f"{source} has the mode {mode:04o}, with which other users can read it; expected 0600: use "

@@ -17,10 +17,12 @@ import numpy as np
 
 from taciturn._arrays import count, instance
 from taciturn.errors import ProblemError
+from taciturn.model.intervals import longest_silence
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint
 from taciturn.model.places import place_of
 from taciturn.model.policy import Policy
+from taciturn.model.wire import LARGEST, fits
 from taciturn.program.draws import seed_generators
 from taciturn.program.layout import Layout, first_inputs, lay_out
 from taciturn.program.names import Option
@@ -28,9 +30,10 @@ from taciturn.program.node import NodeProgram, lower_node
 from taciturn.program.python import CompiledStep, compile_python
 from taciturn.runtime.inbox import USABLE, Handling, Inbox, streams_of
 from taciturn.runtime.packet import Packet
+from taciturn.runtime.seals import check_seal, sealed
 
 CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
-FORMAT = 3  # format version of a saved state
+FORMAT = 4  # format version of a saved state
 Values: TypeAlias = tuple[float, ...]
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
@@ -57,8 +60,9 @@ class Node:
         epoch: number that must increase with every start of this node without its state, e.g. Unix time in seconds.
         seed: seed of the policy's random draws.
         loop: number of this loop among loops that share the network.
-        watchdog: number of steps without a usable packet or mark after which the node is silent: it is degraded, and
-            an actuator applies the safe input; default: no watchdog.
+        watchdog: number of steps without data or a mark on a link after which this link is silent and the node is
+            degraded, or ``max_interval`` of a link without losses, if it is smaller. If all links are silent, the
+            node is silent, and an actuator applies the safe input. Default: no watchdog.
         safe: safe input: ``"hold"`` (the last input), ``"zero"``, or numbers; None: the input of the policy.
 
     Raises:
@@ -112,15 +116,31 @@ class Node:
         self._follows = safe is None  # the input of the policy, also while the node is silent
         self.acknowledges = tuple(one.link for one in layout.arrivals if one.acknowledged)
         self.tick = -1
-        self._memory: Sequence[Any] = [state.start for state in program.parts[0].states]
+        self._start: Sequence[Any] = [state.start for state in program.parts[0].states]
+        self._memory = self._start
         self._generator: Sequence[Any] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
         self._places = [place.initial for place in program.clocks]
         self._sequences: Counter[str] = Counter()
         self._input: Values = (0.0,) * self._applied
-        self._heard_at, self._degraded_until = -1, -1
+        self.limits: dict[str, int] = {}  # steps without a packet after which a link is silent
+        if watchdog is not None:
+            intervals = {link: longest_silence(self.network, link) for link in program.hears}
+            self.limits = {link: min(watchdog, steps or watchdog) for link, steps in intervals.items()}
+        self._heard_at = dict.fromkeys(program.hears, -1)
+        self._degraded_until = -1
         self._unheard = False  # whether the watchdog has expired while no step begins
         self._sent_at: dict[str, int] = {}  # last step with a packet, by link
         self.options: dict[Option, float] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle contains: all but the compiled functions."""
+        return {name: value for name, value in vars(self).items() if name not in ("_parts", "_draw")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Restore a pickle, and compile the functions."""
+        vars(self).update(state)
+        compiled = _compile(self.policy, self.role, self.network)
+        self._parts, self._draw = compiled.parts, compiled.draw
 
     @property
     def measures(self) -> bool:
@@ -166,9 +186,15 @@ class Node:
         return self.tick < self._degraded_until
 
     @property
+    def silent_links(self) -> tuple[str, ...]:
+        """The links whose watchdog has expired: neither data nor a mark has arrived within the limit of the link."""
+        late = {link for link, limit in self.limits.items() if self.tick - self._heard_at[link] >= limit}
+        return tuple(link for link in self._heard_at if self._unheard or link in late)
+
+    @property
     def silent(self) -> bool:
-        """True if the watchdog has expired: no usable packet has arrived for the set number of steps."""
-        return self._unheard or (self.watchdog is not None and self.tick - self._heard_at >= self.watchdog)
+        """True if the watchdogs of all links have expired."""
+        return bool(self._heard_at) and len(self.silent_links) == len(self._heard_at)
 
     def step(
         self,
@@ -197,8 +223,9 @@ class Node:
         y = self._measured(measurement)
         for packet in packets:
             self.sort_in(packet)
-        if self._heard_at > self.tick:  # packets that arrived after the last step count from this step on
-            self._heard_at = max(self._heard_at, tick)
+        for link, heard in self._heard_at.items():
+            if heard > self.tick:  # packets that arrived after the last step count from this step on
+                self._heard_at[link] = max(heard, tick)
         if tick <= self.tick:
             self.counters["repeated"] += 1
             return Stepped((), self._output())
@@ -207,7 +234,7 @@ class Node:
         if missed:
             joins = self.tick < 0
             if joins:
-                self._heard_at = tick - 1
+                self._heard_at = dict.fromkeys(self._heard_at, tick - 1)
             else:
                 self.counters["missed"] += missed
             if not joins and not self.measures:
@@ -230,41 +257,44 @@ class Node:
     def sort_in(self, packet: Packet) -> Handling:
         """Store a packet for the coming steps, and return how it was handled; ``step`` also stores its packets."""
         handling = self.inbox.take(packet, self.tick)
-        if handling in USABLE and packet.kind != "measurement":
-            self._heard_at, self._unheard = self.tick + 1, False
+        if handling in USABLE and packet.link in self._heard_at:
+            self._heard_at[packet.link], self._unheard = self.tick + 1, False
         return handling
 
     def expire(self) -> Values | None:
         """Record that the watchdog has expired while no step begins; return the safe input unless the last is held."""
         if not self._unheard:
-            self._degrade("silent", counted=not self.silent)
-            self._unheard = True
+            known, self._unheard = self.silent_links, True
+            self._mind_silence(known)
         return self._safe if self.actuates else None
 
     def save(self) -> dict[str, Any]:
-        """Return the complete state of the node as values that JSON can represent."""
-        return {
+        """Return the complete state of the node as values that JSON can represent, with their digest."""
+        return sealed({
             "format": FORMAT, "fingerprint": f"{self.fingerprint:016x}", "role": self.role, "loop": self.loop,
             "epoch": self.epoch, "tick": self.tick, "memory": list(self._memory), "generator": list(self._generator),
             "inputs": list(self._inputs), "places": list(self._places), "inbox": self.inbox.save(),
-            "sequences": dict(self._sequences), "input": list(self._input), "heard_at": self._heard_at,
+            "sequences": dict(self._sequences), "input": list(self._input), "heard_at": dict(self._heard_at),
             "degraded_until": self._degraded_until, "counters": dict(self.counters), "reasons": dict(self.reasons),
             "sent_at": dict(self._sent_at),
-        }  # fmt: skip
+        })  # fmt: skip
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from a saved state.
 
         Raises:
-            ProblemError: this is not a saved state, or it belongs to another policy, role or loop.
+            ProblemError: this is not a saved state, it was changed, or it belongs to another release, policy, role or
+                loop. The node is then as before.
         """
         try:
-            known = {"role": self.role, "loop": self.loop, "fingerprint": f"{self.fingerprint:016x}", "format": FORMAT}
+            known = {"format": FORMAT, "role": self.role, "loop": self.loop, "fingerprint": f"{self.fingerprint:016x}"}
             for name, expected in known.items():
                 if saved[name] != expected:
+                    of = "this release: start the node without the state" if name == "format" else "this node"
                     raise ProblemError(
-                        f"the saved state has the {name} {saved[name]!r}; expected {expected!r}, as for this node"
+                        f"the saved state has the {name} {saved[name]!r}; expected {expected!r}, as for {of}"
                     )
+            check_seal(saved, "the given state")
             if len(saved["memory"]) != len(self._memory) or len(saved["inputs"]) != len(self._inputs):
                 raise ValueError("wrong number of stored values")
             self.inbox.restore(saved["inbox"])
@@ -272,7 +302,7 @@ class Node:
             self._memory, self._generator = saved["memory"], saved["generator"]
             self._inputs, self._places = list(saved["inputs"]), list(saved["places"])
             self._sequences, self._input = Counter(saved["sequences"]), tuple(saved["input"])
-            self._heard_at, self._degraded_until = saved["heard_at"], saved["degraded_until"]
+            self._heard_at, self._degraded_until = dict(saved["heard_at"]), saved["degraded_until"]
             self._sent_at = dict(saved["sent_at"])
             for counter, kept in ((self.counters, saved["counters"]), (self.reasons, saved["reasons"])):
                 counter.clear()
@@ -287,11 +317,14 @@ class Node:
     def _measured(self, measurement: Sequence[float] | None) -> Values:
         if not self.measures:
             return ()
-        found = () if measurement is None else tuple(map(float, measurement))
-        if len(found) != self._layout.measured or not all(map(isfinite, found)):
+        try:
+            found = () if measurement is None else tuple(map(float, measurement))
+        except (TypeError, ValueError):  # such as None in place of a number
+            found = ()
+        if len(found) != self._layout.measured or not fits(found):
             raise ProblemError(
-                f"the measurement of the {self.role} is {measurement}; "
-                f"expected {self._layout.measured} finite numbers at each step"
+                f"the measurement of the {self.role} is {measurement}; expected {self._layout.measured} finite numbers "
+                f"at each step, none beyond {LARGEST:.2g}"
             )
         return found
 
@@ -300,17 +333,18 @@ class Node:
         inputs, layout, sent = self._inputs, self._layout, list[Packet]()
         if len(self._parts) > 1 and self.tick >= 0:
             sent += self._collect(1, self.tick + 1)
-            self._memory, _ = self._parts[1](self._memory, [inputs[i] for i in layout.wiring[1]])
+            self._execute(1)
         self._turn_clocks(tick)
-        silent, self.tick = self.silent, tick
-        if self.silent:
-            self._degrade("silent", counted=not silent)
+        known, self.tick = self.silent_links, tick
+        self._mind_silence(known)
         inputs[: len(y)] = y
         sent += self._collect(0, tick)
         if self._draw is not None:
             self._generator, drawn = self._draw(self._generator, ())
             inputs[layout.drawn] = drawn if draws is None else draws
-        self._memory, outputs = self._parts[0](self._memory, [inputs[i] for i in layout.wiring[0]])
+        outputs = self._execute(0)
+        if outputs is None:
+            return sent
         for link, at, size in layout.departures:
             if outputs[at]:
                 sent.append(self._packet("data", link, outputs[at + 1 : at + 1 + size]))
@@ -318,6 +352,31 @@ class Node:
             self._input = outputs[layout.applied]
         self.options = {name: outputs[i] for name, i in layout.options.items()}
         return sent
+
+    def _execute(self, part: int) -> Values | None:
+        """Execute a part of a step; return None if a result is too large for a payload.
+
+        The memory then starts again, because it may stay too large, and a saved state would end every restart.
+        """
+        layout = self._layout
+        memory, outputs = self._parts[part](self._memory, [self._inputs[i] for i in layout.wiring[part]])
+        leaves = list[float]()
+        if part == 0:
+            leaves += () if layout.applied is None else outputs[layout.applied]
+            for _, at, size in layout.departures:
+                leaves += outputs[at + 1 : at + 1 + size] if outputs[at] else ()
+        if not all(map(isfinite, memory)) or not fits(leaves):
+            self._memory = self._start
+            self.counters["overflowed"] += 1
+            self._degrade("overflow")
+            return None
+        self._memory = memory
+        return outputs
+
+    def _mind_silence(self, known: Sequence[str]) -> None:
+        """Record that links are silent; links that were silent before are not counted again."""
+        for link in self.silent_links:
+            self._degrade(f"silent {link}", counted=link not in known)
 
     def _collect(self, part: int, tick: int) -> list[Packet]:
         """Take the packets that a part of the step reads, and return their acknowledgements."""
@@ -390,6 +449,6 @@ def _safe_input(safe: Safe, inputs: int) -> Values | None:
     if safe == "hold":
         return None
     values = (0.0,) * inputs if safe == "zero" else safe
-    if isinstance(values, str) or len(values) != inputs or not all(isfinite(value) for value in values):
+    if isinstance(values, str) or len(values) != inputs or not fits(values):
         raise ProblemError(f"the safe input is {safe!r}; expected 'hold', 'zero' or {inputs} finite numbers")
     return tuple(float(value) for value in values)

@@ -18,9 +18,12 @@ from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.placement import with_intervals
 from taciturn.model.policy import Policy, Received, Send
+from taciturn.model.wire import LARGEST, fits
 from taciturn.program.controller import (
     MEASURED,
+    TOLD,
     Informed,
+    change_of,
     copies_of_inputs,
     fate_of,
     lower_policy,
@@ -49,6 +52,7 @@ class StepFunction:
 
     def __init__(self, program: Program, taken: Mapping[str, int], network: Network, seed: int) -> None:
         """Compile the program, and draw its initial memory."""
+        self._made_of = program, dict(taken), network, seed
         self._seed = count("seed", seed, 0)
         self._turn = compile_python(program)
         draws = np.random.default_rng(seed)
@@ -70,6 +74,10 @@ class StepFunction:
         self._read = [places[name] for name in program.inputs]
         self._draw = compile_python(draw_uniforms(number)) if number else None
         self._block: tuple[int, list[list[int]]] = -1, []
+
+    def __reduce__(self) -> tuple[type[StepFunction], tuple[Program, dict[str, int], Network, int]]:
+        """Return what a pickle contains: the program, as compiled functions cannot be stored."""
+        return type(self), self._made_of
 
     def drawn(self, tick: int) -> Values:
         """Return the uniform random numbers of a step, in (0, 1)."""
@@ -137,6 +145,9 @@ class Nodes:
         self._copies = copies_of_inputs(self.policy)
         taken = {"y": model.sensed, REFERENCE: model.set_points, **dict.fromkeys(map(fate_of, self.links), 1)}
         taken |= {MEASURED: model.sensed} if self._predicts else {}
+        self._changed = {copy.signal: len(copy.effect) for copy in self._copies}
+        told = {TOLD: 1} if self._changed else {}
+        taken |= told | {change_of(signal): size for signal, size in self._changed.items()}
         self.turns = StepFunction(lower_policy(begun, self.network, Informed), taken, self.network, seed)
         self.reset()
 
@@ -176,17 +187,23 @@ class Nodes:
             integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
-            ProblemError: an argument has the wrong size, or is not finite; an output is not measured and no filter
-                predicts it; set-points are given to a policy for constant ones; an applied input is given in the first
-                step, or for a policy whose nodes do not use it; or a fate is that of another link.
+            ProblemError: an argument has the wrong size, or is not finite or beyond 3.4e38; or the results of the step
+                are, and the nodes are then as before the step; an output is not measured and no filter predicts it;
+                set-points are given to a policy for constant ones; an applied input is given in the first step, or for
+                a policy whose nodes do not use it; or a fate is that of another link.
         """
         y, known = self._completed(measurement)
-        if reference is not None:
-            self._follow(reference)
-        if applied is not None:
-            self._tell(array("applied", applied, (self.policy.model.inputs,), "(inputs,)"))
-        inputs = [*y, *self.reference, *self._told(fates or {}), *(known if self._predicts else ())]
-        self._memory, values = self.turns.turn(self.tick, self._memory, inputs)
+        points = self.reference if reference is None else self._followed(reference)
+        changes = self._changes(None if applied is None else _checked("applied", applied, self.policy.model.inputs))
+        inputs = [*y, *points, *self._told(fates or {}), *(known if self._predicts else ()), *changes]
+        memory, values = self.turns.turn(self.tick, self._memory, inputs)
+        if not (np.isfinite(memory).all() and fits(_values(values, self.turns.outputs.items(), APPLIED))):
+            raise ProblemError(
+                f"step {self.tick} gives results that are not finite or beyond {LARGEST:.2g}, from the measurement "
+                f"{y}; expected numbers in the range for which the policy was designed. The nodes are as before the "
+                "step: hold the last input, or reset them"
+            )
+        self._memory, self.reference = memory, points
         self.tick += 1
         places = self.turns.outputs.items()
         self.sent = {name.link: values[i] > 0 for name, i in places if isinstance(name, Sent)}
@@ -194,16 +211,20 @@ class Nodes:
         self._held = {copy.held: _values(values, places, copy.held) for copy in self._copies}
         return _values(values, places, APPLIED)
 
-    def _tell(self, applied: Array) -> None:
-        """Replace the controller's copy of the last input by the input that was applied."""
-        if not self._copies or not self.tick:
+    def _changes(self, applied: Array | None) -> list[float]:
+        """Return what replaces the controller's copies of the last input by the input that was applied, if it is given.
+
+        That is 1, and the changes of all signals into which copies have entered; or 0 and no changes.
+        """
+        changes = {signal: np.zeros(size) for signal, size in self._changed.items()}
+        if applied is not None and not (changes and self.tick):
             got = f"and no filter of {self.policy.kind} has a copy of the input"
-            raise ProblemError(f"applied is given, {'in the first step' if self._copies else got}; expected no applied")
-        memory = dict(zip(self.turns.states, self._memory, strict=True))
-        for copy in self._copies:
-            change = copy.effect @ (applied[list(copy.inputs)] - self._held[copy.held])
-            memory |= {f"{copy.signal}[{i}]": memory[f"{copy.signal}[{i}]"] + d for i, d in enumerate(change.tolist())}
-        self._memory = tuple(memory.values())
+            raise ProblemError(f"applied is given, {'in the first step' if changes else got}; expected no applied")
+        if applied is not None:
+            for copy in self._copies:
+                changes[copy.signal] += copy.effect @ (applied[list(copy.inputs)] - self._held[copy.held])
+        told = [] if not changes else [float(applied is not None)]
+        return told + [one for change in changes.values() for one in change.tolist()]
 
     def _completed(self, measurement: object) -> tuple[list[float], list[float]]:
         """Return the outputs, with 0 in place of those that are not measured, and 1 for each that is measured, or 0."""
@@ -217,7 +238,7 @@ class Nodes:
                 "for each output, or a policy whose controller filters measurements with noise"
             )
         given: object = [0.0 if value is None else value for value in entries] or measurement
-        y = array("measurement", cast("ArrayLike", given), (p,), "(outputs,)")
+        y = _checked("measurement", cast("ArrayLike", given), p)
         return y.tolist(), [float(not absent) for absent in missing]
 
     def _told(self, fates: Mapping[str, bool]) -> list[float]:
@@ -231,14 +252,27 @@ class Nodes:
         arrives = {link: 1.0 if flag(f"fates[{link!r}]", arrived) else -1.0 for link, arrived in fates.items()}
         return [arrives.get(link, 0.0) for link in self.links]
 
-    def _follow(self, reference: ArrayLike) -> None:
-        """Set the set-points."""
+    def _followed(self, reference: ArrayLike) -> list[float]:
+        """Return the set-points."""
         if not self.reference:
             raise ProblemError(
                 f"reference is given, and the set-points of this {self.policy.kind} are constant; expected [reference] "
                 "with steps or file, which state how they change"
             )
-        self.reference = array("reference", reference, (len(self.reference),), "(set-points,)").tolist()
+        return _checked("reference", reference, len(self.reference)).tolist()
+
+
+def _checked(name: str, given: ArrayLike, size: int) -> Array:
+    """Return an argument of a step as an array.
+
+    Raises:
+        ProblemError: it has another size, or holds numbers that are not finite or that no packet carries.
+    """
+    axes = {"measurement": "(outputs,)", "reference": "(set-points,)", "applied": "(inputs,)"}
+    found = array(name, given, (size,), axes[name])
+    if not fits(found):
+        raise ProblemError(f"{name} is {found.tolist()}; expected numbers of at most {LARGEST:.2g}, as packets carry")
+    return found
 
 
 def _values(values: Values, places: Iterable[tuple[Name, int]], signal: str) -> Array:

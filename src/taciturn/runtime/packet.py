@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import hmac
-import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -31,12 +30,14 @@ from taciturn.model.wire import (
     HEADER_FORMAT,
     HEADER_SIZE,
     KINDS,
+    LARGEST,
     PERSON,
     PROOFS,
     TAG_SIZE,
     VERSION,
     Encoding,
     PacketKind,
+    fits,
 )
 from taciturn.runtime.keys import Keys
 
@@ -129,16 +130,19 @@ class Wire:
         """Return a packet as a datagram.
 
         Raises:
-            ProblemError: the policy has no packets of this kind and link, or a value of the packet is not finite.
+            ProblemError: the policy has no packets of this kind and link, or a value is not finite or beyond 3.4e38.
         """
         if packet.kind in PROOFS:
             return self._write(packet, BYTES, 0, _NONCE.pack(packet.nonce))
         kind, link = _KIND_CODES[packet.kind], self._codes[packet.link]
         shape = self._shapes.get((kind, link))
-        if shape is None or len(packet.values) != shape.entries or not all(map(math.isfinite, packet.values)):
+        if shape is None or len(packet.values) != shape.entries or not fits(packet.values):
+            expected = "a kind and a link that the policy uses"
+            if shape is not None:
+                expected = f"{shape.entries} finite numbers, none beyond {LARGEST:.2g}"
             raise ProblemError(
                 f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
-                f"{'a kind and a link that the policy uses' if shape is None else f'{shape.entries} finite numbers'}"
+                f"{expected}"
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 
@@ -156,8 +160,9 @@ class Wire:
     def decode(self, datagram: bytes) -> Packet | str:
         """Return the packet in a datagram, or the reason why the datagram is rejected.
 
-        ``"malformed"``: the length or a field is invalid. ``"corrupted"``: the CRC is wrong. ``"foreign"``: the version
-        or the policy differs, or only one of sender and receiver uses a key. ``"forged"``: the tag is wrong.
+        ``"malformed"``: the length or a field is invalid, or a number is not finite or beyond 3.4e38. ``"corrupted"``:
+        the CRC is wrong. ``"foreign"``: the version or the policy differs, or only one of sender and receiver uses a
+        key. ``"forged"``: the tag is wrong.
         """
         found = self._open(datagram)
         if isinstance(found, str):
@@ -170,7 +175,7 @@ class Wire:
         if shape is None or coding != (shape.code, shape.entries) or len(payload) != shape.size:
             return "malformed"
         values = shape.read(payload)
-        return packet._replace(values=values) if all(map(math.isfinite, values)) else "malformed"
+        return packet._replace(values=values) if fits(values) else "malformed"
 
     def _write(self, packet: Packet, code: int, entries: int, payload: bytes) -> bytes:
         """Return the datagram of a payload: header, payload, CRC and, with a key, the tag."""

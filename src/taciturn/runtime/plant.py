@@ -15,6 +15,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import REFERENCE
+from taciturn.model.wire import fits
 from taciturn.program.ir import Program
 from taciturn.program.names import is_entry
 from taciturn.program.python import CompiledStep, compile_python
@@ -99,7 +100,7 @@ class SimulatedPlant:
                 f"{lost[0] + 1} at step {self.tick}, from x = {[round(before[i], 6) for i in self._x]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
-        if not (isfinite(outputs[self._cost]) and all(map(isfinite, self.measurement))):
+        if not (isfinite(outputs[self._cost]) and fits(self.measurement)):
             raise ProblemError(
                 f"the state of the plant exceeds the range of numbers at step {self.tick}: the loop is unstable; "
                 "expected a policy that stabilises the plant over this network"

@@ -86,7 +86,7 @@ class Reception:
                 yield packet, sender
                 continue
             self.refused[packet] += 1
-            sentence = disagreement(self._name, packet, self._wire.keyed, sender)
+            sentence = disagreement(self._name, packet, self._wire.keyed, sender, datagram)
             if sentence is not None and self.refused[packet] == 1:
                 self._tell(sentence)
 

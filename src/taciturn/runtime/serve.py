@@ -18,13 +18,14 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.places import plant_link
-from taciturn.model.wire import EITHER, SETPOINT
+from taciturn.model.wire import EITHER, LARGEST, SETPOINT
 from taciturn.runtime.clock import JUMPED, LATE, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.outbox import Outbox
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.reception import Reception
+from taciturn.runtime.seals import check_seal, sealed
 from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, log_line, take_until
 from taciturn.runtime.udp import Address, check_plant, peers_by_link
 from taciturn.runtime.window import Window
@@ -96,6 +97,7 @@ class NodeServer:
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
         self._measured = [Window() for _ in nodes]
         self._outbox = Outbox(wire, endpoint, peers, len(nodes))
+        self._held: set[int] = set()  # loops whose overflow was reported
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._patience = (tick or 0.0) * (first.watchdog or 0)
@@ -225,7 +227,8 @@ class NodeServer:
         if handling not in USABLE:
             self._answer_again(loop, now, repeated)
             return
-        self._expires = now + self._patience
+        if packet.link in node.program.hears:
+            self._expires = now + self._patience
         if packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
@@ -248,10 +251,11 @@ class NodeServer:
         while (tick := self._next(node, now)) is not None:
             loop = node.loop
             measurement = self._measurements[loop].pop(tick, None)
-            was_silent = node.silent
+            known, overflowed = node.silent_links, node.counters["overflowed"]
             packets, given = node.step(tick, measurement)
-            if node.silent and not was_silent:
-                self._report_silence(node)
+            self._report_silence(node, known)
+            if node.counters["overflowed"] > overflowed:
+                self._report_overflow(node)
             out = list(packets)
             out += node.mark(0 if self._tick is None else self._heartbeat)
             if given is not None:
@@ -322,10 +326,9 @@ class NodeServer:
         if not self._patience or now < self._expires:
             return
         for node in self.nodes:
-            known = node.silent
+            known = node.silent_links
             given = node.expire()
-            if not known:
-                self._report_silence(node)
+            self._report_silence(node, known)
             if given is not None:  # its number is before those of all later steps, whose inputs the plant prefers
                 tick = node.tick + 1
                 out = [self._input(node, tick, given)]
@@ -338,18 +341,30 @@ class NodeServer:
         assert self._plant is not None, "a node that applies inputs has a link with the plant"
         return Packet("input", self._plant, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)
 
-    def _report_silence(self, node: Node) -> None:
-        """Print why a node has received nothing usable."""
-        if self._say is None:
+    def _report_overflow(self, node: Node) -> None:
+        """Print, the first time for each node, that it holds because its numbers are too large."""
+        if self._say is not None and node.loop not in self._held:
+            self._held.add(node.loop)
+            self._say(
+                f"step {node.tick} of the {node.role} has results that are not finite or beyond {LARGEST:.2g}: the "
+                "node keeps its last input, sends no data in such steps, starts its memory again, and is degraded; "
+                "expected measurements and packets in the range for which the policy was designed: is a sensor broken?"
+            )
+
+    def _report_silence(self, node: Node, known: Sequence[str]) -> None:
+        """Print on which links a node has received nothing usable, except those that were silent before."""
+        silent = [link for link in node.silent_links if link not in known]
+        if self._say is None or not silent:
             return
         unused = self._unusable(node)
         news = unused - self._unused[node.loop]
         self._unused[node.loop] = unused
         found = ", ".join(f"{number} {name}" for name, number in news.items()) or "none"
+        steps = min(node.limits.get(link, node.watchdog or 0) for link in silent)
         self._say(
-            f"the {node.role} has received no usable packet for {node.watchdog} steps and is degraded (packets "
-            f"discarded since the start or the last such message: {found}); expected a packet or a mark in that time: "
-            "is the sender running, and is the link intact?"
+            f"the {node.role} has received no usable packet on the link {' and '.join(silent)} for {steps} steps and "
+            f"is degraded (packets discarded since the start or the last such message: {found}); expected a packet or "
+            "a mark in that time: is the sender running, and is the link intact?"
         )
 
     def _unusable(self, node: Node) -> Counter[str]:
@@ -376,18 +391,17 @@ class NodeServer:
             "outbox": self._outbox.save(),
             "sessions": self.reception.save(),
         }
-        self._keep.write(json.dumps(kept).encode())
+        self._keep.write(json.dumps(sealed(kept)).encode())
 
     def _take_up(self, state: bytes) -> None:
         try:
             kept = json.loads(state)
-            self.nodes[0].restore(kept["node"])
+            self.nodes[0].restore(kept["node"])  # which names a state of another release, policy or node
+            check_seal(kept, f"the saved state {self._keep}")
             self._measured[0].restore(kept["measured"])
             self._outbox.restore(kept["outbox"])
             self.reception.restore(kept["sessions"])
-        except ProblemError:
-            raise
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ProblemError(
                 f"the saved state {self._keep} cannot be read ({error}); expected a saved state of this node"
             ) from None

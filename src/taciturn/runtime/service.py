@@ -10,9 +10,10 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
-from taciturn._files import write_whole
+from taciturn._files import delete_parts, read_bytes, why_unreadable, write_whole
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
+from taciturn.model.wire import HEADER_SIZE, OFFSETS, VERSION
 from taciturn.program.names import text_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet
@@ -24,6 +25,7 @@ Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
 IDLE = 0.25  # seconds between checks for a stop request
 WAIT = 0.3, 0.55  # default fractions of a step for which controller and actuators wait
+LARGEST = 2**26  # bytes of a saved state
 QUIET = 0.05  # seconds without datagrams after which no more are expected
 
 
@@ -37,8 +39,14 @@ def say(sentence: str) -> None:
     print(f"taciturn: {sentence}", file=sys.stderr, flush=True)
 
 
-def disagreement(name: str, why: str, keyed: bool, sender: Address) -> str | None:
-    """Return a message if packets are rejected because the sender has another policy or key, else None."""
+def disagreement(name: str, why: str, keyed: bool, sender: Address, datagram: bytes) -> str | None:
+    """Return a message if a datagram is rejected because the sender has another policy, key or release, else None."""
+    version = datagram[OFFSETS["version"]] if len(datagram) > HEADER_SIZE else VERSION
+    if why == "foreign" and version != VERSION:
+        return (
+            f"the {name} refuses packets of version {version} of the wire format from {sender[0]}:{sender[1]}; "
+            f"expected version {VERSION}: run the same release of taciturn on both sides, and export firmware again"
+        )
     others = {"foreign": "of another policy, or with a key on one side only,", "forged": "of another key"}
     others |= {"malformed": "too short for the tag of a key"} if keyed else {}
     if why not in others:
@@ -94,12 +102,13 @@ class FileStorage:
     """
 
     def __init__(self, path: Path) -> None:
-        """Check that the folder exists."""
+        """Check that the folder exists, and delete incomplete files, which a killed process has left."""
         if not path.parent.is_dir():
             raise ProblemError(
                 f"the state cannot be saved in {path.parent}, which is not a folder; expected an existing folder"
             )
         self._path = path
+        delete_parts(path)
 
     def __str__(self) -> str:
         """Return the name of the file."""
@@ -108,10 +117,13 @@ class FileStorage:
     def read(self) -> bytes | None:
         """Return the content of the file, or None if it does not exist."""
         try:
-            return self._path.read_bytes() if self._path.exists() else None
+            return read_bytes(self._path, LARGEST)
+        except FileNotFoundError:
+            return None
         except OSError as error:
             raise ProblemError(
-                f"the saved state {self._path} cannot be read ({error}); expected a saved state of this node"
+                f"the saved state {self._path} cannot be read ({why_unreadable(error)}); expected a saved state of "
+                "this node"
             ) from None
 
     def write(self, state: bytes) -> None:
@@ -191,7 +203,8 @@ def log_line(
     if given is not None:
         line["u"] = list(given)
     line |= {"degraded": int(node.degraded), "reasons": dict(node.reasons)}
-    return line | {"silent": int(node.silent), "waiting": node.waiting}
+    line |= {"silent": int(node.silent), "silent_links": list(node.silent_links)}
+    return line | {"waiting": node.waiting}
 
 
 def name_of_part(log: Path) -> Path:

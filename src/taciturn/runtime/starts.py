@@ -11,7 +11,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE
-from taciturn.program.controller import MEASURED, fate_of, lower_command, predicted_outputs
+from taciturn.program.controller import MEASURED, TOLD, fate_of, lower_command, predicted_outputs
 from taciturn.program.names import Entry, Name
 from taciturn.program.python import compile_python
 
@@ -71,8 +71,8 @@ def _from_input(policy: Policy, network: Network, u: Array) -> tuple[Policy, tup
             "expected start_input of the controller ([controller] pid), or no start_input"
         )
     for signal, (node, rows) in policy.applied.items():
-        copies = {signal, f"{HELD}_{node}"} & policy.sizes.keys()
-        memories |= {name: u[[*rows]] for name in copies}
+        copies = dict.fromkeys((signal, f"{HELD}_{node}"))  # in one order: fingerprints contain the start values
+        memories |= {name: u[[*rows]] for name in copies if name in policy.sizes}
     if HELD in policy.sizes:
         memories[HELD] = u
     policy, prior = replace(policy, initial=memories), _prior(policy)
@@ -135,6 +135,7 @@ def _command(policy: Policy, network: Network, measured: bool = False) -> Array 
     if program is None:
         return None
     given: dict[Name, float] = {Entry(fate_of(link), 0): 1.0 for link in network.links}
+    given[Entry(TOLD, 0)] = 0.0
     outputs = range(policy.model.sensed)
     given |= {Entry(REFERENCE, i): value for i, value in enumerate(policy.model.given.tolist())}
     given |= {Entry(name, i): value for name, value in (("y", 0.0), (MEASURED, float(measured))) for i in outputs}

@@ -23,19 +23,36 @@ _FORCED = 33  # SO_RCVBUFFORCE: a larger buffer than users other than root may r
 _MEMORY, _DROPS = 55, 8  # SO_MEMINFO, and the index of the dropped datagrams in its table
 
 
-def parse_address(name: str, text: str) -> Address:
+def parse_address(name: str, text: str, *, own: bool = False) -> Address:
     """Return host and port of the text ``HOST:PORT``; the default host is 127.0.0.1.
 
+    Args:
+        name: name of the address in messages.
+        text: the text.
+        own: whether this process listens there, so that port 0 lets the system choose one.
+
     Raises:
-        ProblemError: the text has another form, the port is out of range, or the host is unknown.
+        ProblemError: the text has another form, the port is out of range, or the host is unknown or is written as an
+            IPv6 address.
     """
     host, colon, port = text.rpartition(":")
-    if not colon or not port.isdecimal() or not 0 <= int(port) <= 65535:
-        raise ProblemError(f"{name} is {text!r}; expected HOST:PORT with a port from 0 to 65535, e.g. 127.0.0.1:9001")
+    if ":" in host or "[" in text:
+        raise ProblemError(
+            f"{name} is {text!r}, an IPv6 address, and IPv6 is not supported; expected HOST:PORT with a name or an "
+            "IPv4 address, e.g. 127.0.0.1:9001"
+        )
+    least = 0 if own else 1
+    digits = port.isascii() and port.isdecimal() and len(port) <= 5
+    if not colon or not digits or not least <= int(port) <= 65535:
+        raise ProblemError(
+            f"{name} is {text!r}; expected HOST:PORT with a port from {least} to 65535, e.g. 127.0.0.1:9001"
+        )
     try:
         found = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
-    except OSError as error:
-        raise ProblemError(f"{name}: the host {host!r} is unknown ({error}); expected a name or an address") from None
+    except (OSError, ValueError) as error:  # a UnicodeError is a ValueError: a label of more than 63 letters
+        raise ProblemError(
+            f"{name}: the host {host!r} is unknown ({error}); expected a name or an IPv4 address"
+        ) from None
     address = found[0][4]
     return str(address[0]), int(address[1])
 

@@ -65,7 +65,7 @@ def find_doubts(
         settled: whether the initial transient has decayed.
     """
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
-    notes: tuple[str, ...] = ()
+    notes = loop.problem.remarks
     if escapes(loop):
         notes += (
             "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
@@ -133,8 +133,8 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
                 f"probability {outage:.4g}, and in this step the squared cost grows by a factor of {growth**4:.4g}. So "
                 "the standard error is meaningless, and the average is probably too small",
             )
-    found, known = outcomes(loop), loop.policy.theory.fourth
-    if found is None and known is not None and known >= 1 and loop.nominal:
+    found, known = outcomes(loop), loop.deviations.policy.theory.fourth
+    if found is None and known is not None and known >= 1 and loop.deviations.nominal:
         return (_infinite(known, " if every packet is sent"),)
     if found is None or (growth := found.growth(4)) < 1:
         return ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import lcm
 
@@ -23,7 +23,7 @@ from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import Part, sends
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
-from taciturn.simulation.settled import PROLONGED, History, Snapshots
+from taciturn.simulation.settled import PROLONGED, History, Snapshots, shared_end
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
 SIMULATED_PATHS = 4096
@@ -68,7 +68,7 @@ class Averages(Displayed):
     """
 
     cost: Estimate
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     steps: int
     burn_in: int
     reached: bool
@@ -345,7 +345,11 @@ class Sampling:
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
         seen = sum(length for length, _ in kept) * means.shape[1]
-        rates = {link: rate_of(row, seen) for link, row in self._sends(means).items()}
+        windows = [(length, self._sends(sums)) for length, sums in kept]
+        rates = {
+            link: rate_of(row, seen, shared_end([(length, sends[link]) for length, sends in windows]))
+            for link, row in self._sends(means).items()
+        }
         return self._rounded(cost).scaled(1.0, self.offset), rates
 
     def _rounded(self, cost: Estimate) -> Estimate:

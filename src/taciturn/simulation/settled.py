@@ -20,6 +20,8 @@ resolves more than one window, and it does not contain the start, whose large tr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from taciturn._arrays import Array, Bits
@@ -128,6 +130,26 @@ def _distance(first: Array, second: Array) -> float:
     values = np.concatenate([first, second])
     one, two = (np.searchsorted(np.sort(part), values, side="right") / len(part) for part in (first, second))
     return float(np.abs(one - two).max())
+
+
+def shared_end(windows: Sequence[Window]) -> float:
+    """Return the standard deviation of the error of a rate that all paths share.
+
+    Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or just
+    after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ … 1 − 1/ℓ, all
+    alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have equal rates, and no
+    such error.
+
+    Args:
+        windows: steps and sends of each path, (paths,), of each window.
+    """
+    steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
+    rates = [float(sums.mean()) / length for length, sums in windows]
+    apart = sends.std() >= IN_PHASE or sends.mean() < 1
+    if apart or np.ptp(rates) <= ROUNDING:
+        return 0.0
+    rate = min(1.0, float(sends.mean()) / steps)
+    return float(np.sqrt((1 - rate**2) / 12)) / steps
 
 
 def _joined(windows: list[Window]) -> Window:

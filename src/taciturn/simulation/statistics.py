@@ -81,10 +81,16 @@ def tail_index(values: Array) -> float:
     return 1 / spread if spread > 0 else float(np.inf)
 
 
-def rate_of(values: Array, seen: int) -> Estimate:
-    """Return the mean of observed send rates, with a standard error of at least one event in the observed steps."""
+def rate_of(values: Array, seen: int, end: float = 0.0) -> Estimate:
+    """Return the mean of observed send rates, with a standard error of at least one event in the observed steps.
+
+    Args:
+        values: rate on each path, (paths,).
+        seen: observed steps of all paths.
+        end: standard deviation of the error that all paths share because their records end at the same step.
+    """
     found = mean(values)
-    return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)
+    return Estimate(found.value, float(np.hypot(max(found.standard_error, 1 / seen), end)), found.method)
 
 
 def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:

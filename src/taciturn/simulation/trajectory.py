@@ -13,6 +13,7 @@ from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, Size, Style, draw
 from taciturn._text import pairs_text, table_text, wrapped_text
 from taciturn.design.bare import own_problem
+from taciturn.errors import ProblemError
 from taciturn.loop import Loop, close
 from taciturn.model.policy import Policy, Send
 from taciturn.model.table import FIRST, LAST, Column, Columns, Tabular
@@ -23,6 +24,7 @@ from taciturn.simulation.nonfinite import expect_numbers
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ADDRESSES = 2**47  # bytes that a process can address, of which NumPy refuses more in other ways
 COLUMNS = 6  # columns next to the time that ``str`` prints
 
 
@@ -175,7 +177,16 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     count("seed", seed, 0)
     program = loop.program()
     program = program.keep(outputs=set(program.outputs))
-    outputs = prepare(program)(loop.start(program, 1, seed), ticks, 1).outputs
+    size = 8 * ticks * len(program.outputs)
+    try:
+        if size > ADDRESSES:
+            raise MemoryError
+        outputs = prepare(program)(loop.start(program, 1, seed), ticks, 1).outputs
+    except MemoryError:
+        raise ProblemError(
+            f"ticks is {ticks}, and a record of so many steps needs {size / 1e9:.3g} GB, more memory than there is; "
+            "expected fewer steps, or an evaluation, which records none"
+        ) from None
     records = {name: values[:, 0] for name, values in outputs.items()}
 
     def stacked(name: str) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn._arrays import instance
 from taciturn.errors import ProblemError
+from taciturn.lqg.regulation import has_average
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
@@ -32,6 +33,13 @@ def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "ra
                 tables = {"actual": "[plant.actual]", "network": "[network], [nodes] or [links]"}
                 where = tables.get(what, f"[{what}]")
                 raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
+        periods = [each.parameters.get("period") for each in (first, second)]
+        if periods[0] != periods[1] and not has_average(first.plant, first.cost):
+            raise ProblemError(
+                f"{one} has the period {periods[0]} and {other} {periods[1]}, but the cost is that at the sampling "
+                "instants, because the disturbances change the input that they need between samples and grow without "
+                "limit; expected equal periods, or disturbances that are constant or decay"
+            )
         if first.record is second.record and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
                 f"{one} and {other} are the same policy, {first.kind}, at the same {budget}; expected policies that "

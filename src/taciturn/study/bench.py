@@ -9,7 +9,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -53,11 +53,11 @@ class Bench(Tabular):
 
     heading: ClassVar[tuple[str, ...]] = ("machine", "ratios")
 
-    machine: Mapping[str, str]
-    speeds: Mapping[str, float]
-    ratios: Mapping[str, float]
-    compile_seconds: Mapping[str, float]
-    variance_ratios: Mapping[str, float]
+    machine: Mapping[str, str] = field(hash=False)
+    speeds: Mapping[str, float] = field(hash=False)
+    ratios: Mapping[str, float] = field(hash=False)
+    compile_seconds: Mapping[str, float] = field(hash=False)
+    variance_ratios: Mapping[str, float] = field(hash=False)
 
     def columns(self) -> Columns:
         """Return one row per contestant."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from taciturn._cvxpy import expect_solver
 from taciturn._modes import accumulate, radius
+from taciturn._progress import answered_within
 from taciturn.analyse.certificates import (
     NoCertificateError,
     bound_cost,
@@ -82,7 +83,7 @@ class Certificates(Tabular):
     cost_all_time: float | None
     mean_square_bound: float | None
     mean_square_all_time: float | None
-    errors: Mapping[str, ErrorGain]
+    errors: Mapping[str, ErrorGain] = field(hash=False)
     errors_bound: float | None
     seconds: float
     notes: tuple[str, ...]
@@ -129,7 +130,7 @@ class Certificates(Tabular):
         return result | ({"notes": list(self.notes)} if self.notes else {})
 
 
-def certify(problem: Studied) -> Certificates:
+def certify(problem: Studied, *, time_limit: float | None = None) -> Certificates:
     """Certify decay, gain and cost of a problem's loop by quadratic Lyapunov functions.
 
     Every number follows from matrix inequalities whose solution was verified, with a bound on rounding errors, before
@@ -138,6 +139,7 @@ def certify(problem: Studied) -> Certificates:
 
     Args:
         problem: from ``load`` or ``Problem``; the simulated plant may differ from the plant of the design.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
 
     Returns:
         The certificates.
@@ -154,47 +156,48 @@ def certify(problem: Studied) -> Certificates:
         >>> round(found.decay, 2), round(found.cost_bound, 2)  # J_all = 0.7335, guaranteed 0.8068
         (0.97, 0.8)
     """
-    began = time.perf_counter()
-    problem = as_problem("problem", problem)
-    policy = problem.design()
-    loop = problem.close(policy)
-    errors: Mapping[str, ErrorGain] = policy.theory.errors if loop.nominal else {}
-    try:
-        matrices = switched(loop)
-    except ProblemError as error:
-        if not errors:
-            raise
-        return _of_errors(problem, loop, errors, str(error), began)
-    expect_solver()
-    law = switched_innovations(loop) if loop.reducible else matrices
-    notes: list[str] = []
-    decay, gain = _attempt(find_decay, matrices, notes), _attempt(find_gain, matrices, notes)
-    cost, square = _attempt(bound_cost, law, notes), _attempt(bound_state, law, notes)
-    if decay is None and gain is None and cost is None and square is None and not errors:
-        raise ProblemError(f"nothing could be proved for this loop: {notes[0]}")
-    always = _always(loop, matrices)
-    tick = policy.tick
-    return Certificates(
-        policy=policy.kind,
-        unit=time_unit(problem),
-        states=matrices.states,
-        actions=matrices.labels,
-        decay=None if decay is None else decay.rate,
-        limit=None if decay is None else decay.limit / tick,
-        overshoot=None if decay is None else decay.overshoot,
-        decay_all_time=always.decay,
-        gain=None if gain is None else gain.value,
-        gain_residual=None if gain is None else gain.residual,
-        gain_all_time=always.gain,
-        cost_bound=None if cost is None else loop.problem.per_unit(cost.value),
-        cost_all_time=always.cost,
-        mean_square_bound=None if square is None else square.value,
-        mean_square_all_time=always.mean_square,
-        errors=errors,
-        errors_bound=_bound(loop, errors),
-        seconds=time.perf_counter() - began,
-        notes=(*notes, *(f"proved for the simulated plant: {text}" for text in loop.violated_assumptions)),
-    )
+    with answered_within(time_limit):
+        began = time.perf_counter()
+        problem = as_problem("problem", problem)
+        policy = problem.design()
+        loop = problem.close(policy)
+        errors: Mapping[str, ErrorGain] = policy.theory.errors if loop.nominal else {}
+        try:
+            matrices = switched(loop)
+        except ProblemError as error:
+            if not errors:
+                raise
+            return _of_errors(problem, loop, errors, str(error), began)
+        expect_solver()
+        law = switched_innovations(loop) if loop.reducible else matrices
+        notes: list[str] = []
+        decay, gain = _attempt(find_decay, matrices, notes), _attempt(find_gain, matrices, notes)
+        cost, square = _attempt(bound_cost, law, notes), _attempt(bound_state, law, notes)
+        if decay is None and gain is None and cost is None and square is None and not errors:
+            raise ProblemError(f"nothing could be proved for this loop: {notes[0]}")
+        always = _always(loop, matrices)
+        tick = policy.tick
+        return Certificates(
+            policy=policy.kind,
+            unit=time_unit(problem),
+            states=matrices.states,
+            actions=matrices.labels,
+            decay=None if decay is None else decay.rate,
+            limit=None if decay is None else decay.limit / tick,
+            overshoot=None if decay is None else decay.overshoot,
+            decay_all_time=always.decay,
+            gain=None if gain is None else gain.value,
+            gain_residual=None if gain is None else gain.residual,
+            gain_all_time=always.gain,
+            cost_bound=None if cost is None else loop.problem.per_unit(cost.value),
+            cost_all_time=always.cost,
+            mean_square_bound=None if square is None else square.value,
+            mean_square_all_time=always.mean_square,
+            errors=errors,
+            errors_bound=_bound(loop, errors),
+            seconds=time.perf_counter() - began,
+            notes=(*notes, *(f"proved for the simulated plant: {text}" for text in loop.violated_assumptions)),
+        )
 
 
 def _of_errors(

@@ -23,6 +23,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn._progress import check_time
 from taciturn.errors import TaciturnError
 from taciturn.lqg.periodic import cycles
 
@@ -276,6 +277,7 @@ class Ticked(Clock):
 
     def _solved(self, cycle: Cycle) -> float:
         if cycle not in self._exactly:
+            check_time()
             try:
                 self._exactly[cycle] = self._solve(cycle)
             except TaciturnError:  # such as intervals at which the sampled plant is not stabilisable

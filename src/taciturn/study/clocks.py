@@ -24,6 +24,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.study.clock import ClockPoint, beside, lower_hull
+from taciturn.study.fair import OF_A_DESIGN
 
 PERIODS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64)
 AROUND = (1.0, 1.25, 0.8)  # traffics, relative to the requested one, at which timings are sought
@@ -45,7 +46,7 @@ class LinkClocks(Displayed):
     """
 
     cost: float
-    timings: tuple[Mapping[str, Timing], ...]
+    timings: tuple[Mapping[str, Timing], ...] = field(hash=False)
     shares: tuple[float, ...]
     plans: bool
     tried: int
@@ -192,7 +193,7 @@ def clocks_of_links(problem: Problem, traffic: float, progress: Progress | None 
         raise NoLinkClocksError("periodic control is computed for links that deliver every packet in its step")
     differences = problem.close(policy).violated_assumptions
     if differences:
-        raise NoLinkClocksError(f"the loop differs from the design: {differences[0]}")
+        raise NoLinkClocksError(f"{OF_A_DESIGN} {differences[0]}")
     period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
     discrete = discretise(problem.plant, problem.cost, period)
     prices = {link: law.price for link, law in network.links.items()}

@@ -11,7 +11,7 @@ import numpy as np
 from taciturn._arrays import number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
-from taciturn._progress import Progress, in_notebook
+from taciturn._progress import Progress, answered_within, in_notebook
 from taciturn._text import per_unit
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
@@ -111,7 +111,8 @@ class Comparison(Tabular):
     Args:
         rate: sends per step or per second; for a finite-horizon run, the mean fraction of steps with a send. For
             policies at the same traffic, the sum of the rates of all links, each times the price of a packet.
-        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
+            instants"`` or ``"mission"``.
         cost_all_time: least exact cost of sending at every step among the policies with the most steps per second, or
             None if it is unknown.
         ranking: the policies in the order of their costs.
@@ -227,6 +228,7 @@ def compare(
     link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
     """Compare the policies of several problems at the same rate, or at the same traffic on all links.
@@ -246,6 +248,7 @@ def compare(
         link: link whose rate is meant; may be omitted if each policy decides on a single link.
         seed: seed of the random draws.
         standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending at every step.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -263,44 +266,45 @@ def compare(
         >>> [one.name for one in compare(named, 0.3, standard_error=1e-3).ranking]
         ['model', 'hold']
     """
-    check_effort(seed, standard_error, None)
-    if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
-        named = {"rate": rate, "traffic": traffic, "link": link}
-        got = " and ".join(name for name, value in named.items() if value is not None) or "neither rate nor traffic"
-        raise ProblemError(f"{got} is given; expected a rate, perhaps with a link, or a traffic alone")
-    goal, level = (
-        ("rate", number("rate", rate, 0.0)) if traffic is None else ("traffic", number("traffic", traffic, 0.0))
-    )
-    problems = comparable(problems, link, goal)
-    bar = in_notebook(progress)
-    found: list[Contestant] = []
-    for index, (name, choices) in enumerate(measuring_alike(problems).items()):
+    with answered_within(time_limit):
+        check_effort(seed, standard_error, None)
+        if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
+            named = {"rate": rate, "traffic": traffic, "link": link}
+            got = " and ".join(name for name, value in named.items() if value is not None) or "neither rate nor traffic"
+            raise ProblemError(f"{got} is given; expected a rate, perhaps with a link, or a traffic alone")
+        goal, level = (
+            ("rate", number("rate", rate, 0.0)) if traffic is None else ("traffic", number("traffic", traffic, 0.0))
+        )
+        problems = comparable(problems, link, goal)
+        bar = in_notebook(progress)
+        found: list[Contestant] = []
+        for index, (name, choices) in enumerate(measuring_alike(problems).items()):
 
-        def report(fraction: float, index: int = index) -> None:
-            if bar is not None:
-                bar((index + 0.8 * fraction) / len(problems))
+            def report(fraction: float, index: int = index) -> None:
+                if bar is not None:
+                    bar((index + 0.8 * fraction) / len(problems))
 
-        try:
-            alike: list[Contestant] = []
-            for problem in choices:
-                wanted = _wanted(problem) if standard_error is None else standard_error
-                tuned = tune(
-                    problem, rate=rate, traffic=traffic, link=link, seed=seed + index, standard_error=wanted,
-                    progress=report,
-                )  # fmt: skip
-                only = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
-                alike.append(_at_rate(name, tuned, level, only if traffic is None else None))
-            found.append(min(alike, key=lambda one: one.cost.value))
-        except TaciturnError as error:
-            raise type(error)(f"{name}: {error}") from None
-    found.sort(key=lambda one: one.cost.value)
-    ranking, best = tuple(found), None
-    while best is None or ranking[0].name != best.name:  # until no difference shows that another policy is cheaper
-        best = ranking[0]
-        beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
-        ranking = tuple(sorted(beside, key=lambda one: one.above.value))
-    clocks = None if traffic is None else clocks_or_reason([one.tuned.problem for one in ranking], level)
-    return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal, clocks)
+            try:
+                alike: list[Contestant] = []
+                for problem in choices:
+                    wanted = _wanted(problem) if standard_error is None else standard_error
+                    tuned = tune(
+                        problem, rate=rate, traffic=traffic, link=link, seed=seed + index, standard_error=wanted,
+                        progress=report,
+                    )  # fmt: skip
+                    only = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
+                    alike.append(_at_rate(name, tuned, level, only if traffic is None else None))
+                found.append(min(alike, key=lambda one: one.cost.value))
+            except TaciturnError as error:
+                raise type(error)(f"{name}: {error}") from None
+        found.sort(key=lambda one: one.cost.value)
+        ranking, best = tuple(found), None
+        while best is None or ranking[0].name != best.name:  # until no difference shows that another policy is cheaper
+            best = ranking[0]
+            beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
+            ranking = tuple(sorted(beside, key=lambda one: one.above.value))
+        clocks = None if traffic is None else clocks_or_reason([one.tuned.problem for one in ranking], level)
+        return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal, clocks)
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:

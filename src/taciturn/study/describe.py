@@ -19,6 +19,7 @@ from taciturn.model.kept import pids_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Evaluate, Policy
 from taciturn.model.saturation import limit_entries
+from taciturn.model.set_points import RandomSteps, SampledChanges, Timetable
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
@@ -45,12 +46,14 @@ class Description(Displayed):
         nodes: the policy that the nodes run (for ``optimal``, a policy with the same nodes), or None if the policy has
             no sampling steps.
         violated_assumptions: differences between the loop and its design; if there are any, no guarantee holds.
+        remarks: what the cost counts, if it is not the integral of the stage cost.
     """
 
     problem: Problem
     policy: AnyPolicy
     nodes: Policy | None
     violated_assumptions: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def diagram(self) -> Diagram | None:
@@ -74,7 +77,7 @@ class Description(Displayed):
     def notes(self) -> tuple[str, ...]:
         """Warnings and remarks."""
         told = () if isinstance(self.policy, OptimalPolicy) else self.policy.notes
-        return told + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
+        return told + self.remarks + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn show --json``."""
@@ -235,7 +238,8 @@ def describe(problem: Studied) -> Description:
     if isinstance(policy, EventPolicy):
         return Description(problem, policy, None, ())
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    return Description(problem, policy, nodes, problem.close(nodes).violated_assumptions)
+    loop = problem.close(nodes)
+    return Description(problem, policy, nodes, loop.violated_assumptions, loop.problem.remarks)
 
 
 def _gains(policy: Policy) -> dict[str, Matrix]:
@@ -387,6 +391,8 @@ def _plain(value: object) -> Any:
     """Return a value in a form that JSON supports: a table as its index and entries, infinity as "inf" or "-inf"."""
     if isinstance(value, Scheduled):
         return {"by": value.by, "values": value.values.tolist()}
+    if isinstance(value, RandomSteps | Timetable | SampledChanges):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list):

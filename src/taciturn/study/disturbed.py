@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ class AfterStep(Displayed):
     size: tuple[float, ...]
     cost: Estimate
     cost_all_time: Estimate
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     settled: bool = True
 
     def document(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from taciturn._arrays import number
-from taciturn._progress import OutOfTime, Progress, Stages, in_notebook, limited
+from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn.analyse.limits import resets
 from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
@@ -37,6 +37,8 @@ Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
 SURE = 4.0  # standard errors
 AFTER_STEP = 0.3  # share of the progress for the averages after a step
+MEASURED = 0.8  # share of the time for the cost, of that which no other part of the answer needs
+COMPARED = 0.4  # share of the time that is left for periodic control, if other parts follow
 LIMITED = 0.3  # share of the time for the loop without limits of its inputs
 VIOLATIONS = 0.5  # share of the progress for the violations of limits
 
@@ -75,9 +77,9 @@ def evaluate(
             fast.
         confidence: confidence of a lower bound on the cost of any scheduling at this rate (see ``bound_below``). If it
             is omitted, neither this bound nor ``rate_bounds`` is computed, since both take seconds.
-        time_limit: time limit in seconds after the design of the policy; default: none. When it has passed, the best
-            answer so far is returned, with its actual error and ``reached`` False. A lower bound that is not yet found
-            is omitted, with a note.
+        time_limit: time limit in seconds, with the design of the policy; default: none. When most of it has passed,
+            the best cost so far is taken, with its actual error and ``reached`` False. Other parts of the
+            answer, such as periodic control and a lower bound, are omitted with a note if the rest is too short.
         after_step: whether to simulate also a step of the slow disturbance that the policy assumes, if it assumes one.
         progress: callback that receives the fraction done.
 
@@ -108,10 +110,10 @@ def evaluate(
     if confidence is not None:
         number("confidence", confidence, 0.0, 1.0)
     began = time.perf_counter()
-    told = Stages(limited(in_notebook(progress), time_limit))
+    told = Stages(in_notebook(progress))
     share = 1.0 if problem.limits is None else 1.0 - VIOLATIONS
-    try:
-        request = Request(seed, standard_error, steps, method, time_limit)
+    with answered_within(time_limit, early=True):
+        request = Request(seed, standard_error, steps, method)
         found = _evaluated(problem, request, precision, confidence, after_step, told.stage(0.0, share))
         if after_step:
             found = with_written(problem, request, found, told.stage(share, share))
@@ -120,11 +122,6 @@ def evaluate(
         power, life = _energy(problem, found)
         prices = {link: problem.network.links[link].price for link in found.rates if link in problem.network.links}
         return replace(found, power=power, life=life, prices=prices, seconds=time.perf_counter() - began)
-    except OutOfTime:
-        raise ProblemError(
-            f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "
-            "time_limit"
-        ) from None
 
 
 def with_written(problem: Problem, request: Request, found: Evaluation, progress: Progress) -> Evaluation:
@@ -132,7 +129,7 @@ def with_written(problem: Problem, request: Request, found: Evaluation, progress
     try:
         return replace(found, as_written=plant_as_written(problem, problem.designed(), request, progress))
     except OutOfTime:
-        late = f"no averages for the plant as written: the time limit of {request.time_limit:g} s passed"
+        late = f"no averages for the plant as written: {late_text()}"
         return replace(found, notes=(*found.notes, late))
 
 
@@ -150,6 +147,7 @@ def _evaluated(
         OutOfTime: the time limit passed before any answer was available.
     """
     policy = problem.designed()
+    optimum = isinstance(policy, OptimalPolicy)
     if isinstance(policy, EventPolicy):
         if confidence is not None:
             expect_bound(problem)
@@ -159,46 +157,51 @@ def _evaluated(
     share = AFTER_STEP if after_step and isinstance(policy, Policy) and policy.disturbance is not None else 0.0
     spare = LIMITED if (problem.actual or problem.plant).saturation is not None else 0.0
     share += spare
-    first = told.stage(0.0, 1.0 - share if confidence is None else 0.5)
-    if isinstance(policy, OptimalPolicy):
-        loop = problem.close(policy.looked_at)
-        measured, certified = measure_optimum(loop, policy.price, request, first), None
-    else:
-        loop = replace(problem.close(policy), precision=precision)
-        measured = measure(loop, request, first)
-        certified = None if confidence is None else bound_rate(loop)
+    most = 1.0 - share if confidence is None else 0.5
+    first, certified = told.stage(0.0, most), None
+    with part_of_time(most * MEASURED):
+        if isinstance(policy, OptimalPolicy):
+            loop = problem.close(policy.looked_at)
+            measured = measure_optimum(loop, policy.price, request, first)
+        else:
+            loop = replace(problem.close(policy), precision=precision)
+            measured = measure(loop, request, first)
     asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
     found, notes = measured.averages, measured.notes + without_effect(asked, measured.method) + forgotten_start(problem)
     policy, lower = loop.policy, None
+    per_tick, pace = found.rates[policy.scheduled[0]], base_rate(loop)
+    with part_of_time(1.0 if most == 1.0 else COMPARED):
+        fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
     if confidence is not None:
         resets(loop)
         try:
+            certified = None if optimum else bound_rate(loop)
             lower = bounded(
                 loop, found.rates[policy.scheduled[0]], confidence, request.seed, told.stage(0.5, 1.0 - share)
             )
         except ProblemError as error:
             notes += (f"no lower bound: {error}",)
         except OutOfTime:
-            notes += (f"no lower bound: the time limit of {request.time_limit:g} s passed; expected a longer one",)
+            notes += (f"no lower bound: {late_text()}; expected a longer one",)
     guarantee = policy.guarantee if loop.nominal else None
-    per_tick, pace = found.rates[policy.scheduled[0]], base_rate(loop)
     if certified is not None:
         certified = (pace * certified[0], pace * certified[1])
         notes += contradicted(per_tick.scaled(pace), certified, rate_unit(cost_unit(problem)))
-    fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
     sharper = None if guarantee is None else guarantee.at_rates(found.rates, policy.scheduled[0])
     stepped = None
     if share > spare:
         try:
             stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0 - spare))
         except OutOfTime:
-            notes += (f"no averages after a step: the time limit of {request.time_limit:g} s passed",)
+            notes += (f"no averages after a step: {late_text()}",)
     without = None
     try:
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
     except OutOfTime:
-        notes += (f"no cost without limits: the time limit of {request.time_limit:g} s passed",)
-    compared = loop.nominal and per_tick.value > 0 and _predicts(policy)
+        notes += (f"no cost without limits: {late_text()}",)
+    notes = tuple(dict.fromkeys(loop.problem.remarks + notes))
+    known = guarantee is not None or fair is not None or no_clock != late_text()
+    compared = loop.nominal and per_tick.value > 0 and _predicts(policy) and known
     return Evaluation(
         policy=policy.kind,
         unit=cost_unit(problem),

@@ -45,8 +45,8 @@ class Evaluation(Tabular):
 
     Args:
         policy: kind of the policy.
-        unit: unit of time or run that the cost refers to: ``"step"`` or ``"second"``, or ``"mission"`` for a finite
-            horizon or a discount.
+        unit: unit that the cost refers to: ``"step"``, ``"second"``, or ``"second at the sampling instants"`` if the
+            integral has no average, or ``"mission"`` for a finite horizon or a discount.
         base_rate: rate of sending at every step, or None if sends may occur at any time.
         cost: cost per step or per second, or the total of a finite-horizon run.
         cost_all_time: exact cost of sending at every step, or None if the simulated plant is not the one of the design.
@@ -100,7 +100,7 @@ class Evaluation(Tabular):
     statement: str | None
     cost_bound: float | None
     cost_bound_at_rate: float | None
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     seed: int
     seconds: float
     steps: int
@@ -121,9 +121,9 @@ class Evaluation(Tabular):
     trusted: bool = True
     bound_error: float = 0.0
     after_step: AfterStep | None = None
-    power: Mapping[str, Estimate] = field(default_factory=lambda: {})
-    life: Mapping[str, Estimate] = field(default_factory=lambda: {})
-    prices: Mapping[str, float] = field(default_factory=lambda: {})
+    power: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
+    life: Mapping[str, Estimate] = field(hash=False, default_factory=lambda: {})
+    prices: Mapping[str, float] = field(hash=False, default_factory=lambda: {})
     cost_lqg: float | None = None
     without_limits: WithoutLimits | None = None
     violations: Violations | None = None

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import OutOfTime, late_text
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.clocked import predicted_cost
 from taciturn.design.estimation import ESTIMATE
@@ -28,6 +29,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
 
 ALIKE = 1e-6  # relative
+OF_A_DESIGN = "the cost of periodic control is computed for the loop of a design, and here"  # the difference
 NEAR, SMALL = 8, 10  # real periods that are tried next to the one at a rate, of plants with so many states at most
 WORK = 3e7  # cycles, times the cube of the size of the problem that one of them is
 
@@ -80,7 +82,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     if nodes.theory.periodic is not None and problem.controller is not None:
         loop = problem.close(nodes)
         if not loop.nominal:
-            raise NoClockError(f"the loop differs from the design: {loop.violated_assumptions[0]}")
+            raise NoClockError(f"{OF_A_DESIGN} {loop.violated_assumptions[0]}")
         return _kept(loop, nodes.theory.periodic, "zero" if _applies_zero(nodes) else actuation_of(nodes))
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
@@ -90,7 +92,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     except TaciturnError as error:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
     if differences:
-        raise NoClockError(f"the loop differs from the design: {differences[0]}")
+        raise NoClockError(f"{OF_A_DESIGN} {differences[0]}")
     if nodes.tracking is not None:
         raise NoClockError("the policy follows a stored reference")
     if certainty.timed:
@@ -114,7 +116,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
         ticked = _holding(*given, certainty.estimation_cost, p.noise_cost, p.tick)
     near = NEAR if p.plant.states <= SMALL else 0
-    if not continuous:
+    if not continuous or p.instants:  # costs at the sampling instants of another period count something else
         return ticked
     actuation = actuation_of(nodes)
     if problem.plant.full_state and actuation == "hold":  # neither filter nor model runs between the sends
@@ -130,6 +132,8 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[Cl
         found = fair_clock(problem, policy).at(rate.value, rate.standard_error)
     except NoClockError as reason:
         return None, str(reason)
+    except OutOfTime:
+        return None, late_text()
     if found is None:
         return (
             None,

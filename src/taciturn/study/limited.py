@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,7 @@ class WithoutLimits(Displayed):
     share: Estimate
     cost: Estimate | None
     cost_bound: float | None
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
 
     def document(self) -> dict[str, Any]:
         """Return the parts of the JSON document of ``taciturn evaluate --json``."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 
 from taciturn._display import Displayed
-from taciturn._progress import OutOfTime, Progress, limited
+from taciturn._progress import OutOfTime, Progress, part_of_time, seconds_left
 from taciturn.analyse.limits import solve_optimum
 from taciturn.analyse.renewal import (
     ConditionalSampling,
@@ -60,14 +61,12 @@ class Request(Displayed):
         standard_error: absolute standard error of the cost; None for 1e-4 of the cost.
         steps: total number of steps to simulate over all paths, instead of a standard error; or None.
         method: ``"auto"``, ``"simulation"``, ``"exact"`` or ``"conditional sampling"``.
-        time_limit: time limit in seconds, or None.
     """
 
     seed: int
     standard_error: float | None
     steps: int | None
     method: str
-    time_limit: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,14 +110,14 @@ def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured
         raise ProblemError(f"method is {method!r}, but {refused}") from None
     if len(candidates) == 1:
         reason = "no other method applies" if method == "auto" and request.steps is None else "requested"
-        return _measured(loop, _run(candidates[0], request, progress, alone=True), candidates[0].name, reason, refused)
+        return _measured(loop, _run(candidates[0], progress, alone=True), candidates[0].name, reason, refused)
     reasons, best = list[str](), None
     while candidates and (best is None or not best.averages.reached):
-        ordered, reason = rank(candidates, request.time_limit)
+        ordered, reason = rank(candidates)
         candidate, candidates = ordered[0], ordered[1:]
         reasons.append(reason)
         try:
-            found = _run(candidate, request, progress, alone=not candidates)
+            found = _run(candidate, progress, alone=not candidates)
         except (NoQuadratureError, OutOfTime) as error:
             if not candidates and best is None:
                 raise
@@ -139,7 +138,7 @@ def _measured(loop: Loop, found: Averages, method: str, reason: str, refused: No
     return Measured(found, method, reason, loop.policy.notes + why + found.notes)
 
 
-def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Candidate], str]:
+def rank(candidates: list[Candidate]) -> tuple[list[Candidate], str]:
     """Return the candidates ordered by their predicted work, least first, and a sentence with the predictions.
 
     A candidate whose least work exceeds the work of another candidate is not predicted more closely. A method that has
@@ -148,9 +147,8 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
 
     Args:
         candidates: at least one.
-        time_limit: time limit in seconds, or None.
     """
-    work, known = dict[str, float](), dict[str, str]()
+    work, known, left = dict[str, float](), dict[str, str](), seconds_left()
     for candidate in sorted(candidates, key=lambda one: one.least):
         others = min(work.values(), default=float("inf"))
         seen = others > candidate.least
@@ -161,7 +159,7 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
             work[candidate.name], known[candidate.name] = float("inf"), "not predicted in time"
 
     def late(candidate: Candidate) -> bool:
-        return time_limit is not None and not candidate.gradual and work[candidate.name] > SHARE * SPEED * time_limit
+        return not candidate.gradual and left < math.inf and work[candidate.name] > SHARE * SPEED * left
 
     ordered = sorted(candidates, key=lambda one: (late(one), work[one.name]))
     first, others = ordered[0], ordered[1:]
@@ -267,11 +265,10 @@ def _simulation(loop: Loop, request: Request, progress: Progress | None) -> Cand
     return Candidate("simulation", least_work(loop), predict, run, True)
 
 
-def _run(candidate: Candidate, request: Request, progress: Progress | None, alone: bool) -> Averages:
+def _run(candidate: Candidate, progress: Progress | None, alone: bool) -> Averages:
     """Run a candidate; a method without a preliminary answer is stopped early enough to leave time for the others."""
-    if request.time_limit is not None and not candidate.gradual and not alone:
-        progress = limited(progress, SHARE * request.time_limit)
-    return candidate.run(progress)
+    with part_of_time(1.0 if candidate.gradual or alone else SHARE):
+        return candidate.run(progress)
 
 
 def _asked(loop: Loop, standard_error: float | None) -> float:

@@ -57,9 +57,12 @@ def decode(text: str) -> Any:
     """Return the data of an encoded text; sequences become tuples.
 
     Raises:
-        ValueError: the text is not JSON, or it names an unknown class of data.
+        ValueError: the text is not JSON, is nested too deeply, or names an unknown class of data.
     """
-    return _restored(json.loads(text))
+    try:
+        return _restored(json.loads(text))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def digest(text: str) -> str:

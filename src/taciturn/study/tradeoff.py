@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn._figure import HEIGHT, Panel, Series, Size, draw
-from taciturn._progress import Progress, in_notebook
-from taciturn._text import per_unit
+from taciturn._progress import Progress, answered_within, in_notebook
+from taciturn._text import per_unit, percent
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
@@ -47,7 +47,7 @@ class Point(Displayed):
         evaluation: evaluation of the policy, with fair periodic control at its rate.
     """
 
-    values: Mapping[str, Any]
+    values: Mapping[str, Any] = field(hash=False)
     evaluation: Evaluation
 
     def summary(self) -> Mapping[str, object]:
@@ -72,14 +72,15 @@ class Tradeoff(Tabular):
         points: points in the order of the grid.
         periodic: curves of fair periodic control by actuation, that is, of time-triggered control with the measurements
             and the actuation of the policy; empty if plant, cost or period differ between points.
-        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"``, ``"second at the sampling
+            instants"`` or ``"mission"``.
         guarantee: the theorem that proves the bounds, or None.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("unit", "rate_unit", "method", "guarantee")
 
     points: tuple[Point, ...]
-    periodic: Mapping[ClockKind, tuple[ClockPoint, ...]]
+    periodic: Mapping[ClockKind, tuple[ClockPoint, ...]] = field(hash=False)
     unit: Unit
     guarantee: str | None
 
@@ -207,7 +208,10 @@ class Tradeoff(Tabular):
             return []
         rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
         lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
-        return [Series([pace * rate for rate in rates], lowest, "no schedule costs less", "below")]
+        sure = percent(min(one.confidence for one in bounds))
+        return [
+            Series([pace * rate for rate in rates], lowest, f"no schedule of this controller, {sure} sure", "below")
+        ]
 
 
 def tradeoff(
@@ -219,6 +223,7 @@ def tradeoff(
     confidence: float | None = None,
     executor: Executor | None = None,
     store: str | Path | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Tradeoff:
     """Return cost against rate of a problem's policy over a grid of its parameters.
@@ -232,6 +237,8 @@ def tradeoff(
             bounds. Points without a lower bound are allowed unless no point has one.
         executor: executor that runs the points, as in ``sweep``; default: this process.
         store: folder that stores the points, as in ``sweep``; a second run computes only the missing points.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised; the cells that
+            are stored remain.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -240,24 +247,25 @@ def tradeoff(
     Raises:
         ProblemError: no values are given, a key is unknown, or the data are inconsistent.
     """
-    problem = as_problem("problem", problem)
-    check_effort(seed, standard_error, None)
-    grid = grid_of(check_grid(over))
-    problems = [problem.changed(cell) for cell in grid]
-    for changed in problems:
-        changed.designed()  # reports a mistake in the last cell before the first one runs
-    if len({changed.cost.mission for changed in problems}) > 1:
-        raise ProblemError(
-            "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of one "
-            "kind"
-        )
-    check_confidence(problems, confidence)
-    effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
-    kept = None if store is None else Store(store, label_of(problem))
-    found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
-    points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
-    unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
-    return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, None)
+        grid = grid_of(check_grid(over))
+        problems = [problem.changed(cell) for cell in grid]
+        for changed in problems:
+            changed.designed()  # reports a mistake in the last cell before the first one runs
+        if len({changed.cost.mission for changed in problems}) > 1:
+            raise ProblemError(
+                "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of "
+                "one kind"
+            )
+        check_confidence(problems, confidence)
+        effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
+        kept = None if store is None else Store(store, label_of(problem))
+        found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
+        points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
+        unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
+        return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
 
 
 def _curves(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from taciturn._progress import OutOfTime, Progress
+from taciturn._progress import OutOfTime, Progress, late_text
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.model.limits import Limits
 from taciturn.model.policy import Policy
@@ -37,6 +37,6 @@ def with_violations(
     except TaciturnError as error:
         return replace(found, notes=(*found.notes, f"no probability of violation: {error}"))
     except OutOfTime:
-        late = f"the time limit of {request.time_limit:g} s passed; expected a longer one"
+        late = f"{late_text()}; expected a longer one"
         return replace(found, notes=(*found.notes, f"no probability of violation: {late}"))
     return replace(found, violations=seen)

@@ -9,7 +9,7 @@ written.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taciturn._display import Displayed
@@ -48,7 +48,7 @@ class AsWritten(Displayed):
     added: str
     cost: Estimate
     cost_all_time: float | None
-    rates: Mapping[str, Estimate]
+    rates: Mapping[str, Estimate] = field(hash=False)
     settled: bool = True
 
     def document(self) -> dict[str, Any]:

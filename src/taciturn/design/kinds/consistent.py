@@ -74,6 +74,7 @@ KIND = Kind(
     built_in="double-integrator",
     nodes="S, C+A",
     plants=("continuous", "jumps"),
+    follows=(),
     proved=r"$V\le V_p(r)$",
     relative_to="periodic control",
     data=(

@@ -10,7 +10,7 @@ from taciturn._arrays import choice, flag, instance
 from taciturn.analyse.outcomes import MOST_LINKS, outcomes
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import PULLED, shares_of, threshold_of
-from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
+from taciturn.design.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.contributions import ContributionSteps
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.inputs import InputSteps
@@ -120,13 +120,13 @@ def _with_every_attempt(
     prediction: Actuation,
     actuation: Actuation,
 ) -> float:
-    """Return the cost per step of an attempt on every link in every step, without limits of the inputs."""
-    plant = plant.unlimited
+    """Return the cost per step of an attempt on every link in every step of the linear loop, with exact packets."""
+    plant = plant.linear
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     thresholds = _thresholds(network, 0.0, None, False)
     policy = _policy(certainty, network, prediction, actuation, thresholds, certainty.cost_all_time)
-    found = outcomes(close(plant, policy))
-    assert found is not None  # the policy is linear
+    found = outcomes(close(plant, policy, network.delivery))
+    assert found is not None  # the loop is a jump linear map
     return found.cost()
 
 
@@ -156,6 +156,7 @@ def _policy(
             cost_all_time=problem.per_unit(all_time),
             noise_cost=problem.noise_cost,
             settling=certainty.settling,
+            recovery=certainty.recovery,
             guarantee=None if lossy else _guarantee(certainty, thresholds),
             identity=square if told and not certainty.timed else None,
             innovations=sensors.innovations() if told else None,
@@ -207,7 +208,7 @@ def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[s
     return Guarantee(
         problem.per_unit(with_silence(all_time, added, pull)),
         f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
-        "its rate; mean-square stable",
+        f"its rate; mean-square stable{f'; {AT_INSTANTS}' if problem.instants else ''}",
         "khashooei2017",
         problem.per_unit(all_time),
         deciders={group: delta / problem.tick for group, delta in thresholds.items()},

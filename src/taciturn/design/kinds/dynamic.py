@@ -103,6 +103,7 @@ KIND = Kind(
     goal="a relative threshold on a filtered error, which sends less often",
     tuning=(TradeoffParameter("sigma"),),
     example={"sigma": 0.03, "rho": 0.8, "gain": 2.0},
+    follows=(),
     proved="the bound of `relative`",
     relative_to="LQG with every sample",
     data="`Evaluate` memory `credit`⁺ = ρ·credit + σ²x̂'x̂ − e'e, which the trigger adds (`plus`)",

@@ -64,6 +64,7 @@ KIND = Kind(
     built_in="pid-tank",
     nodes="S, C+A",
     refused="no PID controller; several inputs or outputs",
+    follows=(),
     data="memories `last` and `age` at S; a function computes the controller at C",
     order="compare y with the last sent value, decide, send y, compute, input",
     keeps_controller=True,

@@ -132,10 +132,13 @@ def excess(
         L = gains_for_losses(
             discretise(plant, cost, period), network.loss(link), actuation == "zero", network.lost(link)
         )
-    if controller is None:
-        controller = lqg_observer("excess", discretise(plant, cost, period), every, L)
-    kept = controller_from(controller)
-    policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry)
+    if controller is None:  # a model predicts the input that LQG with every sample would apply
+        problem = discretise(plant, cost, period)
+        lqg = lqg_observer("excess", problem, L=L)
+        kept = lqg if actuation == "model" or every == 1 else lqg_observer("excess", problem, every)
+    else:
+        kept, lqg = controller_from(controller), None
+    policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
     return placed(policy, network)
 
 
@@ -166,6 +169,7 @@ KIND = Kind(
     example={"theta": 0.1},
     proved=r"$J\le J_{all}+\delta(1-\text{rate})\le(1+\theta)J_{all}$, rate in sends per step",
     relative_to="LQG or the given controller, with every sample or every $q$-th",
+    nodes='S+C, A; `link = "sensor"`: S, C+A',
     data="trigger e'He against δ",
     order="operations of `lqg`",
     usual={"theta": 0.1, "actuation": "model"},  # a model sends fewer packets than a held input

@@ -9,6 +9,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import number
+from taciturn._progress import check_time
 from taciturn.design.certainty import SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
@@ -130,6 +131,7 @@ def integral(
         return _looking(plant, cost, price, process, found(process)[1], statement, notes)
     length = 1.0
     for _ in range(LOOKS):  # the period depends on the interval, which hardly depends on the period
+        check_time()
         process = sampled_error(plant, price, length / COARSE)
         reached = replace(trigger, c=slope * (length if alpha is None else alpha))
         length = estimate_cycles(process, reached, cycles=FIRST_CYCLES).interval.value
@@ -312,6 +314,7 @@ class _Search:
             return alpha - interval(alpha).value
 
         for _ in range(ROUNDS):  # with more cycles, a root near an end of the bracket may leave it
+            check_time()
             low, high = (low if excess(low) <= 0 else 0.99 * low), (high if excess(high) > 0 else 1.01 * high)
             if excess(low) <= 0 < excess(high):
                 alpha = _scipy.crossing(excess, low, high, RESOLVED * low)
@@ -329,6 +332,7 @@ class _Search:
         least = 8 * self.process.period if isinstance(self.process, SampledProcess) else 0.0
         low = high = max(self.trigger.h_min, self._first())
         while self.after(high, FIRST_CYCLES).interval.value >= high:
+            check_time()
             low, high = high, 2 * high
             if high > LONGEST * self._first():
                 raise ProblemError(
@@ -336,6 +340,7 @@ class _Search:
                     "expected a smaller slope, a finite h_max, or a given alpha"
                 )
         while self.after(low, FIRST_CYCLES).interval.value < low:
+            check_time()
             low, high = low / 2, low
             if low < least:
                 shorter = "" if self.period is None else f", or a period below {self.period:g}"
@@ -365,6 +370,7 @@ KIND = Kind(
     built_in="double-integrator",
     nodes="S, C+A",
     plants=("continuous", "jumps"),
+    follows=(),
     proved=r"$V\le V_p(r)$ at its mean interval",
     relative_to="periodic control",
     refused=(

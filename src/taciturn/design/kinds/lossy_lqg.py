@@ -275,6 +275,7 @@ KIND = Kind(
     nodes="S, C, A; the sensor sends at every step",
     plants=("discrete",),
     costs=("average", "horizon"),
+    follows=(),
     proved=r"$J\le J_{all}+\lambda(1-\text{rate})$; critical losses",
     relative_to="an attempt at every step",
     refused="`cost.N`; an average cost with losses at or above the critical loss probabilities",

@@ -56,6 +56,7 @@ KIND = Kind(
     goal="a threshold with an absolute and a relative part",
     tuning=(TradeoffParameter("threshold"),),
     example={"sigma": 0.03, "threshold": 0.1},
+    follows=(),
     proved=r"$J\le(J_{all}-s\operatorname{tr}(Q\Sigma)+\mu Y^2(1-\text{rate}))/(1-s)$ if $s<1$",
     relative_to="LQG with every sample",
     data="trigger over [x̃ − x̂; x̂] (`deviation`)",

@@ -64,6 +64,7 @@ KIND = Kind(
     example={"price": 1.0, "period": 0.1},
     built_in="wiener-double-integrator",
     nodes="S+C, A; for a continuous plant with measured state S, C+A",
+    follows=("constant",),
     proved="no bound in advance; `evaluate` reports a lower bound for all schedules",
     refused="a price so high that the policy would almost never send; jumps with `C` or `V`",
     data="a trigger form with a bell, over `deviation` or `error`",

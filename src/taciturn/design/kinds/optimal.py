@@ -66,6 +66,7 @@ KIND = Kind(
     built_in="wiener-double-integrator",
     nodes="none",
     plants=("discrete", "continuous", "outputs"),
+    follows=(),
     proved="the least cost of all schedules",
     refused=(
         "a price as for `near-optimal`; errors of more than three dimensions, or with a direction that the "

@@ -56,6 +56,7 @@ KIND = Kind(
     goal="a threshold that grows with the norm of the state",
     tuning=(TradeoffParameter("sigma"),),
     example={"sigma": 0.03},
+    follows=(),
     proved=r"$J\le(J_{all}-s\operatorname{tr}(Q\Sigma))/(1-s)$ if $s<1$",
     relative_to="LQG with every sample",
     data="trigger over [x̃ − x̂; x̂] (`deviation`)",

@@ -18,6 +18,7 @@ from taciturn.design.certainty import (
     completed_square,
     control_steps,
     count_ticks,
+    expect_constant_set_points,
     silence_form,
     steps_at_the_actuator,
 )
@@ -212,11 +213,7 @@ def _statement(prices: Prices, controller: Controller) -> str:
 
 def _estimate(plant: Plant, watch: _Watch) -> FilterSteps:
     """Return the steps of the predictor x̂⁺ = Ax̂ + Bû + gain·innovation, with innovation 0 without a measurement."""
-    if plant.changes is not None:
-        raise ProblemError(
-            "the set-points change (reference.steps or file), which remote-lqg does not use; expected constant "
-            "set-points, or the kind excess or distributed"
-        )
+    expect_constant_set_points("remote-lqg", plant)
     n, p = plant.states, plant.outputs
     seen = {"y": np.eye(p), ESTIMATE: -plant.C}
     query: tuple[Step, ...] = ()
@@ -250,6 +247,7 @@ KIND = Kind(
     built_in="remote-scalar",
     nodes="S, C, A (or C with S or A); the sensor link has a delay of one step",
     costs=("average", "horizon", "discount"),
+    follows=("constant",),
     proved=r"$J\le(1+\theta)(J_{all}+\zeta)$; the queries are a schedule",
     relative_to="LQG with every sample",
     refused="a sensor that is never queried with an unstable plant; a schedule that does not repeat",

@@ -8,6 +8,7 @@ from math import comb
 import numpy as np
 
 from taciturn._arrays import Array, count, symmetrised
+from taciturn._progress import check_time
 from taciturn.design.certainty import (
     CLOCK,
     SEND,
@@ -172,6 +173,7 @@ class _Rooms:
         owners: list[tuple[int, _Future]] = [(0, futures[0])]
         for future in futures:
             for tick in range(1, horizon):
+                check_time()
                 rest = _rest(future, tick)
                 if (tick, rest) not in numbers:
                     numbers[tick, rest] = len(owners)

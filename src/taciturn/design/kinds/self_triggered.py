@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number, symmetrised
+from taciturn._progress import check_time
 from taciturn.design.bounds import LARGEST_PARAMETER, less_noise
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
 from taciturn.design.estimation import ESTIMATE
@@ -67,6 +68,7 @@ def self_triggered(
     choose: list[Step] = [Evaluate("controller", SLEEP, (Form(constant=1.0),))]
     first = step_back(stretches.lifted(1), beta * K)[1]
     for ticks in range(2, max_interval + 1):
+        check_time()
         held = stretches.lifted(ticks)
         P, L = step_back(held, beta * K)
         noise = ticks * certainty.estimation_cost + held.noise_cost + beta * float(np.sum(K * held.W))

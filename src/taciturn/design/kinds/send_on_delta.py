@@ -6,13 +6,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from taciturn._arrays import instance, number
+from taciturn._arrays import Array, Bits, instance, number
+from taciturn.design._fixed_point import least_value
 from taciturn.design.anti_windup import within_limits
-from taciturn.design.base import advantage
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.certainty import SEND, design_certainty, expect_average
+from taciturn.design.certainty import (
+    SEND,
+    CertaintyEquivalentDesign,
+    design_certainty,
+    expect_average,
+    expect_constant_set_points,
+)
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
-from taciturn.design.kept import REMEDY, lqg_observer
+from taciturn.design.kept import lqg_observer
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import actuator_base, route_over
@@ -114,14 +120,10 @@ def _filter(
 ) -> Policy:
     """Return LQG control of the values that were sent last."""
     problem = discretise(plant, cost, period)
+    expect_constant_set_points("send-on-delta", problem.plant)
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     bands = DeadBands(network, plant, delta, shares)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V + np.diag(bands.of_outputs**2 / 3))
-    if plant.changes is not None:
-        raise ProblemError(
-            "the set-points change (reference.steps or file), which send-on-delta does not use; expected constant "
-            "set-points, or the kind excess or distributed"
-        )
     filtered = Filtered(plant, steady.gain, certainty.regulator.L)
     unknown = ~resting_states(plant)  # without set-points, which have no errors
     alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
@@ -136,7 +138,7 @@ def _filter(
             cost_all_time=problem.per_unit(certainty.cost_all_time),
             noise_cost=problem.noise_cost,
             settling=1 / (1 - max(certainty.regulator.slowest, steady.slowest)),
-            guarantee=bound_by_errors(problem, advantage(base, REMEDY).cost, errors),
+            guarantee=bound_by_errors(problem, _with_every_sample(certainty, steady.gain, unknown), errors),
             errors=errors,
             covers=THEORY,
         ),
@@ -146,6 +148,24 @@ def _filter(
         network=network,
     )
     return within_limits(policy)
+
+
+def _with_every_sample(certainty: CertaintyEquivalentDesign, gain: Array, unknown: Bits) -> float:
+    """Return the cost per step with every sample of LQG whose filter has another gain, tr(KW) + E[e'L'HLe].
+
+    Only the estimation error e is computed, whose modes decay; disturbances and set-points need not.
+
+    Args:
+        certainty: LQG.
+        gain: gain of the filter, (n, p).
+        unknown: the states that the filter estimates; it knows the others.
+    """
+    plant, place = certainty.problem.plant, np.ix_(unknown, unknown)
+    A, C, G, square = plant.A[place], plant.C[:, unknown], gain[unknown], certainty.square[place]
+    corrected, seen = np.eye(len(A)) - G @ C, G @ plant.V @ G.T
+    prior, _ = least_value((A @ corrected).T, plant.W[place] + A @ seen @ A.T)
+    after = corrected @ prior @ corrected.T + seen
+    return float(np.sum(certainty.regulator.K * plant.W) + np.sum(square * after))
 
 
 def _keep(
@@ -160,7 +180,7 @@ def _keep(
     kind = "send-on-delta"
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
-    loop = KeptLoop.of(plant, cost, period, kept)
+    loop = KeptLoop.of(plant, cost, period, kept, controller is None)
     route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start)
     size = len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
@@ -179,6 +199,7 @@ KIND = Kind(
     goal="a simple sensor that sends when an output has changed by Δ",
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.2},
+    follows=("constant",),
     proved=r"$\sqrt J\le\sqrt{J_b}+\sum_l\gamma_l\Delta_l$, a conservative certificate",
     relative_to="the same controller with every sample",
     nodes="S, C+A",

@@ -6,6 +6,7 @@ import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, number, semidefinite, symmetrised
 from taciturn._modes import root
+from taciturn._progress import check_time
 from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
 from taciturn.design.certainty import (
     DEVIATION,
@@ -118,6 +119,7 @@ def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | Non
     half = root(W)
     Sigma, silent, length, excess, before = noise, 1.0, 1.0, 0.0, np.inf
     for _ in range(LONGEST):
+        check_time()
         spread = root(Sigma)
         rows = np.vstack([np.eye(spread.shape[1]), half.T @ spread])
         factor: Array = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)

@@ -106,6 +106,7 @@ KIND = Kind(
     tuning=(TradeoffParameter("delta"),),
     example={"delta": 0.05},
     built_in="pid-tank",
+    follows=(),
     proved=r"$\sqrt J\le\sqrt{J_b}+\gamma\Delta$, a conservative certificate",
     relative_to="the same controller with every sample",
     nodes="S, C+A",

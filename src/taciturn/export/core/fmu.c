@@ -4,12 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#if TAC_FLOAT32
-#define LARGEST ((double)FLT_MAX)
-#else
-#define LARGEST DBL_MAX
-#endif
-
+#define LARGEST ((double)FLT_MAX) /* of a measurement or set-point: the largest number that packets carry */
 #define SHARE 1e-6 /* permitted error of time and step size, relative to the step size */
 
 static double magnitude(double value) {
@@ -132,20 +127,22 @@ static const char *check_step(fmu_unit *unit, double time, double step) {
   if (state->phase != FMU_STEPPING) {
     return "the unit does not run; expected a step after the initialization and before the end";
   }
-  if (!is_same(time, state->time, time)) {
+  if (!is_same(time, state->time, state->time)) { /* not by the size of `time`, which may be infinite */
     (void)snprintf(unit->sentence, sizeof unit->sentence,
                    "the step begins at %.9g s; expected %.9g s, where the last one ended", time, state->time);
     return unit->sentence;
   }
-  if (!is_same(step, FMU_TICK, time)) {
+  if (!is_same(step, FMU_TICK, state->time)) {
     (void)snprintf(unit->sentence, sizeof unit->sentence,
                    "the step is %.9g s long; expected %.9g s, which is one tick of the policy", step, FMU_TICK);
     return unit->sentence;
   }
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
     if (!(magnitude(state->measured[i]) <= LARGEST)) {
-      (void)snprintf(unit->sentence, sizeof unit->sentence, "y[%u] is %g; expected a finite number", i + 1U,
-                     state->measured[i]);
+      bool given = i >= (unsigned)FMU_SENSED;
+      (void)snprintf(unit->sentence, sizeof unit->sentence, "%s[%u] is %g; expected a finite number up to %g",
+                     given ? "setpoint" : "y", i + 1U - (given ? (unsigned)FMU_SENSED : 0U), state->measured[i],
+                     LARGEST);
       return unit->sentence;
     }
   }

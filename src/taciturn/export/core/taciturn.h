@@ -30,6 +30,7 @@
 #define tac_input TAC_SIZED(tac_input)
 #define tac_behind TAC_SIZED(tac_behind)
 #define tac_silent TAC_SIZED(tac_silent)
+#define tac_silent_on TAC_SIZED(tac_silent_on)
 #define tac_expire TAC_SIZED(tac_expire)
 #define tac_save TAC_SIZED(tac_save)
 #define tac_restore TAC_SIZED(tac_restore)
@@ -59,10 +60,11 @@ typedef struct {
   uint8_t entries;
   bool acknowledged; /* whether the node acknowledges received packets */
   uint16_t at;
+  uint32_t interval; /* largest number of steps between two packets of the sender; 0: not known */
 } tac_channel_data;
 
 #define TAC_NO_MARKS UINT32_MAX
-#define TAC_FORMAT 2U /* version of the generated data and of saved states */
+#define TAC_FORMAT 3U /* version of the generated data and of saved states */
 
 /* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
@@ -130,6 +132,7 @@ typedef struct {
   tac_packet behind; /* the newest late packet */
   bool has_behind;
   uint64_t newest; /* step of the newest packet that a step has read, plus one; 0: none */
+  uint64_t heard;  /* of data: number of the last step with a packet or a mark, plus one; 0: none */
   uint64_t marked; /* newest step that the sender has finished, plus one; 0: none */
   uint32_t missing;
   uint64_t told; /* step of the packet to acknowledge */
@@ -167,6 +170,7 @@ typedef struct {
   uint32_t proofs;           /* challenges and answers */
   uint32_t unsent;           /* packets not sent because a value is not finite */
   uint32_t missed, repeated; /* steps */
+  uint32_t overflowed;       /* steps whose results are too large, so that the memory has started again */
 } tac_counters;
 
 typedef struct {
@@ -183,7 +187,6 @@ typedef struct {
   const tac_real *safe_input; /* input after the watchdog expires; NULL: the last input */
   uint32_t watchdog;          /* time-out of the watchdog in steps; 0: no watchdog */
   uint64_t tick;           /* last step */
-  uint64_t heard;          /* number of the last step with a received packet, plus one; 0: none */
   uint64_t newest;         /* step number in the newest received packet, plus one; 0: none */
   uint64_t degraded_until; /* the node is degraded while fewer steps have begun; UINT64_MAX: forever */
   tac_counters counters;
@@ -212,15 +215,20 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 /* Set the key of a link by its number (of three nodes: TAC_SENSOR_LINK or TAC_ACTUATOR_LINK), also while the node runs:
  * `key` authenticates the packets that the node sends, and packets with `key` or `other` are accepted. To change a key
  * without a stop, let all nodes accept the new key first, then use it, then accept it alone. `other` may be {NULL, 0}.
- */
-void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
+ * Return false, without effect, if no node receives or sends on a link with this number. */
+bool tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
 
-/* Set the watchdog: after `ticks` steps without a packet, the node is degraded, and the input is `safe_input`, or the
- * last input if NULL. With 0 steps, as after tac_start, there is no watchdog. For a node that receives packets. */
+/* Set the watchdog of every link on which the node receives data: after `ticks` steps without data or a mark on it, or
+ * after the largest interval that the policy states for a link without losses, if this is shorter, the link is silent
+ * and the node is degraded. If all links are silent, the input is `safe_input`, or the last input if NULL. With 0
+ * steps, as after tac_start, there is no watchdog. Set-points are not watched: their sender need not run. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
-/* Return whether the watchdog has expired. It then stays so until a packet is accepted. */
+/* Return whether the watchdogs of all links have expired. The result stays true until a packet is accepted. */
 bool tac_silent(const tac_node *node);
+
+/* Return whether the watchdog of a link has expired, by the number of the link. */
+bool tac_silent_on(const tac_node *node, uint8_t link);
 
 /* Let the watchdog expire: for a program that executes no steps, because no packet has told the time yet or because the
  * device was stopped, and whose timer shows that no packet was accepted for the time-out of the watchdog. The node is
@@ -239,11 +247,12 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
  * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first,
  * at most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false,
  * without executing the step, if it is not later than the last step, if more missed steps are left (call again, with
- * this step or with a later one), or if the measurement is not finite or missing. */
+ * this step or with a later one), or if the measurement is missing or exceeds FLT_MAX. If a result is not finite, or
+ * the packets cannot carry it, the node keeps its input, sends no data, and its memory starts again. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
 /* Set the set-points of a controller from the next step on, in place of those in packets on the link `setpoint`. They
- * remain in effect until others are set or arrive. Return false, without effect, if they are not finite or the node is
+ * remain in effect until others are set or arrive. Return false, without effect, if they exceed FLT_MAX or the node is
  * given none. */
 bool tac_setpoint(tac_node *node, const tac_real *values);
 
@@ -321,8 +330,8 @@ int32_t tac_clock_drift(const tac_clock *clock);
 /* Return the plant input, or NULL if the node does not contain the actuator. */
 const tac_real *tac_input(const tac_node *node);
 
-/* Return whether an event that violates an assumption of the policy's theory still has an effect. The result is also
- * true if a number is not finite. In that case the last input is held, and the node must be started again. */
+/* Return whether an event that violates an assumption of the policy's theory still has an effect, such as a silent link
+ * or a step whose results are too large (`overflowed` in the counters). */
 bool tac_degraded(const tac_node *node);
 
 #ifdef __cplusplus

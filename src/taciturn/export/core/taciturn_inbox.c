@@ -160,6 +160,7 @@ void tac_forget(tac_node *node, unsigned i) {
 static bool take(tac_node *node, const tac_packet *packet) {
   unsigned i = find_channel(node->data, packet);
   tac_channel *channel;
+  bool kept = false;
   news found;
   if (packet->loop == node->loop && i < node->data->channel_count && !tac_is_admitted(node, i, packet)) {
     return false;
@@ -187,9 +188,13 @@ static bool take(tac_node *node, const tac_packet *packet) {
     if (node->data->channels[i].kind == (uint8_t)TAC_DATA && packet->tick < UINT64_MAX) {
       node->dated = packet->tick + 1U;
     }
-    return sort_in(node, i, packet);
+    kept = sort_in(node, i, packet);
   }
-  return false;
+  if (kept) {
+    channel->heard = tac_count_ticks(node) + 1U;
+    node->unheard = node->unheard && (node->data->channels[i].kind != (uint8_t)TAC_DATA);
+  }
+  return kept;
 }
 
 bool tac_ready(const tac_node *node) {
@@ -249,10 +254,6 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
   }
   if (!take(node, &packet)) {
     return false;
-  }
-  if (packet.kind != (uint8_t)TAC_MEASUREMENT) {
-    node->heard = tac_count_ticks(node) + 1U;
-    node->unheard = false;
   }
   return true;
 }

@@ -27,9 +27,43 @@ void tac_degrade(tac_node *node, uint64_t ticks) {
   }
 }
 
-bool tac_silent(const tac_node *node) {
+/* Return whether the watchdog of a channel has expired; that of channels without data never expires. */
+static bool is_silent(const tac_node *node, unsigned i) {
   uint64_t ticks = tac_count_ticks(node);
-  return node->unheard || (node->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->watchdog);
+  uint64_t heard = node->channels[i].heard;
+  uint32_t interval = node->data->channels[i].interval;
+  uint32_t limit = ((interval > 0U) && (interval < node->watchdog)) ? interval : node->watchdog;
+  bool late = limit > 0U && ticks >= heard && ticks - heard >= limit;
+  return (node->data->channels[i].kind == (uint8_t)TAC_DATA) && (node->unheard || late);
+}
+
+bool tac_silent(const tac_node *node) {
+  bool some = false;
+  bool all = true;
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    if (node->data->channels[i].kind == (uint8_t)TAC_DATA) {
+      some = true;
+      all = all && is_silent(node, i);
+    }
+  }
+  return some && all;
+}
+
+bool tac_silent_on(const tac_node *node, uint8_t link) {
+  bool found = false;
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    found = found || ((node->data->channels[i].link == link) && is_silent(node, i));
+  }
+  return found;
+}
+
+/* Degrade the node if a link is silent. */
+static void mind_silence(tac_node *node) {
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    if (is_silent(node, i)) {
+      tac_degrade(node, tac_count_ticks(node));
+    }
+  }
 }
 
 void tac_expire(tac_node *node) {
@@ -86,6 +120,34 @@ static bool are_finite(const tac_real *numbers, unsigned count) {
   return found;
 }
 
+/* Return whether the packets to send and the plant input of a step can be sent. */
+static bool can_leave(const tac_node *node) {
+  const tac_node_data *data = node->data;
+  bool found = (data->applied < 0) || tac_fits(&node->outputs[data->applied], data->applied_count);
+  for (unsigned i = 0U; i < data->send_count; i++) {
+    const tac_real *sent = &node->outputs[data->sends[i].at];
+    found = found && (!(sent[0] > (tac_real)0) || tac_fits(&sent[1], data->sends[i].entries));
+  }
+  return found;
+}
+
+/* Execute a part of a step. If a result is too large, start the memory again, as it may stay so, and return false. */
+static bool execute(tac_node *node, bool is_second) {
+  const tac_node_data *data = node->data;
+  if (is_second) {
+    data->second(data->constants, node->inputs, node->memory, node->outputs);
+  } else {
+    data->first(data->constants, node->inputs, node->memory, node->outputs);
+  }
+  if (are_finite(node->memory, data->memory_count) && (is_second || can_leave(node))) {
+    return true;
+  }
+  copy(node->memory, data->start, data->memory_count);
+  node->counters.overflowed++;
+  tac_degrade(node, tac_count_ticks(node));
+  return false;
+}
+
 /* Store the packets to send and the plant input of a step. */
 static void put_outputs(tac_node *node) {
   const tac_node_data *data = node->data;
@@ -101,12 +163,8 @@ static void put_outputs(tac_node *node) {
       node->pending |= UINT32_C(1) << i;
     }
   }
-  if (!are_finite(node->memory, data->memory_count) || !are_finite(node->outputs, data->output_count)) {
-    tac_degrade(node, tac_count_ticks(node));
-  } else if (data->applied >= 0 && !tac_silent(node)) {
+  if (data->applied >= 0 && !tac_silent(node)) { /* otherwise the input of the last step is held */
     copy(node->input, &node->outputs[data->applied], data->applied_count);
-  } else {
-    /* the input of the last step is held */
   }
 }
 
@@ -115,14 +173,12 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   const tac_node_data *data = node->data;
   if (data->second != NULL && node->begun) {
     collect_all(node, 1U, node->tick + 1U);
-    data->second(data->constants, node->inputs, node->memory, node->outputs);
+    (void)execute(node, true);
   }
   turn_clocks(node, tick);
   node->tick = tick;
   node->begun = true;
-  if (tac_silent(node)) {
-    tac_degrade(node, tac_count_ticks(node));
-  }
+  mind_silence(node);
   copy(node->inputs, measurement, data->measurement_count);
   collect_all(node, 0U, tick);
   if (data->draw != NULL) {
@@ -131,8 +187,18 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
       copy(&node->inputs[data->drawn_at], drawn, data->drawn_count);
     }
   }
-  data->first(data->constants, node->inputs, node->memory, node->outputs);
-  put_outputs(node);
+  if (execute(node, false)) {
+    put_outputs(node);
+  }
+}
+
+/* Let every channel that was heard from a step on, or every one if `from` is 0, be heard in step `tick`, plus one. */
+static void hear_all(tac_node *node, uint64_t from, uint64_t tick) {
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    if (node->channels[i].heard >= from) {
+      node->channels[i].heard = tick;
+    }
+  }
 }
 
 /* Execute missed steps with the packets already received, at most TAC_CATCH_UP of them; a node with a sensor skips the
@@ -146,7 +212,7 @@ static bool make_up(tac_node *node, uint64_t tick) {
     return true;
   }
   if (!node->begun) {
-    node->heard = tick;
+    hear_all(node, 0U, tick);
   } else {
     node->counters.missed += (uint32_t)((left_out - behind + count) & UINT32_MAX);
     for (uint64_t i = 0U; i < count; i++) {
@@ -158,7 +224,7 @@ static bool make_up(tac_node *node, uint64_t tick) {
 }
 
 static bool is_measurement(const tac_node_data *data, const tac_real *measurement) {
-  return data->measurement_count == 0U || (measurement != NULL && are_finite(measurement, data->measurement_count));
+  return data->measurement_count == 0U || (measurement != NULL && tac_fits(measurement, data->measurement_count));
 }
 
 unsigned tac_set_points(const tac_node_data *data) {
@@ -177,7 +243,7 @@ uint8_t tac_set_point_count(const tac_node_data *data) {
 bool tac_setpoint(tac_node *node, const tac_real *values) {
   unsigned i = tac_set_points(node->data);
   uint8_t count = tac_set_point_count(node->data);
-  if (count == 0U || !are_finite(values, count)) {
+  if (count == 0U || !tac_fits(values, count)) {
     return false;
   }
   copy(&node->inputs[node->data->channels[i].at + 1U], values, count);
@@ -192,9 +258,7 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
     node->counters.repeated++;
     return false;
   }
-  if (node->heard > tac_count_ticks(node)) { /* packets that arrived after the last step count from this step on */
-    node->heard = tick + 1U;
-  }
+  hear_all(node, tac_count_ticks(node) + 1U, tick + 1U); /* packets that arrived after the last step count from here */
   if (!make_up(node, tick)) {
     return false;
   }
@@ -233,9 +297,13 @@ void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input) {
   node->safe_input = safe_input;
 }
 
-void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
-  node->keys[link][0] = key;
-  node->keys[link][1] = other;
+bool tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
+  bool known = link < (uint8_t)TAC_LINKS;
+  if (known) {
+    node->keys[link][0] = key;
+    node->keys[link][1] = other;
+  }
+  return known;
 }
 
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
@@ -243,7 +311,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   unsigned given = tac_set_points(data);
   for (unsigned link = 0U; link < (unsigned)TAC_LINKS; link++) {
     const tac_key none = {NULL, 0U};
-    tac_set_keys(node, (uint8_t)link, key, none);
+    (void)tac_set_keys(node, (uint8_t)link, key, none);
   }
   node->epoch = epoch;
   node->loop = loop;
@@ -251,7 +319,6 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->tick = 0U;
   node->begun = false;
   node->unheard = false;
-  node->heard = 0U;
   node->newest = 0U;
   node->dated = 0U;
   node->degraded_until = 0U;

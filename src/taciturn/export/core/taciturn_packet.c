@@ -10,10 +10,8 @@ enum { AT_SEQUENCE = 0, AT_VERSION = 4, AT_KIND = 5, AT_LINK = 6, AT_ENCODING = 
 enum { AT_DIRECTION = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
 
 #if TAC_FLOAT32
-#define LARGEST_REAL FLT_MAX
 #define ROUNDER 12582912.0f /* 1.5 * 2^23: adding and subtracting it rounds to the nearest integer, ties to even */
 #else
-#define LARGEST_REAL DBL_MAX
 #define ROUNDER 6755399441055744.0 /* 1.5 * 2^52 */
 #endif
 #define LARGEST_STEP ((tac_real)32767)
@@ -22,8 +20,13 @@ enum { AT_DIRECTION = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
 typedef char tac_checks_float[(sizeof(float) == 4U && FLT_MANT_DIG == 24) ? 1 : -1];
 typedef char tac_checks_double[(sizeof(double) == 8U && DBL_MANT_DIG == 53) ? 1 : -1];
 
-static bool is_finite(tac_real value) {
-  return value >= -LARGEST_REAL && value <= LARGEST_REAL;
+bool tac_fits(const tac_real *numbers, unsigned count) {
+  const tac_real most = (tac_real)FLT_MAX;
+  bool found = true;
+  for (unsigned i = 0U; found && i < count; i++) {
+    found = (numbers[i] >= -most) && (numbers[i] <= most);
+  }
+  return found;
 }
 
 void tac_put(uint8_t *to, uint64_t value, unsigned bytes) {
@@ -111,7 +114,7 @@ static void put_steps(uint8_t *to, tac_real value, tac_real per_unit) {
 
 /* Write an entry of a payload. Return false if the number cannot be represented. */
 static bool put_entry(uint8_t *to, const tac_shape *shape, unsigned entry, tac_real value) {
-  bool written = is_finite(value);
+  bool written = tac_fits(&value, 1U);
   if (!written) {
     return false;
   }
@@ -172,7 +175,7 @@ static void put_header(const tac_wire *wire, uint8_t coded, const tac_packet *pa
   tac_put(&datagram[AT_FINGERPRINT], wire->fingerprint, 8U);
 }
 
-/* Write header and payload, and return their size, or 0 if the policy has no such packet or a value is not finite. */
+/* Write header and payload, and return their size, or 0 if the policy has no such packet or a value does not fit. */
 static size_t put_content(const tac_wire *wire, uint8_t flag, const tac_packet *packet, uint8_t *datagram) {
   const tac_shape *shape = find_shape(wire, packet->kind, packet->link);
   size_t size = (size_t)HEADER_SIZE;
@@ -250,11 +253,11 @@ static bool read_nonce(const tac_wire *wire, const uint8_t *datagram, size_t siz
   return true;
 }
 
-/* Read the payload of a packet. Return false if its format is wrong, or if a value is not finite. */
+/* Read the payload of a packet. Return false if a value is not one that payloads carry. */
 static bool read_values(const tac_shape *shape, const uint8_t *payload, tac_packet *packet) {
   for (unsigned i = 0U; i < shape->entries; i++) {
     packet->values[i] = get_entry(&payload[(size_t)i * width(shape->encoding)], shape, i);
-    if (!is_finite(packet->values[i])) {
+    if (!tac_fits(&packet->values[i], 1U)) {
       return false;
     }
   }

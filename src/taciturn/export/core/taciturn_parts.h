@@ -10,6 +10,7 @@
 #define tac_get TAC_SIZED(tac_get)
 #define tac_checksum TAC_SIZED(tac_checksum)
 #define tac_bits TAC_SIZED(tac_bits)
+#define tac_fits TAC_SIZED(tac_fits)
 #define tac_collect TAC_SIZED(tac_collect)
 #define tac_write_tag TAC_SIZED(tac_write_tag)
 #define tac_forget TAC_SIZED(tac_forget)
@@ -66,6 +67,9 @@ unsigned tac_set_points(const tac_node_data *data);
 
 /* Return the number of set-points that a node is given. */
 uint8_t tac_set_point_count(const tac_node_data *data);
+
+/* Return whether all payloads carry the numbers: none is larger than FLT_MAX, or no number. */
+bool tac_fits(const tac_real *numbers, unsigned count);
 
 /* Return the bits of a number. */
 tac_word tac_bits(tac_real value);

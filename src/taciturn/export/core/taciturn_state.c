@@ -39,6 +39,7 @@ static void add_packets(uint32_t *sum, const tac_node_data *data) {
     add(sum, channel->entries, 1U);
     add(sum, channel->acknowledged ? 1U : 0U, 1U);
     add(sum, channel->at, 2U);
+    add(sum, channel->interval, 4U);
   }
   for (unsigned i = 0U; i < data->send_count; i++) {
     add(sum, data->sends[i].link, 1U);
@@ -177,6 +178,7 @@ static void pass_channel(cursor *c, const tac_node *node, unsigned i) {
   pass_truth(c, &channel->has_behind);
   pass_packet(c, node, &channel->behind, data->kind, data->link, data->entries);
   pass_long(c, &channel->newest);
+  pass_long(c, &channel->heard);
   pass_long(c, &channel->marked);
   pass_word(c, &channel->missing);
   pass_long(c, &channel->told);
@@ -222,7 +224,6 @@ static void pass_all(cursor *c, tac_node *node) {
   pass_word(c, &node->epoch);
   pass_word(c, &node->challenges);
   pass_long(c, &node->tick);
-  pass_long(c, &node->heard);
   pass_long(c, &node->newest);
   pass_long(c, &node->degraded_until);
   pass_truth(c, &node->begun);

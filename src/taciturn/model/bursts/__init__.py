@@ -45,6 +45,14 @@ def find_law(name: str) -> type[LossLaw]:
     return found
 
 
+def _is_of(law: LossLaw, name: str) -> bool:
+    """Return whether a name is that of a law; that of a broken package is not."""
+    try:
+        return find_law(name) is type(law)
+    except ProblemError:
+        return False
+
+
 def law_text(law: LossLaw) -> str:
     """Return a law in one word, as the option ``--burst`` of a relay reads it.
 
@@ -53,7 +61,7 @@ def law_text(law: LossLaw) -> str:
         >>> law_text(Burst(0.05, 0.3, 0.01, 0.7))
         'gilbert-elliott:0.05,0.3,0.01,0.7'
     """
-    name = next((name for name in law_names() if find_law(name) is type(law)), None)
+    name = next((name for name in law_names() if _is_of(law, name)), None)
     if name is None:
         raise ProblemError(
             f"losses follow {type(law).__name__}, which other processes cannot find; expected a law with a name: "

@@ -20,7 +20,7 @@ from taciturn.model.trigger import Form
 from taciturn.problem import Problem
 from taciturn.problem.bare import as_problem
 from taciturn.renewal.allocation import Clocked
-from taciturn.study.units import time_unit
+from taciturn.study.units import Unit, cost_unit, rate_unit
 
 CHANNELS = Coverage(LINEAR_LOOP, "loops that share a channel do not support")
 FINEST = 1_000_000  # periods are approximated by fractions of a second with at most this denominator
@@ -80,7 +80,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
         )
     copies = [count("copies", number) for number in copies] * (1 if len(copies) > 1 else len(problems))
     problems = {name: as_problem(f"problems[{name!r}]", problem) for name, problem in problems.items()}
-    units = {name: time_unit(problem) for name, problem in problems.items()}
+    units: dict[str, Unit] = {name: cost_unit(problem) for name, problem in problems.items()}
     for name, unit in units.items():
         first = next(iter(units))
         if unit != units[first]:
@@ -89,7 +89,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
                 "define all plants in continuous time with policy.period, or all with plant.dt"
             )
     every = _common_ticks(
-        {name: _period(name, problem) for name, problem in problems.items()}, units[next(iter(units))]
+        {name: _period(name, problem) for name, problem in problems.items()}, rate_unit(units[next(iter(units))])
     )
     return tuple(
         _kind(name, problem, number, step)
@@ -100,7 +100,10 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
 def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
         if problem.network != Network():
-            raise ProblemError("[network] is given, but the shared channel replaces the network; expected no [network]")
+            given = "[network]" if problem.network.triangle else "[nodes]"
+            raise ProblemError(
+                f"{given} is given, but the shared channel replaces the network; expected a problem without {given}"
+            )
         if problem.controller is not None:
             raise ProblemError(
                 "[controller] is given, but the loops of a shared channel have LQG control; expected no [controller]"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 from taciturn._arrays import choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
-from taciturn._progress import Progress, in_notebook
+from taciturn._progress import Progress, answered_within, in_notebook
 from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
@@ -26,7 +26,7 @@ from taciturn.study.channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game
 from taciturn.study.evaluate import SURE
 from taciturn.study.printed import sharing_text
 from taciturn.study.sweeping.workers import idle
-from taciturn.study.units import TimeUnit, time_unit
+from taciturn.study.units import Unit, cost_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -63,7 +63,7 @@ class Sharing(Tabular):
     Args:
         scheduler: rule that decides which loops send.
         capacity: largest number of sends per step.
-        unit: unit of time that the costs refer to.
+        unit: unit that the costs refer to.
         shares: results of the loops, for each problem.
         cost: sum of the costs over all loops.
         cost_all_time: sum of the costs if all loops could send at every check.
@@ -98,7 +98,7 @@ class Sharing(Tabular):
 
     scheduler: SchedulerName
     capacity: int
-    unit: TimeUnit
+    unit: Unit
     shares: tuple[Share, ...]
     cost: Estimate
     cost_all_time: float
@@ -237,6 +237,7 @@ def share_channel(
     ticks: int | None = None,
     confidence: float = LEVEL,
     executor: Executor | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Sharing:
     """Simulate loops that share one channel with a limited number of sends per step.
@@ -266,6 +267,7 @@ def share_channel(
         confidence: confidence of the lower bound, if a part of it is sampled; 0 for no lower bound.
         executor: executor that processes the kinds of loops in parallel, like the cells of ``sweep``; the result does
             not depend on it. Default: one after the other in this process.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -286,68 +288,69 @@ def share_channel(
         >>> found.lower_bound.cost < found.cost.value < found.cost_periodic
         True
     """
-    began = time.perf_counter()
-    kinds = gather(problems, [copies] if isinstance(copies, int) else copies)
-    plays = SCHEDULERS[choice("scheduler", scheduler, SCHEDULERS)]
-    loops, capacity = sum(kind.count for kind in kinds), count("capacity", capacity)
-    if capacity > loops:
-        raise ProblemError(
-            f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
+    with answered_within(time_limit):
+        began = time.perf_counter()
+        kinds = gather(problems, [copies] if isinstance(copies, int) else copies)
+        plays = SCHEDULERS[choice("scheduler", scheduler, SCHEDULERS)]
+        loops, capacity = sum(kind.count for kind in kinds), count("capacity", capacity)
+        if capacity > loops:
+            raise ProblemError(
+                f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
+            )
+        if standard_error is not None and ticks is not None:
+            raise ProblemError(f"standard_error and ticks={ticks} are both given; expected one of them")
+        standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
+        ticks = None if ticks is None else count("ticks", ticks, SHORTEST_STRETCH)
+        seed = count("seed", seed, 0)
+        if executor is not None:
+            instance("executor", executor, Executor)
+        confidence = number("confidence", confidence, 0.0, 1.0) if confidence else 0.0
+        game = Game(kinds, capacity, seed, confidence, executor, in_notebook(progress) or idle)
+        plan, bound = plays(game), game.bound
+        prepared = time.perf_counter() - began
+        measured = measure(game, plan, standard_error, ticks)
+        shares: list[Share] = []
+        for place, (kind, rate) in enumerate(zip(kinds, game.clocked.rates.tolist(), strict=True)):
+            cost = mean(measured.costs[:, place]).scaled(1 / kind.count, kind.cost_all_time)
+            got = mean(measured.sends[:, place]).scaled(1 / kind.looks)
+            shares.append(Share(kind.name, kind.count, cost, kind.cost_all_time, got, rate))
+        base = game.cost_all_time
+        load = mean(measured.sends.sum(axis=1))
+        periodic = allocate(game.sharers, max(min(load.value, capacity), 1e-9))
+        least = base + float(game.counts @ game.clocked.costs)
+        known = game.attained <= least + SAME * abs(least)
+        slots = (
+            f"with slots of its own for each problem, it costs {game.attained:.6g}"
+            if isfinite(game.attained)
+            else "there are not enough slots to give each problem its own"
         )
-    if standard_error is not None and ticks is not None:
-        raise ProblemError(f"standard_error and ticks={ticks} are both given; expected one of them")
-    standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
-    ticks = None if ticks is None else count("ticks", ticks, SHORTEST_STRETCH)
-    seed = count("seed", seed, 0)
-    if executor is not None:
-        instance("executor", executor, Executor)
-    confidence = number("confidence", confidence, 0.0, 1.0) if confidence else 0.0
-    game = Game(kinds, capacity, seed, confidence, executor, in_notebook(progress) or idle)
-    plan, bound = plays(game), game.bound
-    prepared = time.perf_counter() - began
-    measured = measure(game, plan, standard_error, ticks)
-    shares: list[Share] = []
-    for place, (kind, rate) in enumerate(zip(kinds, game.clocked.rates.tolist(), strict=True)):
-        cost = mean(measured.costs[:, place]).scaled(1 / kind.count, kind.cost_all_time)
-        got = mean(measured.sends[:, place]).scaled(1 / kind.looks)
-        shares.append(Share(kind.name, kind.count, cost, kind.cost_all_time, got, rate))
-    base = game.cost_all_time
-    load = mean(measured.sends.sum(axis=1))
-    periodic = allocate(game.sharers, max(min(load.value, capacity), 1e-9))
-    least = base + float(game.counts @ game.clocked.costs)
-    known = game.attained <= least + SAME * abs(least)
-    slots = (
-        f"with slots of its own for each problem, it costs {game.attained:.6g}"
-        if isfinite(game.attained)
-        else "there are not enough slots to give each problem its own"
-    )
-    bounded = (
-        f"cost_periodic {least:.6g} is a lower bound by the mean load, which periodic control may not attain: sends of "
-        f"loops with different intervals meet in some steps; {slots}"
-    )
-    return Sharing(
-        scheduler=scheduler,
-        capacity=capacity,
-        unit=time_unit(next(iter(problems.values()))),
-        shares=tuple(shares),
-        cost=mean(measured.costs.sum(axis=1)).scaled(1.0, base),
-        cost_all_time=base,
-        lower_bound=bound,
-        load=load,
-        busy=mean(measured.busy),
-        waiting=None if plan.price is None else mean(measured.waiting),
-        load_expected=plan.load,
-        price=plan.price,
-        cost_periodic=least,
-        cost_periodic_same_load=base + float(game.counts @ periodic.costs),
-        cost_periodic_attained=game.attained,
-        ticks=measured.ticks,
-        reached=measured.reached,
-        seed=seed,
-        seconds=time.perf_counter() - began,
-        price_seconds=prepared,
-        notes=plan.notes + (() if known else (bounded,)),
-    )
+        bounded = (
+            f"cost_periodic {least:.6g} is a lower bound by the mean load, which periodic control may not attain: "
+            f"sends of loops with different intervals meet in some steps; {slots}"
+        )
+        return Sharing(
+            scheduler=scheduler,
+            capacity=capacity,
+            unit=cost_unit(next(iter(problems.values()))),
+            shares=tuple(shares),
+            cost=mean(measured.costs.sum(axis=1)).scaled(1.0, base),
+            cost_all_time=base,
+            lower_bound=bound,
+            load=load,
+            busy=mean(measured.busy),
+            waiting=None if plan.price is None else mean(measured.waiting),
+            load_expected=plan.load,
+            price=plan.price,
+            cost_periodic=least,
+            cost_periodic_same_load=base + float(game.counts @ periodic.costs),
+            cost_periodic_attained=game.attained,
+            ticks=measured.ticks,
+            reached=measured.reached,
+            seed=seed,
+            seconds=time.perf_counter() - began,
+            price_seconds=prepared,
+            notes=plan.notes + (() if known else (bounded,)),
+        )
 
 
 def _finite(value: float) -> float | None:

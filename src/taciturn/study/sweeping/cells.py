@@ -8,13 +8,13 @@ import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, TypeAlias
 
 from taciturn._arrays import instance, number
 from taciturn._display import Displayed
-from taciturn._progress import Progress
+from taciturn._progress import NoTimeLeft, Progress, check_time, seconds_left
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
@@ -44,7 +44,7 @@ class Cell(Displayed):
         seed: seed of the cell's random draws.
     """
 
-    values: Mapping[str, object]
+    values: Mapping[str, object] = field(hash=False)
     seed: int
 
 
@@ -245,7 +245,8 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
                 flying[asked(executor, answer_block, kept.problem, given, kept.effort)] = block
             if not flying:
                 return
-            ended, _ = wait(flying, timeout=PATIENCE, return_when=FIRST_COMPLETED)
+            ended, _ = wait(flying, timeout=min(PATIENCE, seconds_left()), return_when=FIRST_COMPLETED)
+            check_time()
             if not ended and not told and (place := deserted(executor)) is not None:
                 TOLD.warning("no workers at %s: waiting for one", place)
                 told = True
@@ -256,7 +257,7 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
                 for index, answer in zip(block, answers, strict=True):
                     came += 1
                     yield index, kept.keep(index, answer)
-    except TaciturnError:
+    except (TaciturnError, NoTimeLeft):
         raise
     except Exception as error:
         refuse_other_versions(executor, workers, error)

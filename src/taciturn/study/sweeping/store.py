@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taciturn._files import PART, write_whole
+from taciturn._files import PART, read_bytes, why_unreadable, write_whole
 from taciturn.errors import ProblemError
 from taciturn.study.record import decode, digest, encode
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 LABEL = "store.json"
 TOLD = logging.getLogger(__name__)
 _READ_ONLY = errno.EROFS, errno.EACCES, errno.EPERM
+LARGEST = 2**30  # bytes of a file of a store
 FORGOTTEN = 3600.0  # seconds after which an incomplete file is deleted
 
 
@@ -47,7 +48,8 @@ class Store:
             self._open(label)
         except OSError as error:
             raise ProblemError(
-                f"the store {str(folder)!r} cannot be used ({error.strerror}); expected a folder that can be written to"
+                f"the store {str(folder)!r} cannot be used ({why_unreadable(error)}); expected a folder that can be "
+                "written to"
             ) from None
 
     def count(self) -> int:
@@ -84,14 +86,12 @@ class Store:
         """
         path = self._path(key)
         try:
-            content = path.read_bytes()
-        except OSError:
-            return None
-        try:
-            kept, _, text = content.decode().partition("\n")
+            kept, _, text = read_bytes(path, LARGEST).decode().partition("\n")
             if _digest_under(key, text) == kept:
                 return decode(text)
-        except ValueError:
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError):
             pass
         warnings.warn(
             f"the file {str(path)!r} of the store is damaged, or is the file of another cell under this name; the cell "
@@ -132,7 +132,7 @@ class Store:
                 "expected an empty folder, a new folder, or a store"
             )
         text = encode(label)
-        before = sign.read_text(encoding="utf-8", errors="replace") if LABEL in others else text
+        before = read_bytes(sign, LARGEST).decode(errors="replace") if LABEL in others else text
         if before != text:
             self._filled_by = self._differences(before, label)
         if before != text or LABEL not in others:
@@ -176,7 +176,7 @@ def save_whole(result: xarray.Dataset, path: Path) -> tuple[bool, str]:
     content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # in memory, as HDF5 aborts the process on a full disk
     note = ""
     try:
-        before = path.read_bytes() if path.exists() else None
+        before = read_bytes(path, max(LARGEST, len(content))) if path.exists() else None
         if before == content:
             return True, ""
         if before is not None:
@@ -189,6 +189,6 @@ def save_whole(result: xarray.Dataset, path: Path) -> tuple[bool, str]:
         if error.errno in _READ_ONLY:
             return False, f"{path} is not written ({error.strerror}); --table writes the results to another folder"
         raise ProblemError(
-            f"{str(path)!r} cannot be written ({error.strerror}); the results are in the store: free disk space, or "
-            "correct the cause, and run again"
+            f"{str(path)!r} cannot be written ({why_unreadable(error)}); the results are in the store: free disk "
+            "space, or correct the cause, and run again"
         ) from None

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from taciturn._arrays import instance, quoted
-from taciturn._progress import Progress, in_notebook
+from taciturn._arrays import expect_unmasked, instance, quoted
+from taciturn._progress import Progress, answered_within, in_notebook
 from taciturn._text import per_unit
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
@@ -45,6 +45,7 @@ def sweep(
     standard_error: float | None = None,
     steps: int | None = None,
     confidence: float | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> xarray.Dataset:
     """Return cost and rates of a problem's policy over a grid, one dimension per name.
@@ -66,6 +67,8 @@ def sweep(
         steps: number of steps of each simulation, instead of a standard error.
         confidence: confidence of a lower bound on the cost of any scheduling, in cells that have one; default: no lower
             bound.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised; the cells that
+            are stored remain.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -82,29 +85,31 @@ def sweep(
         >>> bool(found.cost.sel(period=0.25) < found.cost.sel(period=0.5))
         True
     """
-    problem = as_problem("problem", problem)
-    check_effort(seed, standard_error, steps)
-    listed = check_grid(over)
-    for name in listed:
-        if _path(name) == ["policy", "seed"]:
-            raise ProblemError(
-                "seed is not a key of a problem; expected one sweep for each seed (--seed, seed=), with the same store"
-            )
-        if name in TAKEN:
-            raise ProblemError(f"the dimension name {name} is reserved by xarray; expected policy.{name}")
-    axes = {name: _labels(name, values) for name, values in listed.items()}
-    _check_axes(problem, listed, confidence)
-    cells = _Grid(listed, seed)
-    label = label_of(problem)
-    table = _Table(cells.shape)
-    kept = None if store is None else Store(store, label)
-    bar = in_notebook(progress)
-    for index, answer in run_cells(problem, cells, Effort(standard_error, confidence, steps), executor, kept, bar):
-        table.put(index, cells[index].seed, answer)
-    table.tell(cells)
-    methods = ", ".join(sorted(table.methods))
-    told = {name: str(value) for name, value in origin(problem, seed, methods).items()}
-    return table.dataset(axes, label | told | {"machine": f"{platform.machine()}, {platform.system()}"})
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, steps)
+        listed = check_grid(over)
+        for name in listed:
+            if _path(name) == ["policy", "seed"]:
+                raise ProblemError(
+                    "seed is not a key of a problem; expected one sweep for each seed (--seed, seed=), with the same "
+                    "store"
+                )
+            if name in TAKEN:
+                raise ProblemError(f"the dimension name {name} is reserved by xarray; expected policy.{name}")
+        axes = {name: _labels(name, values) for name, values in listed.items()}
+        _check_axes(problem, listed, confidence)
+        cells = _Grid(listed, seed)
+        label = label_of(problem)
+        table = _Table(cells.shape)
+        kept = None if store is None else Store(store, label)
+        bar = in_notebook(progress)
+        for index, answer in run_cells(problem, cells, Effort(standard_error, confidence, steps), executor, kept, bar):
+            table.put(index, cells[index].seed, answer)
+        table.tell(cells)
+        methods = ", ".join(sorted(table.methods))
+        told = {name: str(value) for name, value in origin(problem, seed, methods).items()}
+        return table.dataset(axes, label | told | {"machine": f"{platform.machine()}, {platform.system()}"})
 
 
 def label_of(problem: Problem) -> dict[str, str]:
@@ -151,6 +156,7 @@ def _plain(name: str, value: object) -> object:
         ProblemError: a problem file cannot contain the value.
     """
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+        expect_unmasked(f"a value of {name}", value)
         value = cast("Any", value).tolist()
     elif hasattr(value, "values") and not isinstance(value, Mapping):  # labelled arrays
         value = cast("Any", value).values.tolist()

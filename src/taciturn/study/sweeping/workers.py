@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process, util
 from multiprocessing.process import BaseProcess
@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from taciturn._blas import prefer_one_thread
 from taciturn._ending import at_once, deferred
-from taciturn._progress import Progress
+from taciturn._progress import NoTimeLeft, Progress, check_time, seconds_left
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.program.machine import available_processors, one_thread
 from taciturn.study.sweeping.identity import accepted, asked, refuse_other_versions
@@ -69,6 +69,9 @@ def answer_all(
     futures = [] if executor is None else [asked(executor, _alone, answer, job) for job in jobs]
     try:
         for k, job in enumerate(jobs):
+            if futures:
+                wait(futures[k : k + 1], timeout=min(seconds_left(), threading.TIMEOUT_MAX))
+            check_time()
             found.append(accepted(futures[k].result()) if futures else answer(job))
             progress((k + 1) / len(jobs))
     except BrokenExecutor as error:
@@ -77,7 +80,7 @@ def answer_all(
             "alive and can import taciturn: use fewer workers, or none"
         ) from error
     except Exception as error:
-        if executor is not None and not isinstance(error, TaciturnError):
+        if executor is not None and not isinstance(error, TaciturnError | NoTimeLeft):
             refuse_other_versions(executor, workers_of(executor), error)
         raise
     finally:

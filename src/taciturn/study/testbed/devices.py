@@ -38,7 +38,7 @@ WAITING = 64  # steps that a packet may be early
 NO_MARKS = 0xFFFFFFFF
 COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
-    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated",
+    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated", "overflowed",
 )  # fmt: skip
 DROPPED = ("misdirected", "duplicate", "replayed", "ahead", "unproven", "proofs", *REFUSALS)
 ACCESS = """
@@ -119,7 +119,15 @@ class DeviceCode:
         for name in ("shim_size", "tac_send", "tac_save"):
             getattr(self.code, name).restype = c.c_size_t
         self.code.tac_behind.restype = c.c_uint64
-        for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent", "tac_restore", "shim_settled"):
+        for name in (
+            "tac_receive",
+            "tac_step",
+            "tac_degraded",
+            "tac_silent",
+            "tac_silent_on",
+            "tac_restore",
+            "shim_settled",
+        ):
             getattr(self.code, name).restype = c.c_bool
         self.role, self.policy, self.network = role, policy, network
         self.datagram = c.create_string_buffer(4096)
@@ -183,9 +191,9 @@ class DeviceNode(Node):
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
 
     def set_keys(self, keys: Keys) -> None:
-        """Give the keys of the links between nodes to the device, if they have changed."""
+        """Give the keys of the links between nodes and of set-points to the device, if they have changed."""
         for code, link in enumerate(self.wire.links):
-            found = () if link in self.wire.plant else keys.of(link)
+            found = () if link in self.wire.plant and link != SETPOINT else keys.of(link)
             if found and found != self._keys.get(link):
                 self._keys[link] = found
                 first, other = [Key(key, len(key)) for key in found] + [Key(None, 0)] * (2 - len(found))
@@ -203,8 +211,14 @@ class DeviceNode(Node):
 
     @property
     def silent(self) -> bool:
-        """Whether the watchdog of the device has expired."""
+        """Whether the watchdogs of all links of the device have expired."""
         return self._code.tac_silent(self._self)
+
+    @property
+    def silent_links(self) -> tuple[str, ...]:
+        """The links whose watchdog on the device has expired."""
+        codes = {link: c.c_uint8(self.wire.links.index(link)) for link in self.limits}
+        return tuple(link for link, code in codes.items() if self._code.tac_silent_on(self._self, code))
 
     def settled(self, link: str, tick: int) -> bool:
         """Return whether the packet of a step has arrived or will not be sent."""

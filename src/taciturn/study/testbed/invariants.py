@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
-from taciturn.model.places import PlantLink, plant_link
+from taciturn.model.places import PlantLink, plant_link, sender_of
 from taciturn.model.wire import PROOFS
 from taciturn.runtime.clock import JUMPED
 from taciturn.runtime.node import Node, Values
@@ -28,7 +28,14 @@ CLOSE = 1e-9  # largest relative difference of two copies of a number
 EARLY = 2 * JUMPED + 1.0  # steps by which a node may be ahead of the plant: its clock and its sender's may be fast
 AWAKE = 1000  # largest number of times that a process wakes in a step
 DATAGRAMS = ("received", *REFUSALS, "unproven", "proofs")  # counters of a node, which count each datagram once
-UNCOUNTED = ("sent ", "missed", "repeated", "unsent", *DATAGRAMS)  # counters that do not count handled packets
+UNCOUNTED = (
+    "sent ",
+    "missed",
+    "repeated",
+    "unsent",
+    "overflowed",
+    *DATAGRAMS,
+)  # counters that do not count handled packets
 
 
 ORDER, COUNTS, NUMBERS, MARKS, FORGERY, DEVICES, SILENCE, PACE, RECOVERY = INVARIANTS = (
@@ -79,7 +86,8 @@ class Life:
         self.node: Node = server.nodes[0]
         self.plant = plant_link(self.node.policy, self.node.role)
         self._kept = Counter(self.node.counters)  # of an earlier life, if the state was saved
-        self.heard = began  # last step in which a datagram of a peer arrived, or which excuses silence
+        # last step in which a datagram of its sender arrived, or which excuses silence, by link
+        self.heard = dict.fromkeys(self.node.limits, began)
         self.turn = 0  # steps since the process woke
         self.wakes = 0  # times that it woke in this step
         self.forged = 0  # forged datagrams that it was sent
@@ -104,7 +112,6 @@ class Monitor:
 
     Args:
         step: function that returns the present step of the plant, with its fraction.
-        watchdog: steps without a usable packet after which a node must be silent.
         heartbeat: steps without a packet on a link after which a mark is sent.
         patience: steps by which a node may report its silence later.
         zero: whether the safe input is 0.
@@ -115,7 +122,6 @@ class Monitor:
     def __init__(
         self,
         step: Callable[[], float],
-        watchdog: int,
         heartbeat: int,
         patience: int,
         zero: bool = False,
@@ -125,7 +131,7 @@ class Monitor:
         """Start without processes."""
         self._plant = plant or {}
         self._zero, self._keyed = zero, keyed
-        self._step, self._watchdog, self._heartbeat, self._patience = step, watchdog, heartbeat, patience
+        self._step, self._heartbeat, self._patience = step, heartbeat, patience
         self.lives: dict[str, Life] = {}
         self._starts: dict[str, dict[int, int]] = defaultdict(dict)  # number of an epoch, by its sender
         self._forged = 0  # forged datagrams that the plant was sent
@@ -297,18 +303,18 @@ class Monitor:
             self.fail(
                 COUNTS, f"the {role} counts {received} packets, but {dict(node.counters)} and {node.waiting} waiting"
             )
-        silence = self._step() - life.heard
-        if (
-            node.watchdog is not None
-            and silence > self._watchdog + self._patience
-            and not (node.silent and node.degraded)
-        ):
-            self.fail(SILENCE, f"the {role} is cut for {silence:.0f} steps, but does not report it")
+        for link, limit in node.limits.items():
+            silence = self._step() - life.heard[link]
+            if silence > limit + self._patience and not (link in node.silent_links and node.degraded):
+                self.fail(SILENCE, f"the link {link} of the {role} is cut for {silence:.0f} steps, but not reported")
 
-    def heard(self, role: str) -> None:
-        """Record that a datagram of a peer has arrived, or an event that excuses silence."""
+    def heard(self, role: str, sender: str | None = None) -> None:
+        """Record that a datagram of a sender has arrived, or (without a sender) an event that excuses silence."""
         if role in self.lives:
-            self.lives[role].heard = self._step()
+            life = self.lives[role]
+            life.heard |= {
+                link: self._step() for link in life.heard if sender in (None, sender_of(life.node.policy, link))
+            }
 
     def _next(self, kind: str, link: str, values: Values, last: Order) -> Order | None:
         """Return the oldest sent packet with a payload that is not older than the last one, or None."""

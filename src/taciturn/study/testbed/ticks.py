@@ -60,7 +60,8 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
         once = _in_units(loop, Estimate(float(kept.mean()), 0.0, "exact"))
         return once, (f"{short}: the cost is that of this run, with about {len(kept) / piece:.2g} {why}",)
     found = batch_means(kept)
-    notes = (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
+    notes = loop.problem.remarks
+    notes += (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
     cost = _in_units(loop, found)
     return cost, notes + doubt_errors(cost, len(kept))
 

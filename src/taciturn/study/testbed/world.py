@@ -110,7 +110,7 @@ class World:
         self.network = VirtualNetwork(self.time, self._carry)
         self.wire = _CachedWire(policy, loop.network)
         self.monitor = Monitor(
-            self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1, keyed=keyed, plant=self.wire.plant
+            self.step, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1, keyed=keyed, plant=self.wire.plant
         )
         self.roles = roles(policy)
         self.links: list[str] = [step.link for step in policy.steps if isinstance(step, Send)]
@@ -278,7 +278,7 @@ class World:
         known.append((now, datagram))
         for delay, copy in flights if to[0] != PLANT and sender[0] != PLANT else ():
             if copy == datagram:
-                self._at(now + delay, lambda: self.monitor.heard(to[0]))
+                self._at(now + delay, lambda: self.monitor.heard(to[0], sender[0]))
         return [(delay * TICK, copy) for delay, copy in flights]
 
     def _at(self, step: float, event: Callable[[], None]) -> None:
@@ -339,14 +339,14 @@ class World:
     def _jump(self, fault: Jump) -> None:
         self.clocks[fault.role].jump(fault.by * TICK)
         life = self.monitor.lives[fault.role]
-        life.heard = max(life.heard, self.step()) + max(0.0, -fault.by)
+        life.heard = {link: max(heard, self.step()) + max(0.0, -fault.by) for link, heard in life.heard.items()}
 
     def _replay(self, fault: Replay, step: int) -> None:
         for sent, datagram in self._history.get(fault.path, []):
             if int(sent) == step:
                 self._throw(fault.path, datagram)
                 if PLANT not in fault.path:
-                    self.monitor.heard(fault.path[1])
+                    self.monitor.heard(fault.path[1], fault.path[0])
 
     def _play(self, fault: Recording) -> None:
         """Send a recording of a path: of this session, or of one that has not run in this world."""
@@ -362,7 +362,7 @@ class World:
             for datagram in recorded[part * each : (part + 1) * each]:
                 self._at(self.step() + part, lambda datagram=datagram: self._throw(fault.path, datagram))
                 if not fault.epochs:
-                    self._at(self.step() + part, lambda: self.monitor.heard(fault.path[1]))
+                    self._at(self.step() + part, lambda: self.monitor.heard(fault.path[1], fault.path[0]))
 
     def _forge(self, fault: Forgery, step: int) -> None:
         """Send what was sent in a step with other numbers and a wrong key."""

@@ -137,7 +137,7 @@ class RatesGoal(Goal):
     name: ClassVar[str] = "rates"
 
     budget: float = 1.0
-    limits: Mapping[str, float] = field(default_factory=lambda: {})
+    limits: Mapping[str, float] = field(hash=False, default_factory=lambda: {})
 
     def short(self) -> str:
         """Return the limits as text."""

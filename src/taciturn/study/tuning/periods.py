@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from taciturn._arrays import number
-from taciturn._progress import Progress
+from taciturn._progress import Progress, answered_within
 from taciturn.errors import ProblemError
+from taciturn.lqg.regulation import has_average
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem.bare import Studied, as_problem
@@ -71,6 +72,7 @@ def tune_period(
     link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> TunedPeriod:
     """Return the period and the parameter with which a policy sends at a rate and costs least.
@@ -87,6 +89,7 @@ def tune_period(
         link: link whose rate is meant; may be omitted if the policy decides on a single link.
         seed: seed of the random draws, if anything is simulated.
         standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
         progress: callback that receives the fraction done.
 
     Raises:
@@ -102,37 +105,46 @@ def tune_period(
         >>> found.best.problem.parameters["period"], found.best.evaluation.consistency
         (0.125, 'verified')
     """
-    problem = as_problem("problem", problem)
-    period = problem.parameters.get("period")
-    if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
-        raise ProblemError(f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period")
-    rate, least = number("rate", rate, 0.0), number("least", least, 0.0)
-    period = min(float(period), 1 / (FASTER * rate))
-    if period < least:
-        raise ProblemError(
-            f"the least period is {least:g} s, but at {rate:g} sends per second the search starts from at most "
-            f"{period:g} s; expected a shorter least period, or a lower rate"
-        )
-    tried: list[Tuned] = []
-    parameters = dict(problem.parameters)
-    while period >= least and len(tried) < MOST:
-        here = problem.changed({**parameters, "period": period})
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        period = problem.parameters.get("period")
+        if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
+            raise ProblemError(
+                f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period"
+            )
+        if not has_average(problem.plant, problem.cost):
+            raise ProblemError(
+                "the cost is that at the sampling instants, because the disturbances change the input that they need "
+                "between samples and grow without limit, so costs of several periods cannot be compared; expected "
+                "disturbances that are constant or decay, or a given period"
+            )
+        rate, least = number("rate", rate, 0.0), number("least", least, 0.0)
+        period = min(float(period), 1 / (FASTER * rate))
+        if period < least:
+            raise ProblemError(
+                f"the least period is {least:g} s, but at {rate:g} sends per second the search starts from at most "
+                f"{period:g} s; expected a shorter least period, or a lower rate"
+            )
+        tried: list[Tuned] = []
+        parameters = dict(problem.parameters)
+        while period >= least and len(tried) < MOST:
+            here = problem.changed({**parameters, "period": period})
 
-        def report(fraction: float, done: int = len(tried)) -> None:
-            if progress is not None:
-                progress(1 - 0.7 ** (done + fraction))  # the number of periods is not known in advance
+            def report(fraction: float, done: int = len(tried)) -> None:
+                if progress is not None:
+                    progress(1 - 0.7 ** (done + fraction))  # the number of periods is not known in advance
 
-        found = tune(here, rate=rate, link=link, seed=seed, standard_error=standard_error, progress=report)
-        tried.append(found)
-        if len(tried) > 1 and not _gains(tried[-2], found):
-            break
-        name, value = found.parameter.name, found.parameter.value
-        if isinstance(value, float) and name == "delta":
-            value /= FASTER  # δ is a cost per check, so this threshold sends the same error
-        parameters[name] = value
-        period /= FASTER
-    best = min(tried, key=lambda one: one.evaluation.cost.value)
-    return TunedPeriod(best, tuple(tried))
+            found = tune(here, rate=rate, link=link, seed=seed, standard_error=standard_error, progress=report)
+            tried.append(found)
+            if len(tried) > 1 and not _gains(tried[-2], found):
+                break
+            name, value = found.parameter.name, found.parameter.value
+            if isinstance(value, float) and name == "delta":
+                value /= FASTER  # δ is a cost per check, so this threshold sends the same error
+            parameters[name] = value
+            period /= FASTER
+        best = min(tried, key=lambda one: one.evaluation.cost.value)
+        return TunedPeriod(best, tuple(tried))
 
 
 def _gains(before: Tuned, after: Tuned) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import cast
 
 from taciturn._arrays import number
-from taciturn._progress import Progress, Stages, in_notebook
+from taciturn._progress import Progress, Stages, answered_within, in_notebook
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.limits import Limits
@@ -40,6 +40,7 @@ def tune(
     link: str | None = None,
     seed: int = 0,
     standard_error: float | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
     """Return the parameter with which a problem's policy meets a budget: its rate, traffic, cost or violation.
@@ -70,6 +71,7 @@ def tune(
         link: link whose rate is meant; may be omitted if the policy decides on a single link.
         seed: seed of the random draws.
         standard_error: absolute standard error of the cost of the answer; default: 1e-4 of the cost.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
         progress: callback that receives the fraction done.
 
     Returns:
@@ -87,22 +89,23 @@ def tune(
         >>> round(found.parameter.value, 1), round(found.evaluation.rates["actuator"].value, 2)
         (1.1, 0.3)
     """
-    problem = as_problem("problem", problem)
-    check_effort(seed, standard_error, None)
-    if isinstance(rate, Mapping) and len(rate) == 1 and link is None and problem.record.shares is None:
-        ((link, rate),) = rate.items()
-    tuning = _tuning(problem, link)
-    goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic, "violation": violation}, link)
-    bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
-    if divided:
-        Search(problem, tuning, goal, seed, None).expect_start()
-        problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
-        bar = bar.stage(DIVIDED, 1.0)
-    shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
-    found = replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
-    evaluation = with_written(found.problem, Request(seed, None, None, "auto"), found.evaluation, Stages(None))
-    found = replace(found, evaluation=evaluation)
-    return found if problem.limits is None else _limited(found, problem.limits, seed)
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, None)
+        if isinstance(rate, Mapping) and len(rate) == 1 and link is None and problem.record.shares is None:
+            ((link, rate),) = rate.items()
+        tuning = _tuning(problem, link)
+        goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic, "violation": violation}, link)
+        bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
+        if divided:
+            Search(problem, tuning, goal, seed, None).expect_start()
+            problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
+            bar = bar.stage(DIVIDED, 1.0)
+        shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
+        found = replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+        evaluation = with_written(found.problem, Request(seed, None, None, "auto"), found.evaluation, Stages(None))
+        found = replace(found, evaluation=evaluation)
+        return found if problem.limits is None else _limited(found, problem.limits, seed)
 
 
 def _limited(found: Tuned, limits: Limits, seed: int) -> Tuned:

@@ -1,0 +1,346 @@
+"""What must hold for a problem: everything that reads it agrees, and what is refused is refused with one sentence.
+
+``examine`` returns the faults of one problem as ``Fault``s, and what was compared with what. A number that was
+estimated is first compared at ``DOUBT`` standard errors; a disagreement is repeated with a new seed and ``LONGER``
+times the steps, and is a fault only beyond ``SURE`` standard errors there.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import re
+import signal
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from everything import plain
+from everything.policies import policy_of
+from everything.toml import text_of
+
+import taciturn
+from taciturn.errors import TaciturnError
+from taciturn.problem import Problem, parse
+from taciturn.study.evaluation import Evaluation
+
+Tables = Mapping[str, Any]
+DOUBT, SURE, LONGER = 4.0, 5.0, 16
+STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 400, 150
+SECONDS = 120.0  # after which a check hangs
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that does not hold.
+
+    Args:
+        check: the name of the check, which a smaller problem must fail too.
+        text: what was found.
+    """
+
+    check: str
+    text: str
+
+
+@dataclass
+class Report:
+    """What became of a problem.
+
+    Args:
+        refused: the sentence with which it is refused, or None.
+        faults: what does not hold.
+        compared: the names of the checks that were made.
+        skipped: the checks that do not exist for it, with their reasons.
+    """
+
+    refused: str | None = None
+    faults: list[Fault] = field(default_factory=list)
+    compared: list[str] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)
+
+
+class HungError(Exception):
+    """A check took too long."""
+
+
+@contextmanager
+def within(seconds: float) -> Iterator[None]:
+    """Raise ``HungError`` if the block takes longer."""
+
+    def ring(*_: object) -> None:
+        raise HungError(f"nothing after {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def is_sentence(text: str) -> bool:
+    """Tell whether a refusal is one clause that says what is wrong, without what Python prints of objects."""
+    wrong = ("Traceback", "object at 0x", "array(", "np.float64", "nan", "NaN", "\n\n")
+    return bool(text.strip()) and "\n" not in text.strip() and not any(one in text for one in wrong)
+
+
+def attempt(report: Report, check: str, work: Callable[[], Any]) -> Any:
+    """Return what the work returns; a crash, a hang or a refusal that is no sentence is a fault, and returns None.
+
+    Raises:
+        TaciturnError: the library refuses, with a sentence.
+    """
+    try:
+        with within(SECONDS), np.errstate(all="ignore"):
+            return work()
+    except TaciturnError as error:
+        if not is_sentence(str(error)):
+            report.faults.append(Fault(f"{check}: sentence", str(error)))
+        raise
+    except HungError as error:
+        report.faults.append(Fault(f"{check}: hangs", str(error)))
+    except Exception as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{type(error).__name__} in {Path(last.filename).name} {last.name}"
+        report.faults.append(Fault(f"{check}: {where}", "".join(traceback.format_exception(error)[-6:])))
+    return None
+
+
+def examine(tables: Tables, folder: Path, seed: int, more: tuple[str, ...] = ()) -> Report:
+    """Check a problem, whose file is ``problem.toml`` in the folder.
+
+    Args:
+        tables: its tables.
+        folder: with the files that it names.
+        seed: of all that is drawn.
+        more: names of the expensive checks that are made too.
+    """
+    report = Report()
+    try:
+        problem = attempt(report, "load", lambda: taciturn.load(folder / "problem.toml"))
+        if problem is None:
+            return report
+        policy = attempt(report, "design", problem.designed)
+        if policy is None:
+            return report
+        found = attempt(
+            report, "evaluate", lambda: taciturn.evaluate(problem, steps=STEPS, seed=seed, after_step=False)
+        )
+    except TaciturnError as error:
+        report.refused = str(error)
+        _refused_by_all(report, folder, seed)
+        return report
+    if found is None:
+        return report
+    for name, check in CHECKS.items():
+        if name in EXPENSIVE and name not in more:
+            continue
+        try:
+            attempt(report, name, lambda check=check: check(report, problem, found, tables, folder, seed))
+            report.compared.append(name)
+        except SkippedError as error:
+            report.skipped[name] = str(error)
+        except TaciturnError as error:
+            report.faults.append(Fault(f"{name}: refused", f"evaluate accepts it, but: {error}"))
+    return report
+
+
+class SkippedError(TaciturnError):
+    """A check does not exist for a problem; the text says why."""
+
+
+def _refused_by_all(report: Report, folder: Path, seed: int) -> None:
+    """Check that nothing else computes with a problem that cannot be evaluated."""
+    from typer.testing import CliRunner
+
+    from taciturn.cli.frame import app
+
+    file = str(folder / "problem.toml")
+    for command in (["evaluate", file, "--steps", "2000", "--json"], ["show", file], ["simulate", file]):
+        if command[0] == "simulate":
+            continue
+        with within(SECONDS):
+            result = CliRunner().invoke(app, command)
+        if isinstance(result.exception, TaciturnError):
+            continue  # printed as a sentence by the outermost frame
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            text = "".join(traceback.format_exception(result.exception)[-5:])
+            report.faults.append(Fault(f"{command[0]} of a refused problem: {type(result.exception).__name__}", text))
+
+
+# -- cheap checks
+
+Check = Callable[[Report, Problem, Evaluation, Tables, Path, int], None]
+
+
+def finite(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """No number of an answer is NaN or infinite, and its document is JSON."""
+    text = json.dumps(found.document(), allow_nan=True)
+    for word in ("NaN", "Infinity"):
+        if word in text:
+            report.faults.append(Fault(f"finite: {word}", text[:2000]))
+    json.loads(text)
+    str(found)
+
+
+def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """J ≤ its bounds, up to standard errors."""
+    cost, error = found.cost.value, found.cost.standard_error + found.cost.error
+    slack = DOUBT * error + 1e-9 * abs(cost)
+    for name, bound in (("bound", found.cost_bound), ("bound at the rate", found.cost_bound_at_rate)):
+        if bound is None or cost - slack - DOUBT * found.bound_error <= bound:
+            continue
+        again = taciturn.evaluate(problem, steps=LONGER * STEPS, seed=seed + 1, after_step=False)
+        other = again.cost_bound if name == "bound" else again.cost_bound_at_rate
+        assert other is not None
+        over = again.cost.value - SURE * (again.cost.standard_error + again.bound_error + again.cost.error) - other
+        if over > 1e-9 * abs(other):
+            report.faults.append(Fault(f"ordered: {name}", f"cost {again.cost}, {name} {other:.8g}"))
+    for link, rate in found.rates.items():
+        top = (found.base_rate or math.inf) * (1 + 1e-9)
+        if not -1e-12 <= rate.value <= top:
+            report.faults.append(Fault("ordered: rate", f"{link}: {rate}, at most {top:g}"))
+
+
+def simulated(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """Cost and rates are those of a plain simulation."""
+    try:
+        differences = compare(problem, found, tables, folder, seed, 1)
+    except plain.NotModelledError as error:
+        raise SkippedError(f"not modelled: {error}") from None
+    doubtful = [name for name, (_, _, z) in differences.items() if z > DOUBT]
+    if not doubtful:
+        return
+    again = taciturn.evaluate(problem, steps=LONGER * STEPS, seed=seed + 1, after_step=False)
+    differences = compare(problem, again, tables, folder, seed + 1, LONGER)
+    for name, (own, theirs, z) in differences.items():
+        if z > SURE and name in doubtful:
+            notes = "; ".join(found.notes)
+            text = f"plain simulation {own}, evaluate {theirs}, {z:.1f} standard errors apart; notes: {notes}"
+            report.faults.append(Fault(f"simulated: {name.partition(' ')[0]}", f"{name}: {text}"))
+
+
+def compare(
+    problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int, longer: int
+) -> dict[str, tuple[str, str, float]]:
+    """Return cost and rates by this simulation and by the library, and how far apart they are."""
+    model = plain.model_of(tables, folder)
+    policy, twin = policy_of(tables, model, found.cost_all_time)
+    world = plain.with_actual(model, tables, folder)
+    if world is not model:
+        twin = None
+    paths, steps = PATHS * (4 if longer > 1 else 1), OWN_STEPS * (4 if longer > 1 else 1)
+    if not model.average:
+        paths, steps = paths * 8, OWN_STEPS
+    if world.function is not None:
+        paths, steps = paths // 5, steps
+    settle = max(SETTLE, settling(model))
+    own = plain.simulate(world, policy, twin, seed=seed, paths=paths, steps=steps, settle=settle)
+    result: dict[str, tuple[str, str, float]] = {}
+
+    def add(name: str, mine: tuple[float, float], value: float, error: float) -> None:
+        if not math.isfinite(mine[0]):
+            raise plain.NotModelledError("a loop that diverges")
+        spread = math.hypot(mine[1], error) + 1e-7 * abs(value) + 1e-12
+        text = f"{mine[0]:.6g} ± {mine[1]:.2g}"
+        result[name] = (text, f"{value:.6g} ± {error:.2g}", abs(mine[0] - value) / spread)
+
+    add("cost", own.cost, found.cost.value, found.cost.standard_error + found.cost.error)
+    if own.base is not None:
+        assert own.base_found is not None
+        add("base of this simulation itself", own.base_found, own.base, 0.0)
+        if found.cost_all_time is not None:
+            add("cost_all_time", (own.base, 0.0), found.cost_all_time, 1e-6 * abs(own.base))
+    for link, rate in found.rates.items():
+        if link in own.rates:
+            value, error = own.rates[link]
+            pace = (found.base_rate or 1.0) * model.seconds if model.continuous else 1.0
+            least = 0.5 / paths / steps
+            add(f"rate of {link}", (value * (pace if not model.average else 1.0), error + least), rate.value,
+                rate.standard_error + rate.error)  # fmt: skip
+    return result
+
+
+def settling(model: plain.Model) -> int:
+    """Return steps after which the start of a loop is forgotten; modes of disturbances do not settle."""
+    values = np.abs(np.linalg.eigvals(model.A[: model.n, : model.n]))
+    slow = max([value for value in values if value < 1 - 1e-6], default=0.5)
+    return int(min(12 / -math.log(slow), 3000))
+
+
+def written_again(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """The tables of the problem, written and read again, are the same problem; so is its pickle."""
+    assert problem.source is not None
+    text = text_of(problem.source)
+    (folder / "again.toml").write_text(text, encoding="utf-8")
+    again = taciturn.load(folder / "again.toml")
+    if summary_of(again) != summary_of(problem):
+        report.faults.append(Fault("written again", f"{summary_of(problem)}\n{summary_of(again)}"))
+    changed = problem.changed({})
+    if summary_of(changed) != summary_of(problem):
+        report.faults.append(Fault("changed by nothing", f"{summary_of(problem)}\n{summary_of(changed)}"))
+    parse(tables, "tables") if "function" not in problem.source["plant"] and "file" not in text else None
+
+
+def summary_of(problem: Problem) -> str:
+    """Return what identifies the policy of a problem: the fingerprint of its nodes, or its costs."""
+    policy = problem.designed()
+    if not isinstance(policy, taciturn.Policy):
+        return f"{policy.kind} {policy.cost_all_time!r}"
+    from taciturn.model.packets import fingerprint
+
+    return f"{policy.kind} {fingerprint(policy, problem.network):016x} {policy.cost_all_time!r}"
+
+
+def pickled(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """Problem, policy and answer survive pickling."""
+    if problem.nonlinear:
+        raise SkippedError("a function of the user")
+    again = pickle.loads(pickle.dumps(problem))
+    if summary_of(again) != summary_of(problem):
+        report.faults.append(Fault("pickled: problem", summary_of(again)))
+    other = pickle.loads(pickle.dumps(found))
+    if other.document() != found.document():
+        report.faults.append(Fault("pickled: evaluation", ""))
+    pickle.dumps(problem.designed())
+
+
+def shown(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """``show``, also as JSON, prints the problem; its JSON is strict."""
+    from typer.testing import CliRunner
+
+    from taciturn.cli.frame import app
+
+    for command in (["show", str(folder / "problem.toml")], ["show", str(folder / "problem.toml"), "--json"]):
+        result = CliRunner().invoke(app, command)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        if result.exit_code:
+            report.faults.append(Fault("shown: exit", result.output))
+        elif "--json" in command:
+            json.loads(result.stdout, parse_constant=lambda word: _refuse(report, word))
+        elif re.search(r"\bnan\b|object at 0x", result.stdout):
+            report.faults.append(Fault("shown: text", result.stdout))
+
+
+def _refuse(report: Report, word: str) -> float:
+    report.faults.append(Fault("shown: JSON", word))
+    return 0.0
+
+
+CHECKS: dict[str, Check] = {
+    "finite": finite,
+    "ordered": ordered,
+    "simulated": simulated,
+    "written again": written_again,
+    "pickled": pickled,
+    "shown": shown,
+}
+EXPENSIVE: tuple[str, ...] = ()

@@ -1,0 +1,408 @@
+"""Controllers that a user keeps, LQG over links that drop packets, and slower bases: ``excess`` and ``send-on-delta``.
+
+The state of the loop is w = (x, d, c, y, h): plant, slow disturbances at the inputs, controller, measurement, and the
+value that the receiver uses in silence (an input, or for a sensor link a measurement). With F_a, M_a for a packet that
+arrives and F_s, M_s for silence, X_f(P) = M_f + F_f'PF_f, the loop that always attempts has the value P, and silence
+costs E[w'Ψw], Ψ = (1 − p)(X_s − X_a), more. LQG is the controller whose state is the prediction of its observer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from everything.laws import Channel, Law, Nodes
+from everything.plain import Array, Model, NotModelledError, block, kalman, regulator
+
+Tables = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Given:
+    """A controller: c⁺ = A c + B y + E u, command = C c + D y; with the slow disturbance that it compensates."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    E: Array
+    pole: float = 0.0
+    deviation: Array | None = None
+
+
+def given_of(tables: Tables, model: Model, h: float) -> Given:
+    """Return the controller of [controller]."""
+    table = tables["controller"]
+    p, m = len(model.C), model.m
+    sign = 1.0 if table.get("sign", "negative") == "positive" else -1.0
+    integrates = False
+    if "pid" in table:
+        A, B, C, D, E = np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), np.zeros((m, p)), np.zeros((0, m))
+        for one in table["pid"] if isinstance(table["pid"], list) else [table["pid"]]:
+            kp, ki, kd = (sign * one.get(key, 0.0) for key in ("kp", "ki", "kd"))
+            i, o = one.get("input", 1) - 1, one.get("output", 1) - 1
+            unit_in, unit_out = np.eye(m)[:, [i]], np.eye(p)[[o]]
+            D = D + kp * unit_in @ unit_out
+            if ki:
+                integrates = True
+                track = one.get("tracking_time")
+                A, B, E = block(A, np.eye(1)), np.vstack([B, h * unit_out]), np.vstack([E, np.zeros((1, m))])
+                C = np.hstack([C, ki * unit_in])
+                if track is not None:
+                    E[-1] = h / (track * ki) * unit_in[:, 0]
+            elif "tracking_time" in one:
+                raise NotModelledError("a tracking time without integral")
+            if kd:
+                tf = one["filter"]
+                A, B, E = (
+                    block(A, np.array([[1 - h / tf]])),
+                    np.vstack([B, h / tf * unit_out]),
+                    np.vstack([E, np.zeros((1, m))]),
+                )
+                C, D = np.hstack([C, -kd / tf * unit_in]), D + kd / tf * unit_in @ unit_out
+        # the integral follows the applied input: I⁺ = I + h y + h/(T ki)(u − command)
+        command_c, command_y = C, D
+        A, B = A - E @ command_c, B - E @ command_y
+    else:
+        D = sign * np.array(table.get("D", np.zeros((m, p))), dtype=float)
+        k = len(table.get("A", []))
+        A = np.array(table.get("A", np.zeros((0, 0))), dtype=float).reshape(k, k)
+        B = np.array(table.get("B", np.zeros((0, p))), dtype=float).reshape(len(A), p)
+        C = sign * np.array(table.get("C", np.zeros((m, 0))), dtype=float).reshape(m, len(A))
+        E = np.array(table.get("E", np.zeros((len(A), m))), dtype=float).reshape(len(A), m)
+        if "method" in table:  # Tustin: s = (2/h)(z − 1)/(z + 1)
+            if table["method"] != "tustin":
+                raise NotModelledError("controllers by zoh")
+            inverse = np.linalg.inv(np.eye(len(A)) - h / 2 * A)
+            A, B, C, D = (
+                inverse @ (np.eye(len(A)) + h / 2 * A),
+                h * inverse @ B,
+                C @ inverse,
+                D + h / 2 * C @ inverse @ B,
+            )
+            # in coordinates in which the state enters as it did
+        integrates = bool(len(A)) and bool((np.abs(np.linalg.eigvals(A) - 1) < 1e-9).any())
+    stated = table.get("disturbance")
+    if stated == "none" or (stated is None and not integrates):
+        return Given(A, B, C, D, E)
+    stated = stated or {}
+    n = model.n
+    inverse = np.linalg.pinv(model.B[:n])
+    usual = 0.5 * np.sqrt(np.maximum(np.diag(inverse @ model.W[:n, :n] @ inverse.T), 0.0))
+    deviation = np.broadcast_to(np.asarray(stated.get("deviation", usual), dtype=float), (m,)).copy()
+    return Given(A, B, C, D, E, float(np.exp(-h / stated.get("time_constant", 1000 * h))), deviation)
+
+
+def observer(model: Model, every: int = 1, gains: str = "lqg", law: Law | None = None, silence: str = "hold") -> Given:
+    """Return LQG as a controller whose state is the prediction of its observer."""
+    n = model.n
+    A, B = model.A[:n, :n], model.B[:n]
+    if every > 1:
+        L = lifted_gain(A, B, model.Q, model.R, model.N, every)
+    elif gains == "loss-optimal":
+        assert law is not None
+        L = gain_for_losses(A, B, model.Q, model.R, model.N, law.loss, silence)
+    else:
+        L = regulator(A, B, model.Q, model.R, model.N)[2]
+    if model.V is None:
+        return Given(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((model.m, 0)), L, np.zeros((0, model.m)))
+    G = kalman(A, model.C, model.W, model.V)[0]
+    left = np.eye(n) - G @ model.C
+    return Given(A @ left, A @ G, L @ left, L @ G, B)
+
+
+def lifted(A: Array, B: Array, Q: Array, R: Array, N: Array, steps: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the problem of several steps with one input that is held."""
+    n, m = B.shape
+    F = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
+    stage, total, power = np.block([[Q, N], [N.T, R]]), np.zeros((n + m, n + m)), np.eye(n + m)
+    for _ in range(steps):
+        total, power = total + power.T @ stage @ power, F @ power
+    return power[:n, :n], power[:n, n:], total[:n, :n], total[n:, n:], total[:n, n:]
+
+
+def lifted_gain(A: Array, B: Array, Q: Array, R: Array, N: Array, steps: int) -> Array:
+    """Return the best gain of an input that is held for so many steps."""
+    return regulator(*lifted(A, B, Q, R, N, steps))[2]
+
+
+def gain_for_losses(A: Array, B: Array, Q: Array, R: Array, N: Array, loss: float, silence: str) -> Array:
+    """Return the gain that costs least if every packet is attempted: value iteration over (x, held input)."""
+    n, m = B.shape
+    P, L = np.zeros((n + m, n + m)), np.zeros((m, n))
+    stage = np.block([[Q, N], [N.T, R]])
+    keep = np.eye(m) if silence == "hold" else np.zeros((m, m))
+    F_u = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])  # of (x, u)
+    silent = np.block([[np.eye(n), np.zeros((n, m))], [np.zeros((m, n)), keep]])
+    for _ in range(20_000):
+        whole = stage + F_u.T @ P @ F_u  # of (x, u), u the input that is applied
+        L = -np.linalg.solve(whole[n:, n:], whole[n:, :n])
+        best = np.hstack([np.vstack([np.eye(n), L]), np.zeros((n + m, m))])
+        new = (1 - loss) * best.T @ whole @ best + loss * silent.T @ whole @ silent
+        if np.abs(new - P).max() <= 1e-13 * np.abs(new).max():
+            return L
+        P = new
+    raise NotModelledError("gains for losses that do not settle")
+
+
+class Base:
+    """The loop that always attempts, and what silence costs more.
+
+    Args:
+        model: the plant.
+        given: the controller.
+        link: "actuator" or "sensor".
+        silence: "hold", "zero" or "model" (in which what is used in silence is no part of the value).
+        law: of the link.
+        every: steps between the packets of the base.
+    """
+
+    def __init__(self, model: Model, given: Given, link: str, silence: str, law: Law, every: int) -> None:
+        """Compute value, cost and advantage."""
+        n, m, p, k = model.n, model.m, len(model.C), len(given.A)
+        q = m if given.deviation is not None else 0
+        self.sizes = (n, q, k, p, m if link == "actuator" else p)
+        A, B, C = model.A[:n, :n], model.B[:n], model.C[:, :n]
+        A, B_d = A, B[:, :q]
+        size = sum(self.sizes)
+        x, d, c, y, h = np.split(np.eye(size), np.cumsum(self.sizes)[:-1])  # rows that pick a part of w
+
+        def loop(used: Array) -> tuple[Array, Array]:
+            """Return F and M if the receiver uses a combination of w."""
+            u = used if link == "actuator" else given.C @ c + given.D @ used
+            seen = y if link == "actuator" else used
+            moved = A @ x + B @ u + (B_d @ d if q else 0.0)
+            F = np.vstack([moved, given.pole * d, given.A @ c + given.B @ seen + given.E @ u, C @ moved, used])
+            joint = np.vstack([x, u])
+            weight = np.block([[model.Q, model.N], [model.N.T, model.R]])
+            return F, joint.T @ weight @ joint
+
+        sent = given.C @ c + given.D @ y if link == "actuator" else y
+        self.arrives, self.silent = loop(sent), loop(h if silence != "zero" else np.zeros_like(h))
+        V = np.zeros((p, p)) if model.V is None else model.V
+        spread = np.vstack([np.eye(n), np.zeros((q + k, n)), C, np.zeros((self.sizes[4], n))])
+        self.noise = spread @ model.W[:n, :n] @ spread.T
+        at = np.arange(n, n + q)
+        if q:
+            assert given.deviation is not None
+            self.noise[at, at] += given.deviation**2 * (1 - given.pole**2)
+        place = n + q + k
+        self.noise[place : place + p, place : place + p] += V
+        self.law, self.every, self.model = law, every, model
+        self._value()
+        self.exact = self.cost + model.rest
+
+    def _value(self) -> None:
+        law, size = self.law, len(self.noise)
+        modes, phases = len(law.drops), self.every
+        P = np.zeros((phases, modes, size, size))
+        for _ in range(60_000):
+            new = np.empty_like(P)
+            for j in reversed(range(phases)):
+                ahead = P[(j + 1) % phases] if j == phases - 1 else new[j + 1]
+                mixed = np.einsum("ab,bij->aij", law.moves, ahead)
+                for a in range(modes):
+                    silent, sent = bellman(self.silent, mixed[a]), bellman(self.arrives, mixed[a])
+                    new[j, a] = silent if j else law.drops[a] * silent + (1 - law.drops[a]) * sent
+            change, largest = np.abs(new - P).max(), np.abs(new).max()
+            P = new
+            if change <= 1e-13 * largest:
+                break
+            if not largest < 1e30:
+                raise NotModelledError("a base that is not stable")
+        else:
+            raise NotModelledError("a base that settles too slowly")
+        self.P = P
+        chances = law.stationary
+        self.cost = float(np.mean([np.einsum("a,ab,bij,ij", chances, law.moves, P[(j + 1) % phases], self.noise)
+                                   for j in range(phases)]))  # fmt: skip
+        self.psi = np.empty_like(P)
+        for j in range(phases):
+            mixed = np.einsum("ab,bij->aij", law.moves, P[(j + 1) % phases])
+            for a in range(modes):
+                gain = bellman(self.silent, mixed[a]) - bellman(self.arrives, mixed[a])
+                self.psi[j, a] = (1 - law.drops[a]) * gain
+
+
+def bellman(branch: tuple[Array, Array], P: Array) -> Array:
+    """Return the value before a step."""
+    F, M = branch
+    return M + F.T @ P @ F
+
+
+class KeptPolicy:
+    """A given controller, or LQG, whose packets are decided by what silence costs, or by a dead band."""
+
+    def __init__(
+        self, model: Model, given: Given, *, link: str, silence: str, law: Law, rule: str, level: float,
+        every: int = 1, retry: bool = False, always: bool = False, told: bool = True, base: Base | None = None,
+    ) -> None:  # fmt: skip
+        """Keep everything.
+
+        Args:
+            model, given, link, silence, law, every, retry: as in the file.
+            rule: "cost" or "band".
+            level: δ, or Δ.
+            always: whether every sample is attempted.
+            told: whether the sender learns what arrived; otherwise it assumes that everything does.
+            base: the loop that always attempts.
+        """
+        self.model, self.given, self.link, self.silence, self.law = model, given, link, silence, law
+        self.rule, self.level, self.every, self.retry = rule, level, every, retry
+        self.always, self.told, self.base = always, told, base
+        self.exact = None if base is None or not always else base.exact
+        n, q = model.n, model.m if given.deviation is not None else 0
+        self.q = q
+        self.F = np.block([[model.A[:n, :n], model.B[:n, :q]], [np.zeros((q, n)), given.pole * np.eye(q)]])
+        self.B = np.vstack([model.B[:n], np.zeros((q, model.m))])
+        self.C = np.hstack([model.C[:, :n], np.zeros((len(model.C), q))])
+        W = model.W[:n, :n]
+        if q:
+            assert given.deviation is not None
+            W = block(W, np.diag(given.deviation**2 * (1 - given.pole**2)))
+        V = np.zeros((len(model.C), len(model.C))) if model.V is None else model.V
+        if model.V is None and not q:
+            self.G = np.eye(n)
+        else:
+            self.G = kalman(self.F, self.C, W, V)[0]
+
+    def start(self, paths: int, rng: np.random.Generator) -> None:
+        """Begin."""
+        model, given = self.model, self.given
+        self.prior = np.zeros((paths, len(self.F)))
+        self.c = np.zeros((paths, len(given.A)))
+        size = model.m if self.link == "actuator" else len(model.C)
+        self.h = np.zeros((paths, size))  # what the sender takes the receiver to use in silence
+        self.real = self.h.copy()  # what it uses
+        self.copy = np.zeros((paths, len(self.F) + len(given.A)))  # plant and controller at the receiver
+        self.channel = Channel(self.law, paths, rng)
+        self.belief = np.tile(self.law.stationary, (paths, 1))
+        self.missed = np.zeros(paths, dtype=bool)
+        self.d = np.zeros((paths, self.q))
+        self.rng = rng
+
+    def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
+        """Make a step; a slow disturbance is added to the input that the plant gets, and moves here."""
+        given, size = self.given, len(self.F)
+        estimate = self.prior + (y - self.prior @ self.C.T) @ self.G.T
+        command = self.c @ given.C.T + y @ given.D.T
+        sent = command if self.link == "actuator" else y
+        if self.silence == "model":
+            inner, outer = self.copy[:, :size], self.copy[:, size:]
+            seen = inner @ self.C.T
+            self.h = outer @ given.C.T + seen @ given.D.T if self.link == "actuator" else seen
+            self.real = self.h
+        elif self.silence == "zero":
+            self.h, self.real = np.zeros_like(self.h), np.zeros_like(self.real)
+        wants = self._wants(k, estimate, y, sent)
+        wants = np.ones_like(wants) if self.always else wants | (self.missed & self.retry)
+        sends = self.channel.allowed(wants)
+        arrived = self.channel.arrives(sends) if self.law.lossy else sends
+        self._learn(sends, arrived)
+        known = arrived if self.told else sends
+        used, believed = np.where(arrived[:, None], sent, self.real), np.where(known[:, None], sent, self.h)
+        if self.link == "actuator":
+            u, seen, thought = used, y, believed
+        else:
+            u, seen, thought = self.c @ given.C.T + used @ given.D.T, used, self.c @ given.C.T + believed @ given.D.T
+        if self.silence == "model":
+            self._copy(known, estimate, y, u)
+        self.c = self.c @ given.A.T + seen @ given.B.T + thought @ given.E.T
+        self.prior = estimate @ self.F.T + thought @ self.B.T
+        self.h, self.real, self.missed = believed, used, sends & ~arrived
+        applied = u + self.d if self.q else u
+        if self.q:
+            assert given.deviation is not None
+            moved = given.deviation * np.sqrt(1 - given.pole**2)
+            self.pushed, self.d = self.d, given.pole * self.d + moved * self.noise(len(y))
+            return np.hstack([u, applied]), {self.link: sends.astype(float)}
+        return u, {self.link: sends.astype(float)}
+
+    def noise(self, paths: int) -> Array:
+        """Return the noise of the slow disturbance, from numbers that a twin shares."""
+        return self.shared.standard_normal((paths, self.q))
+
+    def _wants(self, k: int, estimate: Array, y: Array, sent: Array) -> Array:
+        if self.rule == "band":
+            return (np.abs(sent - self.h) > self.level).any(axis=1)
+        assert self.base is not None
+        w = np.hstack([estimate, self.c, y, self.h])
+        psi = self.base.psi[k % self.every]
+        return np.einsum("pa,aij,pi,pj->p", self.belief, psi, w, w) > self.level
+
+    def _learn(self, sends: Array, arrived: Array) -> None:
+        """Move the belief about the channel by what an acknowledgement says, and by a step."""
+        law = self.law
+        if len(law.drops) == 1:
+            return
+        seen = np.where(arrived[:, None], 1 - law.drops, law.drops)
+        belief = np.where(sends[:, None], self.belief * seen, self.belief)
+        self.belief = belief / belief.sum(axis=1, keepdims=True) @ law.moves
+
+    def _copy(self, arrived: Array, estimate: Array, y: Array, u: Array) -> None:
+        """Let the receiver go on with plant and controller, from the packet if one arrived."""
+        given, size = self.given, len(self.F)
+        inner = np.where(arrived[:, None], estimate, self.copy[:, :size])
+        outer = np.where(arrived[:, None], self.c, self.copy[:, size:])
+        seen = np.where(arrived[:, None], y, self.copy[:, :size] @ self.C.T)
+        new_outer = outer @ given.A.T + seen @ given.B.T + u @ given.E.T
+        self.copy = np.hstack([inner @ self.F.T + u @ self.B.T, new_outer])
+
+
+def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy, KeptPolicy | None]:
+    """Return ``excess`` or ``send-on-delta`` with a controller, losses or options of a given base, and its twin."""
+    policy = tables["policy"]
+    kind, silence = policy["kind"], policy.get("actuation", "hold")
+    link = policy.get("link", "sensor" if kind == "send-on-delta" else "actuator")
+    if not model.average:
+        raise NotModelledError("a kept controller over a horizon")
+    if model.q or model.s:
+        raise NotModelledError("a kept controller with disturbances or changing set-points")
+    law = nodes.laws.get(link, Law())
+    every = policy.get("every", 1)
+    h = model.seconds if model.continuous else float(tables["plant"]["dt"])
+    told = law.acknowledged or not law.lossy
+    design = law if told else Law(least=law.least, most=law.most)
+    if silence == "model" and law.lossy and told:
+        raise NotModelledError("a model over losses")
+    if "controller" in tables:
+        given = given_of(tables, model, h)
+    else:
+        given = observer(model, every, policy.get("gains", "lqg"), design, silence)
+    base = Base(model, given, link, "hold" if silence == "model" else silence, design, every)
+    if kind == "send-on-delta":
+        rule, level = "band", float(policy["delta"])
+    else:
+        level = float(policy["delta"]) if "delta" in policy else policy["theta"] * (base.exact - model.rest)
+        rule = "cost"
+    keys: dict[str, Any] = {"link": link, "silence": silence, "law": law, "rule": rule, "every": every, "told": told}
+    keys["retry"] = policy.get("retry", False)
+    own = KeptPolicy(model, given, level=level, base=base, **keys)
+    twin = None
+    if every == 1 and told:
+        free = Law(law.drops, law.moves, law.acknowledged)
+        twin = KeptPolicy(model, given, level=level, base=base, always=True, **{**keys, "law": free})
+    for one in filter(None, (own, twin)):
+        one.shared = np.random.default_rng(12345)  # each reads the same numbers
+    if law.lossy and twin is not None:
+        twin = None  # other fates: no common noise
+    return own, twin
+
+
+def weights_as_kept(tables: Tables, model: Model) -> tuple[Array, Array]:
+    """Return Q and R with which each output and input of the present loop contributes 1."""
+    given = given_of(tables, model, model.seconds if model.continuous else float(tables["plant"]["dt"]))
+    base = Base(model, given, "actuator", "hold", Law(), 1)
+    F, size = base.arrives[0], len(base.noise)
+    S = np.zeros((size, size))
+    for _ in range(200_000):
+        new = F @ S @ F.T + base.noise
+        if np.abs(new - S).max() <= 1e-13 * np.abs(new).max():
+            break
+        S = new
+    n = model.n
+    outputs = np.diag(model.C[:, :n] @ S[:n, :n] @ model.C[:, :n].T)
+    inputs = np.diag(S[-model.m :, -model.m :])
+    return model.C[:, :n].T @ np.diag(1 / outputs) @ model.C[:, :n], np.diag(1 / inputs)

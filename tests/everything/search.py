@@ -1,0 +1,256 @@
+"""Which problems are examined: pairs of features first, then more features at once; and how a failing one shrinks.
+
+The table of pairs counts what was drawn, accepted, refused and without place. Problems are numbered: number ``i`` of a
+seed is always the same problem, so a run can be interrupted, resumed and divided among processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from everything.checks import EXPENSIVE, Fault, Report, examine
+from everything.features import FEATURES, Elsewhere, build, by_name, write
+from everything.toml import text_of
+
+MOST = 6  # features of a deep problem beside its kind
+TRIES = 40  # problems that are built in search of one that fits
+
+
+@dataclass
+class Outcome:
+    """What became of one problem.
+
+    Args:
+        number: its number.
+        names: its features.
+        drawn: whether a problem was built at all.
+        report: what was found.
+        smallest: the features of the smallest problem with each fault, and its file.
+    """
+
+    number: int
+    names: tuple[str, ...]
+    drawn: bool
+    report: Report
+    smallest: dict[str, tuple[tuple[str, ...], str]] = field(default_factory=dict)
+
+
+@cache
+def pairs(seed: int) -> tuple[tuple[str, str], ...]:
+    """Return every pair of features that can be in one problem, in the order of a seed."""
+    names = [(a.name, b.name) for a, b in combinations(FEATURES, 2) if a.group != b.group]
+    order = np.random.default_rng([seed, 1]).permutation(len(names))
+    return tuple(names[i] for i in order)
+
+
+def features_of(seed: int, number: int) -> tuple[str, ...]:
+    """Return the features of a numbered problem: a pair, and later more."""
+    listed = pairs(seed)
+    rng = np.random.default_rng([seed, 2, number])
+    if number < len(listed):
+        chosen = list(listed[number])
+        return complete(chosen, rng)
+    chosen: list[str] = []
+    count = int(rng.integers(3, MOST + 1))
+    groups: set[str] = set()
+    for i in rng.permutation(len(FEATURES)):
+        feature = FEATURES[i]
+        if feature.group not in groups and len(chosen) < count:
+            groups.add(feature.group)
+            chosen.append(feature.name)
+    return complete(chosen, rng)
+
+
+NEEDS: Mapping[str, tuple[str, ...]] = {
+    "link probe": ("one sensor by name", "two sensors"),
+    "link valve": ("one sensor by name", "two actuators"),
+    "nodes": ("one sensor by name", "wired sensor", "two sensors", "four nodes"),
+    "controller": ("proportional and integral", "PID", "linear controller"),
+    "pid": ("proportional and integral", "PID"),
+    "reference": ("set-point",),
+}
+"""What some features need beside them, from which one is drawn."""
+REQUIRED: Mapping[str, str] = {
+    "lossy probes": "link probe", "rounded probes": "link probe", "energy of probes": "link probe",
+    "unacknowledged": "nodes", "lossy valves": "link valve", "bursty valves": "link valve", "prices": "link valve",
+    "shares": "nodes", "weights of the set-point": "pid", "tracking time": "pid", "start input": "pid",
+    "no drift": "controller", "stated drift": "controller", "weights as the controller": "controller",
+    "controller's set-point": "controller", "controller per second": "linear",
+}  # fmt: skip
+PARTNERS: Mapping[str, tuple[str, ...]] = {
+    "terminal weight": ("horizon",), "trajectory": ("horizon", "kind lossy-lqg", "measured state"),
+    "normal jumps": ("continuous",), "uniform jumps": ("continuous",), "two-point jumps": ("continuous",),
+    "two sensors": ("two outputs",), "two wired sensors": ("two outputs",), "two actuators": ("two inputs",),
+    "actuators of a wired sensor": ("two inputs",), "four nodes": ("two outputs", "two inputs"),
+    "weights of the set-point": ("controller's set-point",), "controller per second": ("linear controller",),
+    "kind lossy-lqg": ("measured state",), "kind consistent": ("continuous", "measured state"),
+    "kind integral": ("continuous", "measured state"), "kind optimal": ("measured state",),
+    "kind event-pid": ("PID",), "kind event-pid-saturated": ("PID",),
+    "kind symmetric-send-on-delta": ("proportional and integral",),
+}  # fmt: skip
+KINDS_FOR: Mapping[str, tuple[str, ...]] = {
+    "horizon": ("excess", "remote-lqg", "lossy-lqg"), "discount": ("excess", "remote-lqg"),
+    "two sensors": ("distributed", "send-on-delta", "variance"), "two actuators": ("distributed", "send-on-delta"),
+    "four nodes": ("distributed", "send-on-delta"), "one sensor by name": ("distributed", "send-on-delta"),
+    "wired sensor": ("distributed", "excess", "lqg"), "two wired sensors": ("distributed", "excess", "lqg"),
+    "actuators of a wired sensor": ("excess", "lqg", "distributed"), "wired actuator": ("distributed", "variance"),
+    "losses": ("lossy-lqg", "distributed", "excess"), "acknowledged losses": ("excess", "lossy-lqg"),
+    "acknowledged losses of sensors": ("excess", "lossy-lqg"), "bursts": ("excess", "lossy-lqg"),
+    "bursts by a chain": ("excess", "lossy-lqg"), "bursts without acknowledgement": ("lossy-lqg", "excess"),
+    "delay": ("lossy-lqg",), "proportional and integral": ("excess", "send-on-delta"), "PID": ("excess", "event-pid"),
+    "proportional": ("excess", "send-on-delta"), "gain": ("excess", "send-on-delta"),
+    "linear controller": ("excess", "send-on-delta"), "linear controller that is told": ("excess", "send-on-delta"),
+    "positive sign": ("excess", "send-on-delta"), "predicted probes": ("distributed",), "joint": ("distributed",),
+    "shares": ("distributed", "send-on-delta"), "sensor decides": ("excess", "send-on-delta"),
+    "actuator link": ("send-on-delta", "excess"), "slower base": ("excess",), "gains for losses": ("excess",),
+    "retry": ("excess",), "separate trigger": ("lqg",), "error of the state": ("absolute",),
+    "threshold itself": ("excess", "consistent", "distributed"), "a cycle": ("periodic",),
+    "controller at the actuator": ("remote-lqg",), "controller at the sensor": ("remote-lqg",),
+    "longest silence": ("event-pid",),
+}  # fmt: skip
+
+
+def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]:
+    """Return features with what they need beside them, and with a kind for which they are made."""
+    found, known = list(dict.fromkeys(chosen)), by_name()
+
+    def add(name: str) -> None:
+        if all(known[one].group != known[name].group for one in found):
+            found.append(name)
+
+    for _ in range(3):
+        for name in tuple(found):
+            need = REQUIRED.get(name)
+            if need == "linear":
+                add("linear controller")
+            elif need is not None and not any(one in found for one in NEEDS[need]):
+                add(str(rng.choice(NEEDS[need])))
+            for partner in PARTNERS.get(name, ()):
+                add(partner)
+    wishes = [kind for name in found for kind in KINDS_FOR.get(name, ())]
+    if wishes:
+        add(f"kind {rng.choice(wishes)}")
+    elif rng.random() < 0.7:
+        kinds = [one.name for one in FEATURES if one.group == "kind"]
+        add(str(rng.choice(kinds)))
+    for name in tuple(found):  # of the kind
+        for partner in PARTNERS.get(name, ()):
+            add(partner)
+    return tuple(found)
+
+
+def draw(seed: int, number: int) -> Outcome:
+    """Examine a numbered problem, and shrink it if it fails."""
+    names = features_of(seed, number)
+    own = int(np.random.default_rng([seed, 3, number]).integers(2**31))
+    more = tuple(name for i, name in enumerate(EXPENSIVE) if (number + i) % len(EXPENSIVE) == 0) if EXPENSIVE else ()
+    report = tried(names, own, more)
+    outcome = Outcome(number, names, report is not None, report or Report())
+    if report is None:
+        return outcome
+    for fault in report.faults:
+        smaller = shrunk(names, lambda fewer, fault=fault: fails(fewer, own, more, fault))
+        outcome.smallest[fault.check] = (smaller, file_of(smaller, own))
+    return outcome
+
+
+def tried(names: Iterable[str], seed: int, more: tuple[str, ...]) -> Report | None:
+    """Return the report of a problem, or None if its features find no place."""
+    with TemporaryDirectory() as folder:
+        try:
+            drawn = build(tuple(names), seed)
+        except Elsewhere:
+            return None
+        write(drawn, Path(folder), text_of(drawn.tables))
+        return examine(drawn.tables, Path(folder), seed, more)
+
+
+def file_of(names: Iterable[str], seed: int) -> str:
+    """Return the file of a problem, with the files that it names as comments."""
+    drawn = build(tuple(names), seed)
+    beside = [
+        f"# {name}:\n" + "".join(f"#   {line}\n" for line in text.splitlines()) for name, text in drawn.files.items()
+    ]
+    return "".join(beside) + text_of(drawn.tables)
+
+
+def fails(names: tuple[str, ...], seed: int, more: tuple[str, ...], fault: Fault) -> bool:
+    """Tell whether a problem has the same fault."""
+    report = tried(names, seed, more)
+    return report is not None and any(one.check == fault.check for one in report.faults)
+
+
+def shrunk(names: tuple[str, ...], still: Callable[[tuple[str, ...]], bool]) -> tuple[str, ...]:
+    """Return the names without those that a fault does not need, left out one at a time."""
+    kept, changed = names, True
+    while changed:
+        changed = False
+        for name in kept:
+            fewer = tuple(one for one in kept if one != name)
+            if still(fewer):
+                kept, changed = fewer, True
+                break
+    return kept
+
+
+@dataclass
+class Tally:
+    """What was drawn, and what became of it.
+
+    Args:
+        done: numbers of the problems that were examined.
+        counts: for each pair of features: accepted, refused, without place.
+        faults: by the name of the check and the features of the smallest problem.
+        compared: how often each check was made, and how often a problem had none, by the reason.
+    """
+
+    done: set[int] = field(default_factory=set)
+    counts: dict[str, list[int]] = field(default_factory=dict)
+    faults: dict[str, dict[str, Any]] = field(default_factory=dict)
+    compared: dict[str, int] = field(default_factory=dict)
+
+    def add(self, outcome: Outcome) -> list[str]:
+        """Count an outcome; return the faults that no problem before it has shown."""
+        self.done.add(outcome.number)
+        place = 2 if not outcome.drawn else 1 if outcome.report.refused is not None else 0
+        for pair in combinations(sorted(outcome.names), 2):
+            self.counts.setdefault(" + ".join(pair), [0, 0, 0])[place] += 1
+        for name in outcome.report.compared:
+            self.compared[name] = self.compared.get(name, 0) + 1
+        for name, why in outcome.report.skipped.items():
+            key = f"{name} skipped: {why}"
+            self.compared[key] = self.compared.get(key, 0) + 1
+        new: list[str] = []
+        for fault in outcome.report.faults:
+            names, text = outcome.smallest.get(fault.check, (outcome.names, ""))
+            key = f"{fault.check} | {', '.join(sorted(names))}"
+            if key not in self.faults:
+                new.append(key)
+                self.faults[key] = {"number": outcome.number, "text": fault.text, "file": text, "times": 0}
+            self.faults[key]["times"] += 1
+        return new
+
+    def document(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return {"done": sorted(self.done), "counts": self.counts, "faults": self.faults, "compared": self.compared}
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> Tally:
+        """Return what a document holds."""
+        return Tally(set(document["done"]), document["counts"], document["faults"], document["compared"])
+
+    def summary(self) -> str:
+        """Return the numbers of problems and pairs."""
+        met = sum(1 for accepted, _, _ in self.counts.values() if accepted)
+        total = [sum(column) for column in zip(*self.counts.values(), strict=True)] if self.counts else [0, 0, 0]
+        return (
+            f"{len(self.done)} problems, {len(self.counts)} pairs of features drawn, {met} of them accepted at least "
+            f"once ({total[0]} accepted, {total[1]} refused, {total[2]} without place); {len(self.faults)} faults"
+        )
