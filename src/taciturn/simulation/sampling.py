@@ -16,13 +16,14 @@ from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.errors import ProblemError
 from taciturn.loop import COST
 from taciturn.model.estimate import Estimate
+from taciturn.program.draws import GENERATOR
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
 from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import Part, sends
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
-from taciturn.simulation.settled import History, shared_end
+from taciturn.simulation.settled import PROLONGED, History, Snapshots, shared_end
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
 SIMULATED_PATHS = 4096
@@ -255,25 +256,30 @@ class Sampling:
         least, counted = length, self.counted
         if watch is not None:
             counted = np.append(counted, np.zeros(len(watch(states[0])), dtype=np.bool_))
-        history = History(counted)
+        history, snapshots, enough = History(counted), Snapshots(), 0
+        own = [[i for i, state in enumerate(p.states) if state.name != GENERATOR] for p in self.programs]
         pieces = [piece for piece in (length // 4, length // 2 - length // 4, length - length // 2) if piece]
         sums: Array = np.zeros((0, 0))
+        changed = True
         while True:
-            for piece in pieces:
+            for piece in map(self._whole, pieces):  # so that states are compared at the same phase of a schedule
                 sums, states = self._advance(states, piece)
                 found = sums if watch is None else np.vstack([sums, piece * watch(states[0])])
                 history.add(piece, found)
-            length = pieces[-1]
+                changed = snapshots.changed(np.vstack([state[rows] for state, rows in zip(states, own, strict=True)]))
+            length = history.windows[-1][0]
             sent = sums[self.counted]  # sends that are caused by the initial state are in an earlier window
             pace = self._pace(sent.mean(axis=1) / length)
             silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
-            if history.steps >= max(least, pace) and silent <= SILENT and history.settled():
+            settled = history.steps >= max(least, pace) and silent <= SILENT and history.settled()
+            enough = enough or (history.steps if settled else 0)
+            if settled and (not changed or history.steps >= PROLONGED * enough):
                 return states, history, True
             pieces = [max(history.steps, int(pace) - history.steps + 1)]
             now = states[0].shape[1]
             paths = min(now, (budget - self.steps) // 2 // pieces[0] // len(self.parts) // 8 * 8)
             if paths < min(FEWEST_PATHS, now):
-                return states, history, False
+                return states, history, settled
             states = [state[:, :paths] for state in states]
 
     def _pace(self, rates: Array) -> float:

@@ -7,6 +7,13 @@ with the mean over all later ones, path by path. The last range that differs end
 of amplitude A has decayed to the resolution r of the comparison, so by the step 2t it has decayed to about r²/A, which
 is far below r. Windows that begin earlier are dropped.
 
+Some slow transients hardly change the sums of one window. With a held input, for example, small and large commands may
+alternate, and it takes hundreds of packets until the pairs of commands have their distribution in the long run, which
+moves the rate by a few percent. So the distribution of each state over the paths is also compared between the ends of
+windows, by the largest distance of the distribution functions (Smirnov). This prolongs the burn-in by a limited factor
+and refuses nothing, because paths that send in phase have other distributions at each step although their sums have
+settled.
+
 A range reaches back to a quarter of its last step at most: it contains two windows whose lengths have doubled, which
 resolves more than one window, and it does not contain the start, whose large transient would be seen at any later time.
 """
@@ -23,6 +30,10 @@ DIFFERENT = 3.5  # standard errors by which the mean over a range may differ fro
 REACH = 4  # the first step of a range is at least its last step divided by this number
 AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
 ROUNDING = 1e-12  # relative rounding error of a mean
+FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
+PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
+GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
+GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
 IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
 
 Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
@@ -85,6 +96,40 @@ class History:
         early = same * (1 / steps + 1 / others)
         least = DIFFERENT * spread + early + ROUNDING * np.abs(earlier.mean(axis=1))
         return bool((np.abs(change.mean(axis=1)) > least).any())
+
+
+class Snapshots:
+    """The states of all paths at the end of the latest window, to compare their distribution with that at the next."""
+
+    def __init__(self) -> None:
+        """Start without states."""
+        self._states: Array | None = None
+        self._largest: Array | float = 0.0
+
+    def changed(self, states: Array) -> bool:
+        """Return whether the distribution of a state has changed since the last call, and keep the states.
+
+        A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
+
+        Args:
+            states: states of the paths, (states, paths); there may be fewer paths than before.
+        """
+        before, self._states = self._states, states
+        spread = states.std(axis=1)
+        self._largest = np.maximum(self._largest, spread)
+        if before is None:
+            return True
+        limit = FAR * np.sqrt(2 / states.shape[1])
+        earlier = before[:, : states.shape[1]].std(axis=1)
+        settles = (spread > GONE * self._largest) & (spread < GROWS * earlier)
+        return any(_distance(before[i], states[i]) > limit for i in np.flatnonzero(settles))
+
+
+def _distance(first: Array, second: Array) -> float:
+    """Return the largest distance between two distribution functions."""
+    values = np.concatenate([first, second])
+    one, two = (np.searchsorted(np.sort(part), values, side="right") / len(part) for part in (first, second))
+    return float(np.abs(one - two).max())
 
 
 def shared_end(windows: Sequence[Window]) -> float:
