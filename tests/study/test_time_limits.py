@@ -56,6 +56,7 @@ def test_the_search_for_periodic_control_ends_with_a_note(ticking: Clock, monkey
     assert found.no_clock == "the time limit of 1 s passed"
     assert "periodic       none at this rate: the time limit of 1 s passed" in str(found)
     assert found.cost_bound is not None
+    assert "as written" not in str(found)  # nothing was added, so nothing is missing
 
 
 def test_without_a_comparison_nothing_is_said_to_be_consistent(ticking: Clock, monkeypatch: pytest.MonkeyPatch) -> None:

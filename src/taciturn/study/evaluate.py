@@ -126,6 +126,8 @@ def evaluate(
 
 def with_written(problem: Problem, request: Request, found: Evaluation, progress: Progress) -> Evaluation:
     """Return an evaluation with the loop on the plant as written, if a default has added something to the plant."""
+    if problem.controller is None:  # defaults add to the plants of given controllers only
+        return found
     try:
         return replace(found, as_written=plant_as_written(problem, problem.designed(), request, progress))
     except OutOfTime:
