@@ -293,10 +293,12 @@ def _end_broken(error: OSError) -> NoReturn:
 
 def _has_no_reader(stream: TextIO) -> bool:
     """Return whether a stream is a pipe whose reader has closed it; False if this is unknown."""
+    if sys.platform == "win32":  # which has no poll
+        return False
     try:
         poll = select.poll()
         poll.register(stream.fileno(), select.POLLOUT)
-    except (OSError, ValueError, AttributeError):  # a stream without a descriptor, and Windows
+    except (OSError, ValueError, AttributeError):  # a stream without a descriptor, or no poll
         return False
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
 
