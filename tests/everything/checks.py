@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from everything import plain
-from everything.policies import policy_of
+from everything.policies import policy_of, resolved
 from everything.toml import text_of
 
 import taciturn
@@ -32,6 +32,7 @@ from taciturn.study.evaluation import Evaluation
 Tables = Mapping[str, Any]
 DOUBT, SURE, LONGER = 4.0, 5.0, 16
 STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 400, 150
+LONGEST_SETTLING = 4000
 SECONDS = 120.0  # after which a check hangs
 
 
@@ -231,7 +232,7 @@ def compare(
     problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int, longer: int
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
-    model = plain.model_of(tables, folder)
+    model = resolved(tables, plain.model_of(tables, folder))
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
     if world is not model:
@@ -241,7 +242,7 @@ def compare(
         paths, steps = paths * 8, OWN_STEPS
     if world.function is not None:
         paths, steps = paths // 5, steps
-    settle = max(SETTLE, settling(model))
+    settle = max(SETTLE, settling(model, getattr(policy, "radius", 0.5)))
     own = plain.simulate(world, policy, twin, seed=seed, paths=paths, steps=steps, settle=settle)
     result: dict[str, tuple[str, str, float]] = {}
 
@@ -262,17 +263,20 @@ def compare(
         if link in own.rates:
             value, error = own.rates[link]
             pace = (found.base_rate or 1.0) * model.seconds if model.continuous else 1.0
-            least = 0.5 / paths / steps
+            least = 0.1 / paths / steps if error > 1e-9 else 1.0 / steps  # paths that send in phase
             add(f"rate of {link}", (value * (pace if not model.average else 1.0), error + least), rate.value,
                 rate.standard_error + rate.error)  # fmt: skip
     return result
 
 
-def settling(model: plain.Model) -> int:
-    """Return steps after which the start of a loop is forgotten; modes of disturbances do not settle."""
-    values = np.abs(np.linalg.eigvals(model.A[: model.n, : model.n]))
+def settling(model: plain.Model, radius: float) -> int:
+    """Return steps after which the start of a loop is forgotten; modes that do not decay do not matter."""
+    values = [*np.abs(np.linalg.eigvals(model.A[: model.n, : model.n])), radius]
     slow = max([value for value in values if value < 1 - 1e-6], default=0.5)
-    return int(min(12 / -math.log(slow), 3000))
+    steps = 12 / -math.log(max(slow, 1e-3))
+    if steps > LONGEST_SETTLING:
+        raise plain.NotModelledError("a loop that settles slowly")
+    return int(steps)
 
 
 def written_again(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:

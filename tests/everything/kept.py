@@ -175,9 +175,8 @@ class Base:
             seen = y if link == "actuator" else used
             moved = A @ x + B @ u + (B_d @ d if q else 0.0)
             F = np.vstack([moved, given.pole * d, given.A @ c + given.B @ seen + given.E @ u, C @ moved, used])
-            joint = np.vstack([x, u])
-            weight = np.block([[model.Q, model.N], [model.N.T, model.R]])
-            return F, joint.T @ weight @ joint
+            joint = np.vstack([x, u + d if q else u, u])
+            return F, joint.T @ model.pushed @ joint
 
         sent = given.C @ c + given.D @ y if link == "actuator" else y
         self.arrives, self.silent = loop(sent), loop(h if silence != "zero" else np.zeros_like(h))
@@ -267,6 +266,9 @@ class KeptPolicy:
             self.G = np.eye(n)
         else:
             self.G = kalman(self.F, self.C, W, V)[0]
+        filtered = (np.eye(len(self.F)) - self.G @ self.C) @ self.F
+        parts = [filtered] if base is None else [filtered, base.arrives[0]]
+        self.radius = max(float(np.abs(np.linalg.eigvals(part)).max(initial=0.0)) for part in parts)
 
     def start(self, paths: int, rng: np.random.Generator) -> None:
         """Begin."""
@@ -281,6 +283,8 @@ class KeptPolicy:
         self.belief = np.tile(self.law.stationary, (paths, 1))
         self.missed = np.zeros(paths, dtype=bool)
         self.d = np.zeros((paths, self.q))
+        if given.deviation is not None:
+            self.d = given.deviation * self.noise(paths)
         self.rng = rng
 
     def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:

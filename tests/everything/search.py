@@ -254,3 +254,10 @@ class Tally:
             f"{len(self.done)} problems, {len(self.counts)} pairs of features drawn, {met} of them accepted at least "
             f"once ({total[0]} accepted, {total[1]} refused, {total[2]} without place); {len(self.faults)} faults"
         )
+
+    def table(self) -> str:
+        """Return every pair that was drawn, how often it was accepted, refused and without place; and the checks."""
+        lines = ["accepted  refused  no place"]
+        lines += [f"{a:8d} {b:8d} {c:9d}  {pair}" for pair, (a, b, c) in sorted(self.counts.items())]
+        checks = sorted(self.compared.items(), key=lambda one: -one[1])
+        return "\n".join([*lines, "checks", *(f"{times:8d}  {name}" for name, times in checks)])
