@@ -31,7 +31,7 @@ from taciturn.study.evaluation import Evaluation
 
 Tables = Mapping[str, Any]
 DOUBT, SURE, LONGER = 4.0, 5.0, 16
-STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 400, 150
+STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 420, 150  # 420: whole cycles of most lengths
 LONGEST_SETTLING = 4000
 SECONDS = 120.0  # after which a check hangs
 
@@ -210,8 +210,13 @@ def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables,
             report.faults.append(Fault("ordered: rate", f"{link}: {rate}, at most {top:g}"))
 
 
+NO_AVERAGE = ("no average", "not an average", "not averages", "depend on the simulated time")
+
+
 def simulated(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
-    """Cost and rates are those of a plain simulation."""
+    """Cost and rates are those of a plain simulation, unless evaluate says itself that they are no averages."""
+    if any(words in note for note in found.notes for words in NO_AVERAGE):
+        raise SkippedError("no average")
     try:
         differences = compare(problem, found, tables, folder, seed, 1)
     except plain.NotModelledError as error:
@@ -263,7 +268,11 @@ def compare(
         if link in own.rates:
             value, error = own.rates[link]
             pace = (found.base_rate or 1.0) * model.seconds if model.continuous else 1.0
-            least = 0.1 / paths / steps if error > 1e-9 else 1.0 / steps  # paths that send in phase
+            count = steps * (pace if model.average else 1.0)  # times the rate: the sends of a path
+            if (spread := error * math.sqrt(paths) * count) < 1 and spread**2 < 0.5 * value * count:
+                least = 1.0 / count  # paths send in phase: all begin and end within the same interval
+            else:
+                least = 0.1 / paths / count
             add(f"rate of {link}", (value * (pace if not model.average else 1.0), error + least), rate.value,
                 rate.standard_error + rate.error)  # fmt: skip
     return result

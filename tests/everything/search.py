@@ -225,7 +225,7 @@ class Tally:
         for name in outcome.report.compared:
             self.compared[name] = self.compared.get(name, 0) + 1
         for name, why in outcome.report.skipped.items():
-            key = f"{name} skipped: {why}"
+            key = f"{name} left out: {why}"
             self.compared[key] = self.compared.get(key, 0) + 1
         new: list[str] = []
         for fault in outcome.report.faults:
