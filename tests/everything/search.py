@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 from everything.checks import EXPENSIVE, Fault, Report, examine
-from everything.features import FEATURES, Elsewhere, build, by_name, write
+from everything.draft import Elsewhere, write
+from everything.features import FEATURES, build, by_name
 from everything.toml import text_of
 
 MOST = 6  # features of a deep problem beside its kind
