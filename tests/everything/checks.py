@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from everything import plain
+from everything.interpreters import CHEAP, COSTLY, SkippedError
 from everything.policies import policy_of, resolved
 from everything.toml import text_of
 
@@ -153,10 +154,6 @@ def examine(tables: Tables, folder: Path, seed: int, more: tuple[str, ...] = ())
     return report
 
 
-class SkippedError(TaciturnError):
-    """A check does not exist for a problem; the text says why."""
-
-
 def _refused_by_all(report: Report, folder: Path, seed: int) -> None:
     """Check that nothing else computes with a problem that cannot be evaluated."""
     from typer.testing import CliRunner
@@ -221,6 +218,8 @@ def simulated(report: Report, problem: Problem, found: Evaluation, tables: Table
         differences = compare(problem, found, tables, folder, seed, 1)
     except plain.NotModelledError as error:
         raise SkippedError(f"not modelled: {error}") from None
+    if any("depend on the simulated time" in note or "no average" in note for note in found.notes):
+        raise SkippedError("cost or rates have no average, and a note says so")
     doubtful = [name for name, (_, _, z) in differences.items() if z > DOUBT]
     if not doubtful:
         return
@@ -348,6 +347,17 @@ def _refuse(report: Report, word: str) -> float:
     return 0.0
 
 
+def by(work: Callable[[Problem, Evaluation, int, Path], str | None], name: str) -> Check:
+    """Return the check of another interpreter."""
+
+    def check(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+        text = work(problem, found, seed, folder)
+        if text is not None:
+            report.faults.append(Fault(name, text))
+
+    return check
+
+
 CHECKS: dict[str, Check] = {
     "finite": finite,
     "ordered": ordered,
@@ -355,5 +365,6 @@ CHECKS: dict[str, Check] = {
     "written again": written_again,
     "pickled": pickled,
     "shown": shown,
+    **{name: by(work, name) for table in (CHEAP, COSTLY) for name, work in table.items()},
 }
-EXPENSIVE: tuple[str, ...] = ()
+EXPENSIVE: tuple[str, ...] = tuple(COSTLY)

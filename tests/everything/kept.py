@@ -272,7 +272,9 @@ class KeptPolicy:
         if base is not None:  # slow disturbances begin with their stationary distribution
             rest = np.delete(np.arange(len(base.noise)), np.arange(n, n + q))
             parts.append(base.arrives[0][np.ix_(rest, rest)])
-        self.radius = max(float(np.abs(np.linalg.eigvals(part)).max(initial=0.0)) for part in parts)
+        modes = np.concatenate([np.linalg.eigvals(part) for part in parts])
+        modes = modes[np.abs(modes - given.pole) > 1e-9]  # the disturbance begins in its stationary distribution
+        self.radius = float(np.abs(modes).max(initial=0.0))
 
     def start(self, paths: int, rng: np.random.Generator) -> None:
         """Begin."""

@@ -21,7 +21,7 @@ from everything.features import FEATURES, build, by_name
 from everything.toml import text_of
 
 MOST = 6  # features of a deep problem beside its kind
-TRIES = 40  # problems that are built in search of one that fits
+ROTATION = 4  # one of so many problems has an expensive check, one after the other
 
 
 @dataclass
@@ -151,7 +151,8 @@ def draw(seed: int, number: int) -> Outcome:
     """Examine a numbered problem, and shrink it if it fails."""
     names = features_of(seed, number)
     own = int(np.random.default_rng([seed, 3, number]).integers(2**31))
-    more = tuple(name for i, name in enumerate(EXPENSIVE) if (number + i) % len(EXPENSIVE) == 0) if EXPENSIVE else ()
+    turn = number % (ROTATION * len(EXPENSIVE))
+    more = EXPENSIVE[turn // ROTATION :][:1] if turn % ROTATION == 0 else ()
     report = tried(names, own, more)
     outcome = Outcome(number, names, report is not None, report or Report())
     if report is None:

@@ -34,6 +34,7 @@ def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("names", FIXED, ids=" + ".join)
 def test_features_that_meet_are_simulated_alike(names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every cheap check is made, and none finds a fault."""
     few_steps(monkeypatch)
     report = tried(names, 1, ())
     assert report is not None
@@ -44,6 +45,7 @@ def test_features_that_meet_are_simulated_alike(names: tuple[str, ...], monkeypa
 
 
 def test_a_wrong_number_is_a_fault_of_the_smallest_problem(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A number of the file that only one of the two reads is found."""
     few_steps(monkeypatch)
     monkeypatch.setattr(checks, "LONGER", 1)
     names = ("kind excess", "cross terms", "half a second")
@@ -57,6 +59,7 @@ def test_a_wrong_number_is_a_fault_of_the_smallest_problem(monkeypatch: pytest.M
 
 
 def test_every_pair_of_features_has_a_number_of_its_own() -> None:
+    """So a run that is long enough examines them all, and can be resumed and repeated."""
     listed = pairs(3)
     groups = {one.name: one.group for one in FEATURES}
     assert len(set(map(frozenset, listed))) == len(listed) == len(set(listed))
@@ -68,6 +71,7 @@ def test_every_pair_of_features_has_a_number_of_its_own() -> None:
 
 @pytest.mark.evidence
 def test_the_problems_of_the_day_are_right() -> None:
+    """A hundred problems, as many as the time allows; a fault is printed with its smallest file."""
     seed, tally = run.seed_of(str(RUN.day)), Tally()
     run.search(seed, list(range(100)), tally, SECONDS, 2, None)
     left = 100 - len(tally.done)
