@@ -34,7 +34,7 @@ Tables = Mapping[str, Any]
 DOUBT, SURE, LONGER = 4.0, 5.0, 16
 STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 420, 150  # 420: whole cycles of most lengths
 LONGEST_SETTLING = 4000
-SECONDS = 120.0  # after which a check hangs
+SECONDS = 300.0  # after which a check hangs; longer than the whole run of a day, whose machine may be slow
 
 
 @dataclass(frozen=True)
