@@ -136,8 +136,8 @@ def remedy_of(problem: Discrete, controller: Controller) -> str:
 def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest: float = 0.0) -> float | None:
     """Return the time constant in steps of a base without the slow disturbance of its plant, or None without one.
 
-    ``slowest`` is the modulus of the slowest mode of the filter. A mode that does not decay does not count: the value of
-    the base exists, so neither its cost nor its controller sees this mode, such as an integral that only counts.
+    ``slowest`` is the modulus of the slowest mode of the filter. A mode that does not decay does not count: the value
+    of the base exists, so neither its cost nor its controller sees this mode, such as an integral that only counts.
     """
     if disturbance is None:
         return None
