@@ -247,6 +247,8 @@ def compare(
     if world.function is not None:
         paths, steps = paths // 5, steps
     settle = max(SETTLE, settling(model, getattr(policy, "radius", 0.5)))
+    if longer > 1:  # dead bands may hold an input for thousands of steps
+        settle = max(settle, min(LONGER * settle, LONGEST_SETTLING))
     own = plain.simulate(world, policy, twin, seed=seed, paths=paths, steps=steps, settle=settle)
     result: dict[str, tuple[str, str, float]] = {}
 

@@ -24,6 +24,7 @@ from taciturn.study.record import decode, encode
 from taciturn.study.testbed.worlds import run_world_with_devices
 
 TICKS = 80
+RARE = 0.05  # sends per step below which a link may well be silent for the 300 steps after which a world gives up
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -103,6 +104,8 @@ def world_of_faults(problem: Problem, found: Evaluation, seed: int, folder: Path
     stepping(problem)
     if problem.cost.mission:
         raise SkippedError("a horizon or a discount")
+    if any(rate.value < RARE * (found.base_rate or 1.0) for rate in found.rates.values()):
+        raise SkippedError("a link that may be silent for longer than a world waits")
     run = run_world_with_devices(problem, seed % 10_000)
     return None if run.broken is None else f"world {seed % 10_000}: {run.broken}; faults: {run.faults}"
 
