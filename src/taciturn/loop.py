@@ -159,7 +159,8 @@ class Loop(Displayed):
     def plant_program(self) -> Program:
         """Return the program of one step of the plant alone.
 
-        Inputs: ``input``. Outputs: COST of the step, and the measurement ``y`` at the next step.
+        Inputs: ``input``. Outputs: COST of the step, and state ``x`` and measurement ``y`` at the next step. A state that
+        affects neither cost nor measurement of a later step, such as a register that is measured, is an output alone.
         """
         plant, tracking = self.problem.plant, self.policy.tracking
         tick = self._tick({"x": plant.states})
@@ -172,7 +173,7 @@ class Loop(Displayed):
         tick.signals["x"] = self._moved(tick)
         measured = self._measured(tick)
         outputs |= named("y", measured[: plant.sensed]) | named(REFERENCE, measured[plant.sensed :])
-        return with_draws(tick.finish({}, outputs))
+        return with_draws(tick.finish({}, outputs | named("x", tick.signals["x"])))
 
     def reduced_program(self) -> Program:
         """Return the program of one step of the loop in innovations form, without the plant.
@@ -218,9 +219,7 @@ class Loop(Displayed):
         A ``stationary`` start is at a random step of a timetable of set-points.
         """
         plant, network = self.problem.plant, self.network
-        draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
-        spread = factor(plant.covariance)
-        x = plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T
+        x, draws = self.start_of_plant(paths, seed, first)
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
         for link, burst in ((link, network.burst(link)) for link in network.links):
             if burst is not None:
@@ -234,6 +233,13 @@ class Loop(Displayed):
         starts = [begun.get(state.name, state.start) for state in program.states]
         rows = [drawn[at[0]][at[1]] if isinstance(at, tuple) else np.full(paths, at) for at in starts]
         return np.array(rows).reshape(len(rows), paths)
+
+    def start_of_plant(self, paths: int, seed: int, first: int = 0) -> tuple[Array, np.random.Generator]:
+        """Return the initial states of the plant, (n, paths), and the generator for what else is drawn at the start."""
+        plant = self.problem.plant
+        draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
+        spread = factor(plant.covariance)
+        return plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T, draws
 
     def final_cost(self, program: Program, states: Array) -> Array | None:
         """Return the terminal cost of each path, (paths,), or None if the cost has no terminal weight.

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 from everything import plain
-from everything.policies import policy_of
+from everything.interpreters import CHEAP, COSTLY, SkippedError
+from everything.policies import policy_of, resolved
 from everything.toml import text_of
 
 import taciturn
@@ -31,8 +32,9 @@ from taciturn.study.evaluation import Evaluation
 
 Tables = Mapping[str, Any]
 DOUBT, SURE, LONGER = 4.0, 5.0, 16
-STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 400, 150
-SECONDS = 120.0  # after which a check hangs
+STEPS, PATHS, OWN_STEPS, SETTLE = 200_000, 250, 420, 150  # 420: whole cycles of most lengths
+LONGEST_SETTLING = 4000
+SECONDS = 300.0  # after which a check hangs; longer than the whole run of a day, whose machine may be slow
 
 
 @dataclass(frozen=True)
@@ -152,10 +154,6 @@ def examine(tables: Tables, folder: Path, seed: int, more: tuple[str, ...] = ())
     return report
 
 
-class SkippedError(TaciturnError):
-    """A check does not exist for a problem; the text says why."""
-
-
 def _refused_by_all(report: Report, folder: Path, seed: int) -> None:
     """Check that nothing else computes with a problem that cannot be evaluated."""
     from typer.testing import CliRunner
@@ -209,12 +207,19 @@ def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables,
             report.faults.append(Fault("ordered: rate", f"{link}: {rate}, at most {top:g}"))
 
 
+NO_AVERAGE = ("no average", "not an average", "not averages", "depend on the simulated time")
+
+
 def simulated(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
-    """Cost and rates are those of a plain simulation."""
+    """Cost and rates are those of a plain simulation, unless evaluate says itself that they are no averages."""
+    if any(words in note for note in found.notes for words in NO_AVERAGE):
+        raise SkippedError("no average")
     try:
         differences = compare(problem, found, tables, folder, seed, 1)
     except plain.NotModelledError as error:
         raise SkippedError(f"not modelled: {error}") from None
+    if any("depend on the simulated time" in note or "no average" in note for note in found.notes):
+        raise SkippedError("cost or rates have no average, and a note says so")
     doubtful = [name for name, (_, _, z) in differences.items() if z > DOUBT]
     if not doubtful:
         return
@@ -231,7 +236,7 @@ def compare(
     problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int, longer: int
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
-    model = plain.model_of(tables, folder)
+    model = resolved(tables, plain.model_of(tables, folder))
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)
     if world is not model:
@@ -241,7 +246,9 @@ def compare(
         paths, steps = paths * 8, OWN_STEPS
     if world.function is not None:
         paths, steps = paths // 5, steps
-    settle = max(SETTLE, settling(model))
+    settle = max(SETTLE, settling(model, getattr(policy, "radius", 0.5)))
+    if longer > 1:  # dead bands may hold an input for thousands of steps
+        settle = max(settle, min(LONGER * settle, LONGEST_SETTLING))
     own = plain.simulate(world, policy, twin, seed=seed, paths=paths, steps=steps, settle=settle)
     result: dict[str, tuple[str, str, float]] = {}
 
@@ -262,17 +269,24 @@ def compare(
         if link in own.rates:
             value, error = own.rates[link]
             pace = (found.base_rate or 1.0) * model.seconds if model.continuous else 1.0
-            least = 0.5 / paths / steps
+            count = steps * (pace if model.average else 1.0)  # times the rate: the sends of a path
+            if (spread := error * math.sqrt(paths) * count) < 1 and spread**2 < 0.5 * value * count:
+                least = 1.0 / count  # paths send in phase: all begin and end within the same interval
+            else:
+                least = 0.1 / paths / count
             add(f"rate of {link}", (value * (pace if not model.average else 1.0), error + least), rate.value,
                 rate.standard_error + rate.error)  # fmt: skip
     return result
 
 
-def settling(model: plain.Model) -> int:
-    """Return steps after which the start of a loop is forgotten; modes of disturbances do not settle."""
-    values = np.abs(np.linalg.eigvals(model.A[: model.n, : model.n]))
+def settling(model: plain.Model, radius: float) -> int:
+    """Return steps after which the start of a loop is forgotten; modes that do not decay do not matter."""
+    values = [*np.abs(np.linalg.eigvals(model.A[: model.n, : model.n])), radius]
     slow = max([value for value in values if value < 1 - 1e-6], default=0.5)
-    return int(min(12 / -math.log(slow), 3000))
+    steps = 12 / -math.log(max(slow, 1e-3))
+    if steps > LONGEST_SETTLING:
+        raise plain.NotModelledError("a loop that settles slowly")
+    return int(steps)
 
 
 def written_again(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
@@ -335,6 +349,17 @@ def _refuse(report: Report, word: str) -> float:
     return 0.0
 
 
+def by(work: Callable[[Problem, Evaluation, int, Path], str | None], name: str) -> Check:
+    """Return the check of another interpreter."""
+
+    def check(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+        text = work(problem, found, seed, folder)
+        if text is not None:
+            report.faults.append(Fault(name, text))
+
+    return check
+
+
 CHECKS: dict[str, Check] = {
     "finite": finite,
     "ordered": ordered,
@@ -342,5 +367,6 @@ CHECKS: dict[str, Check] = {
     "written again": written_again,
     "pickled": pickled,
     "shown": shown,
+    **{name: by(work, name) for table in (CHEAP, COSTLY) for name, work in table.items()},
 }
-EXPENSIVE: tuple[str, ...] = ()
+EXPENSIVE: tuple[str, ...] = tuple(COSTLY)

@@ -36,6 +36,12 @@ def cycle_gains(model: Model, cycle: Sequence[int], K: Array | None = None) -> t
     raise NotModelledError("a cycle that does not settle")
 
 
+def innovations(base: Certainty) -> Array:
+    """Return the covariance of the white noise with which the estimate of the plant moves at every step."""
+    model, n = base.model, base.model.n
+    return (model.A @ base.Sigma @ model.A.T + model.W - base.Sigma)[:n, :n]
+
+
 class Clocked(Certainty):
     """Sends at the steps of a cycle, with gains for the intervals."""
 
@@ -71,7 +77,7 @@ class SelfTriggered(Certainty):
             raise NotModelledError("self-triggered with disturbances")
         n = model.n
         A, B = model.A[:n, :n], model.B[:n]
-        J = self.exact - model.rest if self.exact is not None else 0.0
+        J = (self.nominal if self.exact is None else self.exact) - model.rest
         self.options: list[tuple[Array, Array, float]] = []
         for steps in range(1, longest + 1):
             part = lifted(A, B, model.Q, model.R, model.N, steps)
@@ -116,7 +122,7 @@ class Rollout(Certainty):
     """The cheapest schedule of a window with as many sends as periodic control, followed by periodic control."""
 
     def __init__(self, model: Model, horizon: int, every: int) -> None:
-        """Compute the value of every schedule as a form of (x̂, held input)."""
+        """Compute the value of every schedule: a form of (x̂, held input), and what the noise of the window costs."""
         super().__init__(model, None, "hold")
         if model.q + model.s or not model.average:
             raise NotModelledError("rollout with disturbances")
@@ -131,10 +137,12 @@ class Rollout(Certainty):
         A, B = model.A[:n, :n], model.B[:n]
         F = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
         stage = np.block([[model.Q, model.N], [model.N.T, model.R]])
+        innovation = innovations(self)
         for sends in self.schedules:
-            P, gains = np.zeros((n + m, n + m)), {}
+            P, gains, noise = np.zeros((n + m, n + m)), {}, 0.0
             P[:n, :n] = K
             for j in reversed(range(self.window)):
+                noise += float(np.trace(innovation @ P[:n, :n]))
                 whole = stage + F.T @ P @ F
                 if j in sends:
                     L = -np.linalg.solve(whole[n:, n:], whole[n:, :n])
@@ -144,7 +152,7 @@ class Rollout(Certainty):
                     P[:n, :n] = best.T @ whole @ best
                 else:
                     P = whole
-            self.values.append(P)
+            self.values.append((P, noise))
             self.table.append(gains)
 
     def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
@@ -156,7 +164,7 @@ class Rollout(Certainty):
     def _due(self, loop: Certainty) -> Array:
         w = np.hstack([self.estimate, self.held])
         if self.place == 0:
-            self.chosen = np.argmin([quadratic(w, P) for P in self.values], axis=0)
+            self.chosen = np.argmin([quadratic(w, P) + noise for P, noise in self.values], axis=0)
         due = np.array([self.place in sends for sends in self.schedules])[self.chosen]
         self.planned = self.command.copy()
         for i, gains in enumerate(self.table):
@@ -200,9 +208,7 @@ def cost_of(model: Model, cycle: Sequence[int]) -> float:
     n, m = model.n, model.m
     base = Certainty(model, None)
     values, _ = cycle_gains(model, cycle)
-    # the estimate moves by white innovations of covariance M at every step; their value depends on the phase
-    M = base.model.A @ base.Sigma @ base.model.A.T + base.model.W - base.Sigma
-    M = M[:n, :n]
+    M = innovations(base)  # their value depends on the phase
     F = np.block([[model.A[:n, :n], model.B[:n]], [np.zeros((m, n)), np.eye(m)]])
     stage = np.block([[model.Q, model.N], [model.N.T, model.R]])
     total, steps = 0.0, 0

@@ -175,9 +175,8 @@ class Base:
             seen = y if link == "actuator" else used
             moved = A @ x + B @ u + (B_d @ d if q else 0.0)
             F = np.vstack([moved, given.pole * d, given.A @ c + given.B @ seen + given.E @ u, C @ moved, used])
-            joint = np.vstack([x, u])
-            weight = np.block([[model.Q, model.N], [model.N.T, model.R]])
-            return F, joint.T @ weight @ joint
+            joint = np.vstack([x, u + d if q else u, u])
+            return F, joint.T @ model.pushed @ joint
 
         sent = given.C @ c + given.D @ y if link == "actuator" else y
         self.arrives, self.silent = loop(sent), loop(h if silence != "zero" else np.zeros_like(h))
@@ -249,7 +248,8 @@ class KeptPolicy:
             told: whether the sender learns what arrived; otherwise it assumes that everything does.
             base: the loop that always attempts.
         """
-        self.model, self.given, self.link, self.silence, self.law = model, given, link, silence, law
+        self.model, self.given, self.silence, self.law = model, given, silence, law
+        self.side, self.link = link, link  # the link may have another name
         self.rule, self.level, self.every, self.retry = rule, level, every, retry
         self.always, self.told, self.base = always, told, base
         self.exact = None if base is None or not always else base.exact
@@ -267,13 +267,21 @@ class KeptPolicy:
             self.G = np.eye(n)
         else:
             self.G = kalman(self.F, self.C, W, V)[0]
+        filtered = (np.eye(len(self.F)) - self.G @ self.C) @ self.F
+        parts = [filtered]
+        if base is not None:  # slow disturbances begin with their stationary distribution
+            rest = np.delete(np.arange(len(base.noise)), np.arange(n, n + q))
+            parts.append(base.arrives[0][np.ix_(rest, rest)])
+        modes = np.concatenate([np.linalg.eigvals(part) for part in parts])
+        modes = modes[np.abs(modes - given.pole) > 1e-9]  # the disturbance begins in its stationary distribution
+        self.radius = float(np.abs(modes).max(initial=0.0))
 
     def start(self, paths: int, rng: np.random.Generator) -> None:
         """Begin."""
         model, given = self.model, self.given
         self.prior = np.zeros((paths, len(self.F)))
         self.c = np.zeros((paths, len(given.A)))
-        size = model.m if self.link == "actuator" else len(model.C)
+        size = model.m if self.side == "actuator" else len(model.C)
         self.h = np.zeros((paths, size))  # what the sender takes the receiver to use in silence
         self.real = self.h.copy()  # what it uses
         self.copy = np.zeros((paths, len(self.F) + len(given.A)))  # plant and controller at the receiver
@@ -281,6 +289,8 @@ class KeptPolicy:
         self.belief = np.tile(self.law.stationary, (paths, 1))
         self.missed = np.zeros(paths, dtype=bool)
         self.d = np.zeros((paths, self.q))
+        if given.deviation is not None:
+            self.d = given.deviation * self.noise(paths)
         self.rng = rng
 
     def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
@@ -288,11 +298,11 @@ class KeptPolicy:
         given, size = self.given, len(self.F)
         estimate = self.prior + (y - self.prior @ self.C.T) @ self.G.T
         command = self.c @ given.C.T + y @ given.D.T
-        sent = command if self.link == "actuator" else y
+        sent = command if self.side == "actuator" else y
         if self.silence == "model":
             inner, outer = self.copy[:, :size], self.copy[:, size:]
             seen = inner @ self.C.T
-            self.h = outer @ given.C.T + seen @ given.D.T if self.link == "actuator" else seen
+            self.h = outer @ given.C.T + seen @ given.D.T if self.side == "actuator" else seen
             self.real = self.h
         elif self.silence == "zero":
             self.h, self.real = np.zeros_like(self.h), np.zeros_like(self.real)
@@ -303,7 +313,7 @@ class KeptPolicy:
         self._learn(sends, arrived)
         known = arrived if self.told else sends
         used, believed = np.where(arrived[:, None], sent, self.real), np.where(known[:, None], sent, self.h)
-        if self.link == "actuator":
+        if self.side == "actuator":
             u, seen, thought = used, y, believed
         else:
             u, seen, thought = self.c @ given.C.T + used @ given.D.T, used, self.c @ given.C.T + believed @ given.D.T

@@ -47,14 +47,14 @@ class Distributed:
         self.G, self.L, self.H = base.gains[0], base.L, base.H
         self.left = np.eye(len(model.A)) - self.G @ model.C
         self.Omega = self.left @ model.A
-        told = all(law.acknowledged for law in nodes.laws.values())
-        all_time = all_time if nodes.lossy and told else base.nominal if base.exact is None else base.exact
-        if all_time is None:
+        self.radius = base.radius
+        if not nodes.lossy:
+            all_time = base.nominal if base.exact is None else base.exact
+        elif all_time is None:
             raise NotModelledError("what an attempt of every packet costs")
-        self.exact = all_time * (model.seconds if nodes.lossy and told else 1.0) if always else None
-        if model.function is not None:
-            self.exact = None
-        all_time *= model.seconds if nodes.lossy and told else 1.0
+        else:
+            all_time *= model.seconds
+        self.exact = all_time if always and model.function is None else None
         total = policy["delta"] if "delta" in policy else policy["theta"] * (all_time - model.rest)
         links = list(nodes.laws)
         share = {link: float(policy.get("shares", {}).get(link, 1.0)) for link in links}
@@ -323,9 +323,7 @@ def node_policy(tables: Tables, model: Model, nodes: Nodes, all_time: float | No
     if model.limited:
         raise NotModelledError("limits of the inputs")
     if kind == "distributed":
-        told = all(law.acknowledged for law in nodes.laws.values())
-        twin = Distributed(tables, model, nodes, all_time, always=True) if told or not nodes.lossy else None
-        return Distributed(tables, model, nodes, all_time), twin
+        return Distributed(tables, model, nodes, all_time), Distributed(tables, model, nodes, all_time, always=True)
     base = Certainty(model, None)
     if kind == "variance":
         return Variances(tables, model, nodes), base

@@ -56,6 +56,7 @@ class Model:
         noise: draws the noise of z: rng, paths.
         W: its covariance.
         stage: weight of (z, u), all a step costs but ``rest``.
+        pushed: the same of (x, v, u), where the plant gets v, and u counts: v − u is a disturbance at the inputs.
         rest: what noise costs between samples, per step.
         seconds: of a step if the plant is continuous, else 1.
         continuous: whether costs and rates are per second.
@@ -73,6 +74,7 @@ class Model:
     noise: Callable[[np.random.Generator, int], Array]
     W: Array
     stage: Array
+    pushed: Array
     rest: float
     seconds: float
     continuous: bool
@@ -152,8 +154,12 @@ def model_of(tables: Tables, folder: Path) -> Model:
         Fd, Wxd_d = sampled(F, Wxd, h)
         Ad, Bd = Fd[:n, :n], held(A, B, h)
         Qd, Rd, Nd = sampled_weights(A, B, Q, R, N, h)
+        both, none = np.hstack([B, np.zeros((n, m))]), np.zeros((m, m))
+        pushed = block2(*(sampled_weights(A, both, Q, block(none, R), np.hstack([np.zeros((n, m)), N]), h)[i]
+                          for i in (0, 2, 1)))  # fmt: skip
     else:
         Fd, Wxd_d, Ad, Bd, Qd, Rd, Nd = F, Wxd, A, B, Q, R, N
+        pushed = block2(Q, np.hstack([np.zeros((n, m)), N]), block(np.zeros((m, m)), R))
     Ed, Sd = Fd[:n, n:], Fd[n:, n:]
     Sa, Ea = block(Sd, np.eye(s)), np.hstack([Ed, np.zeros((n, s))])
     target = np.hstack([np.zeros((len(Cz), q)), -np.eye(s)])
@@ -179,7 +185,7 @@ def model_of(tables: Tables, folder: Path) -> Model:
         function = scope[plant["function"].partition(":")[2]]
     terminal = matrix(cost.get("terminal", Q))
     return Model(
-        Aa, Ba, Ca, V, draw, Wa, stage, rest, h, continuous, n, q, s, Qd, Rd, Nd, X, U, mean, covariance, value,
+        Aa, Ba, Ca, V, draw, Wa, stage, pushed, rest, h, continuous, n, q, s, Qd, Rd, Nd, X, U, mean, covariance, value,
         changes, cost.get("horizon"), float(cost.get("discount", 1.0)), terminal, low, high, slew, (x0, u0), function,
     )  # fmt: skip
 
@@ -296,6 +302,7 @@ def poisson(
     law, jump = jumps.get("distribution", "normal"), matrix(jumps["covariance"])
     if law != "normal" and np.count_nonzero(jump - np.diag(np.diag(jump))):
         raise NotModelledError("correlated jumps that are not normal")
+    carried = np.array([expm(A * t) for t in np.linspace(0, h, GRID)])  # on a grid of times, then interpolated
     root, rest = root_of(jump), gaussian(covariance - block(covariance[:n, :n], np.zeros((more, more))))
 
     def draw(rng: np.random.Generator, paths: int) -> Array:
@@ -309,7 +316,6 @@ def poisson(
             if law == "two-point":
                 unit = rng.choice([-1.0, 1.0], unit.shape)
             times = rng.uniform(0, h, len(unit))
-            carried = np.array([expm(A * t) for t in np.linspace(0, h, GRID)])  # on a grid of times, then interpolated
             place_of, share = np.divmod(times / h * (GRID - 1), 1.0)
             lower = np.minimum(place_of.astype(int), GRID - 2)
             moves = carried[lower] + share[:, None, None] * (carried[lower + 1] - carried[lower])
@@ -486,9 +492,12 @@ class World:
     def move(self, u: Array, w: Array, dr: Array) -> Array:
         """Apply inputs; return the costs of the step. Twice as many columns: inputs, and these with disturbances."""
         model, z = self.model, self.z
-        u, counted = u[:, -model.m :], u[:, : model.m]
-        joint = np.hstack([z, counted])
-        cost = np.einsum("pi,ij,pj->p", joint, model.stage, joint) + model.rest
+        if u.shape[1] > model.m:
+            joint, weight = np.hstack([z[:, : model.n], u[:, model.m :], u[:, : model.m]]), model.pushed
+        else:
+            joint, weight = np.hstack([z, u]), model.stage
+        u = u[:, -model.m :]
+        cost = np.einsum("pi,ij,pj->p", joint, weight, joint) + model.rest
         if model.function is None:
             self.z = z @ model.A.T + u @ model.B.T + w
         else:

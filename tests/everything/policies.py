@@ -47,6 +47,9 @@ class Certainty:
             self.L = self.full(L)
             gain, _, posterior = self._steady(free)
             self.gains, self.Sigma = [gain], posterior
+            slow = (np.eye(len(gain)) - gain @ model.C) @ model.A
+            slow = slow[np.ix_(np.flatnonzero(free), np.flatnonzero(free))]
+            self.radius = max(float(np.abs(np.linalg.eigvals(part)).max(initial=0.0)) for part in (A + B @ L, slow))
             T = np.hstack([np.eye(n), -model.X])
             W = model.W + self._steps_of_set_points()
             self.exact = float(np.trace(self.K @ T @ W @ T.T) + np.trace(self.H @ self.L @ posterior @ self.L.T))
@@ -315,6 +318,22 @@ class Downsampled:
         loop.memory["wait"] = np.where(sends, self.fast - 1, np.where(wait <= 0, self.slow - 1, wait - 1))
 
 
+def resolved(tables: Tables, model: Model) -> Model:
+    """Return a model with the weights of the controller that its cost names."""
+    from everything.kept import weights_as_kept
+
+    if "weights" not in tables["cost"]:
+        return model
+    if model.continuous:
+        raise NotModelledError("weights as the controller of a continuous plant")
+    Q, R = weights_as_kept(tables, model)
+    n, m, size = model.n, model.m, len(model.A)
+    stage, pushed = np.zeros_like(model.stage), np.zeros_like(model.pushed)
+    stage[:n, :n], stage[size:, size:] = Q, R
+    pushed[:n, :n], pushed[n + m :, n + m :] = Q, R
+    return replace(model, Q=Q, R=R, stage=stage, pushed=pushed)
+
+
 def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tuple[Controller, Controller | None]:
     """Return the policy of a file, and its twin that sends every sample.
 
@@ -328,20 +347,12 @@ def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tu
         NotModelledError: the kind, or what is stated beside it, is not modelled here.
     """
     from everything.clocked import clocked_policy
-    from everything.kept import kept_policy, weights_as_kept
+    from everything.kept import kept_policy
     from everything.nodes import node_policy
     from everything.remote import remote_policy
 
     policy, kind = tables["policy"], tables["policy"]["kind"]
     nodes = nodes_of(tables, len(model.C), model.m)
-    if "weights" in tables["cost"]:
-        if model.continuous:
-            raise NotModelledError("weights as the controller of a continuous plant")
-        Q, R = weights_as_kept(tables, model)
-        n, size = model.n, len(model.A)
-        stage = np.zeros_like(model.stage)
-        stage[:n, :n], stage[size:, size:] = Q, R
-        model = replace(model, Q=Q, R=R, stage=stage)
     if kind in ("remote-lqg", "lossy-lqg"):
         return remote_policy(tables, model, nodes)
     if model.limited:

@@ -103,8 +103,6 @@ class Remote:
             )
             trigger = (1 + self.theta) * quadratic(e, H) - self.theta * share
             sends = trigger > self.theta * np.trace(model.Q @ self.S)
-            if self.theta == 0:
-                sends = np.ones_like(sends)
             u = np.where(sends[:, None], command, self.held)
             flags["actuator"] = sends.astype(float)
         query = True

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 from everything.checks import EXPENSIVE, Fault, Report, examine
-from everything.features import FEATURES, Elsewhere, build, by_name, write
+from everything.draft import Elsewhere, write
+from everything.features import FEATURES, build, by_name
 from everything.toml import text_of
 
 MOST = 6  # features of a deep problem beside its kind
-TRIES = 40  # problems that are built in search of one that fits
+ROTATION = 4  # one of so many problems has an expensive check, one after the other
 
 
 @dataclass
@@ -150,7 +151,8 @@ def draw(seed: int, number: int) -> Outcome:
     """Examine a numbered problem, and shrink it if it fails."""
     names = features_of(seed, number)
     own = int(np.random.default_rng([seed, 3, number]).integers(2**31))
-    more = tuple(name for i, name in enumerate(EXPENSIVE) if (number + i) % len(EXPENSIVE) == 0) if EXPENSIVE else ()
+    turn = number % (ROTATION * len(EXPENSIVE))
+    more = EXPENSIVE[turn // ROTATION :][:1] if turn % ROTATION == 0 else ()
     report = tried(names, own, more)
     outcome = Outcome(number, names, report is not None, report or Report())
     if report is None:
@@ -225,7 +227,7 @@ class Tally:
         for name in outcome.report.compared:
             self.compared[name] = self.compared.get(name, 0) + 1
         for name, why in outcome.report.skipped.items():
-            key = f"{name} skipped: {why}"
+            key = f"{name} left out: {why}"
             self.compared[key] = self.compared.get(key, 0) + 1
         new: list[str] = []
         for fault in outcome.report.faults:
@@ -254,3 +256,10 @@ class Tally:
             f"{len(self.done)} problems, {len(self.counts)} pairs of features drawn, {met} of them accepted at least "
             f"once ({total[0]} accepted, {total[1]} refused, {total[2]} without place); {len(self.faults)} faults"
         )
+
+    def table(self) -> str:
+        """Return every pair that was drawn, how often it was accepted, refused and without place; and the checks."""
+        lines = ["accepted  refused  no place"]
+        lines += [f"{a:8d} {b:8d} {c:9d}  {pair}" for pair, (a, b, c) in sorted(self.counts.items())]
+        checks = sorted(self.compared.items(), key=lambda one: -one[1])
+        return "\n".join([*lines, "checks", *(f"{times:8d}  {name}" for name, times in checks)])

@@ -334,3 +334,16 @@ def test_a_slow_disturbance_has_its_deviation_from_the_start_of_a_run_on(horizon
         x, d, both = 0.16 * x + 2 * 0.4 * both + d + 0.25e-6 + 1e-6, 1.0, kept * (0.4 * both + d)
     total += x if horizon else 0.0  # the weight of the final state, by default that of all others
     assert policy.cost_all_time == pytest.approx(total, rel=1e-6)
+
+
+def test_an_integral_that_only_counts_does_not_delay_the_recovery_of_a_node() -> None:
+    """Nothing sees it and it never decays; with it, the recovery was infinite, and nodes and show ended in a crash."""
+    whole = Plant([[0.5, 0], [1, 1]], [[0.5], [0]], np.diag([0.2, 0.0]), [[1, 0]], [[0.1]], dt=1.0)
+    alone = Plant([[0.5]], [[0.5]], [[0.2]], [[1]], [[0.1]], dt=1.0)
+    kept = PID(0.25, 0.03)
+    counts, plain = (
+        design.send_on_delta(plant, Cost(weight, [[0.5]]), delta=0.3, controller=kept)
+        for plant, weight in ((whole, np.diag([1.0, 0.0])), (alone, [[1.0]]))
+    )
+    assert counts.theory.recovers == pytest.approx(plain.theory.recovers, rel=1e-6)
+    assert np.isfinite(taciturn.Nodes(counts).step([0.5])).all()

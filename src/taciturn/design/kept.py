@@ -22,6 +22,7 @@ from taciturn.model.disturbance import Disturbance, padded
 from taciturn.model.kept import Kept
 from taciturn.model.plant import ContinuousPlant, Plant
 
+LASTING = 1e-9  # a mode whose modulus is 1 up to this does not decay
 REMEDY = (
     "check the sign of the controller (feedback is u = −K y), its gains, its step, and that no two integrals have the "
     "same output"
@@ -135,13 +136,15 @@ def remedy_of(problem: Discrete, controller: Controller) -> str:
 def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest: float = 0.0) -> float | None:
     """Return the time constant in steps of a base without the slow disturbance of its plant, or None without one.
 
-    ``slowest`` is the modulus of the slowest mode of the filter.
+    ``slowest`` is the modulus of the slowest mode of the filter. A mode that does not decay does not count: the value
+    of the base exists, so neither its cost nor its controller sees this mode, such as an integral that only counts.
     """
     if disturbance is None:
         return None
     modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), plant.B.shape
     slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
-    return float(1 / (1 - max(slowest, *np.delete(modes, slow))))
+    rest = np.delete(modes, slow)
+    return float(1 / (1 - max(slowest, *rest[rest < 1 - LASTING])))
 
 
 def note_disturbance(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:

@@ -30,6 +30,10 @@ class SimulatedPlant:
         loop: loop that contains the plant; its input limits and references apply.
         seed: seed of the initial state and the noise.
 
+    Attributes:
+        state: state of the plant, (n,).
+        measurement: measurement of the present step.
+
     Example:
         >>> import taciturn
         >>> problem = taciturn.load("two-mass")
@@ -55,7 +59,8 @@ class SimulatedPlant:
         outputs = list(program.outputs)
         self._cost = outputs.index(COST)
         self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y", REFERENCE)]
-        self._x = [i for i, state in enumerate(program.states) if state.name == "x"]
+        self._x = [i for i, name in enumerate(outputs) if is_entry(name, "x")]
+        self.state: Array = loop.start_of_plant(1, seed)[0][:, 0]
         plant = loop.problem.plant
         self._nonlinear = plant.function is not None
         spread: Array = factor(plant.V)
@@ -73,11 +78,6 @@ class SimulatedPlant:
         """Seconds per step; 1 if the problem does not specify them."""
         return self.loop.problem.plant.dt or 1.0
 
-    @property
-    def state(self) -> Array:
-        """State of the plant, (n,)."""
-        return np.array([self._states[i] for i in self._x])
-
     def move(self, inputs: Sequence[float]) -> float:
         """Apply an input for one step, set ``measurement`` to that of the next step, and return the cost of the step.
 
@@ -89,15 +89,16 @@ class SimulatedPlant:
         """
         if len(inputs) != self.inputs:
             raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}, as for the plant")
-        before, u = self._states, [float(value) for value in inputs]
+        before, u = self.state.tolist(), [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)
+        self.state = np.array([outputs[i] for i in self._x])
         self.measurement = tuple(outputs[i] for i in self._y)
         self.tick += 1
         lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
         if lost and all(map(isfinite, u)):
             raise ProblemError(
                 f"the loop drives the plant to a point where its function gives {self.state[lost[0]]} as state "
-                f"{lost[0] + 1} at step {self.tick}, from x = {[round(before[i], 6) for i in self._x]}, u = {u}; "
+                f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
         if not (isfinite(outputs[self._cost]) and fits(self.measurement)):

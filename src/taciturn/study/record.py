@@ -4,48 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, cast
+from functools import cache
+from typing import Any, cast, get_args, get_type_hints
 
 import numpy as np
 
 from taciturn._version import __version__
-from taciturn.analyse.limits import LowerBound
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.estimate import Estimate
-from taciturn.model.limits import Violation, Violations
 from taciturn.model.link import IDEAL_LINK
 from taciturn.model.plant import Plant
-from taciturn.model.schedule import Schedule
-from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
-from taciturn.study.clock import ClockMix, ClockPoint
-from taciturn.study.disturbed import AfterStep
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.written import AsWritten
 
 KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
 LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1}  # neutral values that digests do not contain
-RECORDED = {
-    known.__name__: known
-    for known in (
-        Evaluation,
-        Estimate,
-        Linearisation,
-        LowerBound,
-        Schedule,
-        ClockMix,
-        ClockPoint,
-        AfterStep,
-        AsWritten,
-        Violation,
-        Violations,
-    )
-}
 
 
 def encode(value: object) -> str:
@@ -151,9 +128,22 @@ def _restored(value: object) -> Any:
         return {key: _restored(one) for key, one in held.items()}
     if kind == "array":
         return np.array(held["values"], dtype=held["type"]).reshape(held["shape"])
-    if kind not in RECORDED:
+    if kind not in _recorded():
         raise ValueError(f"{kind} is not a class of result data")
     try:
-        return RECORDED[kind](**{key: _restored(one) for key, one in held.items()})
+        return _recorded()[kind](**{key: _restored(one) for key, one in held.items()})
     except TypeError as error:
         raise ValueError(str(error)) from None
+
+
+@cache
+def _recorded() -> Mapping[str, Callable[..., Any]]:
+    """Return the classes of an evaluation by name: itself, and all of which its fields can be, however deep."""
+    found, left = dict[str, Callable[..., Any]](), list[Any]([Evaluation])
+    while left:
+        kind = left.pop()
+        if is_dataclass(kind) and isinstance(kind, type) and kind.__name__ not in found:
+            found[kind.__name__] = kind
+            left += get_type_hints(kind).values()
+        left += get_args(kind)
+    return found

@@ -1,0 +1,160 @@
+"""The other interpreters of a problem: nodes, saved states, worlds of faults, C, co-simulation units, records.
+
+What runs in steps has one path that is computed by the loop, and every interpreter must give the same bits on it.
+"""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import taciturn
+from taciturn.errors import TaciturnError
+from taciturn.model.policy import Policy
+from taciturn.problem import Problem
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.study.evaluation import Evaluation
+from taciturn.study.record import decode, encode
+from taciturn.study.testbed.worlds import run_world_with_devices
+
+TICKS = 80
+RARE = 0.05  # sends per step below which a link may well be silent for the 300 steps after which a world gives up
+SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+class SkippedError(TaciturnError):
+    """A check does not exist for a problem; the text says why."""
+
+
+def stepping(problem: Problem) -> Policy:
+    """Return the policy of a problem that runs in steps."""
+    policy = problem.designed()
+    if not isinstance(policy, Policy):
+        raise SkippedError("a policy without steps")
+    return policy
+
+
+def same_bits_of_nodes(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """Separate nodes that exchange packets decide as the loop, in every bit."""
+    from runtime.loops import differing_ticks, record
+
+    policy = stepping(problem)
+    loop = problem.close(policy)
+    if policy.prediction is not None:
+        raise SkippedError("an actuator that predicts between steps")
+    if policy.model.outputs > policy.model.sensed:
+        return _set_points_as_packets(problem, policy, seed)
+    ticks = min(TICKS, loop.horizon or TICKS)
+    wrong, _ = differing_ticks(loop, *record(loop, ticks, seed))
+    return f"nodes differ from the loop in the steps {wrong[:10]}" if wrong else None
+
+
+def _set_points_as_packets(problem: Problem, policy: Policy, seed: int) -> str | None:
+    """All nodes in one process get the set-points as an argument, and twice the same bits."""
+    runs = []
+    for _ in range(2):
+        nodes = taciturn.Nodes(policy, problem.network, seed % 1000)
+        plant = SimulatedPlant(problem.close(policy), seed)
+        sensed, inputs = policy.model.sensed, []
+        for _ in range(TICKS):
+            y = plant.measurement
+            u = nodes.step(y[:sensed], reference=y[sensed:])
+            inputs.append(u.tobytes())
+            plant.move(tuple(u))
+        runs.append(inputs)
+    return None if runs[0] == runs[1] else "two runs of the nodes differ"
+
+
+def saved_state(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """Nodes that are pickled in the middle of a run, policy and all, go on with the same bits."""
+    policy = stepping(problem)
+    nodes = taciturn.Nodes(policy, problem.network, seed % 1000)
+    plant = SimulatedPlant(problem.close(policy), seed)
+    sensed = policy.model.sensed
+    changing = policy.model.outputs > sensed
+    horizon = problem.cost.horizon or TICKS
+    for tick in range(min(30, horizon)):
+        if tick == min(12, horizon - 1):
+            other = pickle.loads(pickle.dumps(nodes))
+        y = plant.measurement
+        told: dict[str, Any] = {"reference": y[sensed:]} if changing else {}
+        u = nodes.step(y[:sensed], **told)
+        if tick >= min(12, horizon - 1) and other.step(y[:sensed], **told).tobytes() != u.tobytes():
+            return f"pickled nodes differ in step {tick}"
+        if not np.isfinite(u).all():
+            return f"the input of step {tick} is {u}"
+        plant.move(tuple(u))
+    return None
+
+
+def recorded(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """An answer that is written as text and read is the same answer."""
+    again = decode(encode(found))
+    return None if again.document() == found.document() else "the record of the answer differs"
+
+
+def world_of_faults(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """A world of faults in virtual time, some nodes in C: no invariant breaks."""
+    stepping(problem)
+    if problem.cost.mission:
+        raise SkippedError("a horizon or a discount")
+    if any(rate.value < RARE * (found.base_rate or 1.0) for rate in found.rates.values()):
+        raise SkippedError("a link that may be silent for longer than a world waits")
+    run = run_world_with_devices(problem, seed % 10_000)
+    return None if run.broken is None else f"world {seed % 10_000}: {run.broken}; faults: {run.faults}"
+
+
+def in_c(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """The exported folder checks itself under the sanitizers of addresses and of undefined behaviour."""
+    from export.devices import STRICT
+
+    stepping(problem)
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        raise SkippedError("there is no C compiler")
+    place = folder / "c"
+    taciturn.export_c(problem, place)
+    sources = sorted(map(str, place.glob("*.c")))
+    options = [*STRICT, *SANITIZED, "-ffp-contract=off"]
+    made = subprocess.run(
+        [compiler, *options, *sources, "-lm", "-o", str(place / "check")], capture_output=True, text=True
+    )
+    if made.returncode:
+        return f"the compiler refuses: {made.stderr[:2000]}"
+    done = subprocess.run([str(place / "check")], capture_output=True, text=True, timeout=60)
+    return f"exit code {done.returncode}: {(done.stdout + done.stderr)[-2000:]}" if done.returncode else None
+
+
+def as_unit(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
+    """A co-simulation unit decides as the loop, in every bit."""
+    try:
+        from export.units import Instance, differing_ticks, make_unit, record
+    except ImportError:
+        raise SkippedError("FMPy is not installed") from None
+    policy = stepping(problem)
+    if shutil.which("cc") is None:
+        raise SkippedError("there is no C compiler")
+    loop = problem.close(policy)
+    make_unit(loop, folder / "unit", seed=3)
+    vector = record(loop, TICKS)
+    instance = Instance(folder / "unit").start()
+    wrong = differing_ticks(instance, loop, vector, range(len(vector.measured)))
+    return f"the unit differs from the loop in the steps {wrong[:10]}" if wrong else None
+
+
+CHEAP: Mapping[str, Callable[[Problem, Evaluation, int, Path], str | None]] = {
+    "recorded": recorded,
+    "nodes": same_bits_of_nodes,
+    "saved state": saved_state,
+}
+COSTLY: Mapping[str, Callable[[Problem, Evaluation, int, Path], str | None]] = {
+    "world": world_of_faults,
+    "C": in_c,
+    "FMU": as_unit,
+}

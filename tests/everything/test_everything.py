@@ -1,0 +1,84 @@
+"""Problems in which features meet: a few fixed ones in the quick suite, and a hundred of the day in each shortened run.
+
+``python tests/everything/run.py`` examines more of them, with any seed; ``features`` tells how problems are drawn.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from counts import RUN
+from everything import checks, run
+from everything.draft import write
+from everything.features import FEATURES, build
+from everything.search import Tally, features_of, file_of, pairs, shrunk, tried
+from everything.toml import text_of
+
+SECONDS = 180.0  # of the problems of a day
+FIXED = (
+    ("operating point", "cross terms", "kind excess"),
+    ("continuous", "normal jumps", "kind all-time"),
+    ("two outputs", "one sensor by name", "lossy probes", "kind distributed"),
+    ("linear controller", "kind excess"),
+)
+
+
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let checks of a problem take a fraction of a second."""
+    monkeypatch.setattr(checks, "STEPS", 20_000)
+    monkeypatch.setattr(checks, "PATHS", 100)
+    monkeypatch.setattr(checks, "OWN_STEPS", 200)
+
+
+@pytest.mark.parametrize("names", FIXED, ids=" + ".join)
+def test_features_that_meet_are_simulated_alike(names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every cheap check is made, and none finds a fault."""
+    few_steps(monkeypatch)
+    report = tried(names, 1, ())
+    assert report is not None
+    assert report.refused is None
+    assert not report.faults, "\n".join(f"{one.check}: {one.text}" for one in report.faults) + file_of(names, 1)
+    assert "simulated" in report.compared
+    assert not report.skipped
+
+
+def test_a_wrong_number_is_a_fault_of_the_smallest_problem(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A number of the file that only one of the two reads is found."""
+    few_steps(monkeypatch)
+    monkeypatch.setattr(checks, "LONGER", 1)
+    names = ("kind excess", "cross terms", "half a second")
+    drawn = build(names, 1)
+    write(drawn, tmp_path, text_of(drawn.tables))
+    assert not checks.examine(drawn.tables, tmp_path, 1).faults
+    drawn.tables["cost"]["N"][0][0] += 0.2  # the plain simulation reads another weight than the library
+    found = checks.examine(drawn.tables, tmp_path, 1)
+    assert {one.check for one in found.faults} >= {"simulated: cost"}
+    assert shrunk(names, lambda fewer: "cross terms" in fewer) == ("cross terms",)
+
+
+def test_every_pair_of_features_has_a_number_of_its_own() -> None:
+    """So a run that is long enough examines them all, and can be resumed and repeated."""
+    listed = pairs(3)
+    groups = {one.name: one.group for one in FEATURES}
+    assert len(set(map(frozenset, listed))) == len(listed) == len(set(listed))
+    assert all(groups[a] != groups[b] for a, b in listed)
+    numbers = np.linspace(0, len(listed) - 1, 50).astype(int)
+    assert all(set(listed[number]) <= set(features_of(3, int(number))) for number in numbers)
+    assert features_of(3, len(listed) + 5) == features_of(3, len(listed) + 5)
+
+
+@pytest.mark.evidence
+def test_the_problems_of_the_day_are_right() -> None:
+    """A hundred problems, as many as the time allows; a fault is printed with its smallest file."""
+    seed, tally = run.seed_of(str(RUN.day)), Tally()
+    run.search(seed, list(range(100)), tally, SECONDS, 2, None)
+    left = 100 - len(tally.done)
+    print(f"seed {RUN.day}: {tally.summary()}; {left} of 100 problems left out by the limit of {SECONDS:g} s")
+    print(tally.table())
+    shown = [f"== {key} (problem {one['number']})\n{one['text']}\n{one['file']}" for key, one in tally.faults.items()]
+    repeat = f"python tests/everything/run.py --seed {RUN.day} --only "
+    smallest = min(tally.faults.values(), key=lambda one: len(one["file"]), default={"number": ""})
+    assert not tally.faults, "\n".join(shown) + f"\n{repeat}{smallest['number']}"
+    assert tally.done, f"no problem ended within {SECONDS:g} s"
