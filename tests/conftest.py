@@ -50,7 +50,8 @@ def pytest_report_header() -> str | None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Choose and order the full counts of a shortened run."""
     if RUN.shortened:
-        chosen = order(((item.nodeid, item.path) for item in items), RUN.day, changed_files())
+        daily = {item.nodeid for item in items if item.get_closest_marker("daily")}
+        chosen = order([(item.nodeid, item.path) for item in items], RUN.day, changed_files(), daily)
         left = set(range(len(items))) - set(chosen)
         config.hook.pytest_deselected(items=[items[position] for position in sorted(left)])
         items[:] = [items[position] for position in chosen]

@@ -9,7 +9,7 @@ themselves come before those that reach it by way of others.
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from zlib import crc32
@@ -41,10 +41,12 @@ def reach(files: Iterable[Path], changed: Iterable[Path] | None) -> Mapping[Path
     return {path: far[path] for path in set(files) & far.keys()}
 
 
-def order(tests: Iterable[tuple[str, Path]], day: date, changed: Iterable[Path] | None) -> list[int]:
-    """Return the positions of the tests that run, in their order, from names and files."""
-    given = list(tests)
-    near = reach({path for _, path in given}, changed)
-    ranks = [-1 if in_turn(name, day) else near.get(path) for name, path in given]
+def order(
+    tests: Sequence[tuple[str, Path]], day: date, changed: Iterable[Path] | None, daily: Collection[str] = ()
+) -> list[int]:
+    """Return the positions of the tests that run, in their order, from names and files; those of each day are first."""
+    near = reach({path for _, path in tests}, changed)
+    turns = [-2 if name in daily else -1 if in_turn(name, day) else None for name, _ in tests]
+    ranks = [near.get(path) if turn is None else turn for turn, (_, path) in zip(turns, tests, strict=True)]
     chosen = [(rank, position) for position, rank in enumerate(ranks) if rank is not None]
     return [position for _, position in sorted(chosen)]

@@ -65,6 +65,8 @@ def test_turns_come_first_then_what_is_near_a_change() -> None:
     assert everything[: len(nothing)] == nothing
     near = order(named, DAY, [ROOT / "tests" / "cli" / "test_usage.py"])
     assert {named[position][1].name for position in near[len(nothing) :]} == {"test_usage.py"}
+    absent = next(position for position in range(len(named)) if position not in nothing)
+    assert order(named, DAY, [], {named[absent][0]}) == [absent, *nothing]
 
 
 @pytest.mark.usefixtures("shortened")

@@ -69,6 +69,7 @@ def test_every_pair_of_features_has_a_number_of_its_own() -> None:
     assert features_of(3, len(listed) + 5) == features_of(3, len(listed) + 5)
 
 
+@pytest.mark.daily
 @pytest.mark.evidence
 def test_the_problems_of_the_day_are_right() -> None:
     """A hundred problems, as many as the time allows; a fault is printed with its smallest file."""
