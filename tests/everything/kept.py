@@ -88,9 +88,11 @@ def given_of(tables: Tables, model: Model, h: float) -> Given:
     if stated == "none" or (stated is None and not integrates):
         return Given(A, B, C, D, E)
     stated = stated or {}
-    n = model.n
-    inverse = np.linalg.pinv(model.B[:n])
-    usual = 0.5 * np.sqrt(np.maximum(np.diag(inverse @ model.W[:n, :n] @ inverse.T), 0.0))
+    inverse = np.linalg.pinv(np.array(tables["plant"]["B"], dtype=float))
+    jumps = tables["plant"].get("jumps")
+    W = np.array(tables["plant"]["W"] if jumps is None else jumps["covariance"], dtype=float)
+    W = W * (1.0 if jumps is None else jumps["rate"]) / (h if model.continuous else 1.0)  # per step
+    usual = 0.5 * np.sqrt(np.maximum(np.diag(inverse @ W @ inverse.T), 0.0))
     deviation = np.broadcast_to(np.asarray(stated.get("deviation", usual), dtype=float), (m,)).copy()
     return Given(A, B, C, D, E, float(np.exp(-h / stated.get("time_constant", 1000 * h))), deviation)
 
