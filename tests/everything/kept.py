@@ -254,6 +254,8 @@ class KeptPolicy:
         self.side, self.link = link, link  # the link may have another name
         self.rule, self.level, self.every, self.retry = rule, level, every, retry
         self.always, self.told, self.base = always, told, base
+        # a slow disturbance moves between the samples of a continuous plant, and here at samples alone
+        self.approximate = model.continuous and given.deviation is not None
         self.exact = None if base is None or not always else base.exact
         n, q = model.n, model.m if given.deviation is not None else 0
         self.q = q
