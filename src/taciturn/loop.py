@@ -159,8 +159,9 @@ class Loop(Displayed):
     def plant_program(self) -> Program:
         """Return the program of one step of the plant alone.
 
-        Inputs: ``input``. Outputs: COST of the step, and state ``x`` and measurement ``y`` at the next step. A state that
-        affects neither cost nor measurement of a later step, such as a register that is measured, is an output alone.
+        Inputs: ``input``. Outputs: COST of the step, and state ``x`` and measurement ``y`` at the next step. A state
+        that affects neither cost nor measurement of a later step, such as a register that is measured, is an output
+        alone.
         """
         plant, tracking = self.problem.plant, self.policy.tracking
         tick = self._tick({"x": plant.states})

@@ -400,8 +400,8 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
         twin = KeptPolicy(model, given, level=level, base=base, always=True, **{**keys, "law": free})
     for one in filter(None, (own, twin)):
         one.shared = np.random.default_rng(12345)  # each reads the same numbers
-    if law.lossy and twin is not None:
-        twin = None  # other fates: no common noise
+    if law.lossy or model.function is not None:
+        twin = None  # other fates: no common noise; the exact cost is that of a linear plant
     return own, twin
 
 
