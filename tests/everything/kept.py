@@ -88,9 +88,11 @@ def given_of(tables: Tables, model: Model, h: float) -> Given:
     if stated == "none" or (stated is None and not integrates):
         return Given(A, B, C, D, E)
     stated = stated or {}
-    n = model.n
-    inverse = np.linalg.pinv(model.B[:n])
-    usual = 0.5 * np.sqrt(np.maximum(np.diag(inverse @ model.W[:n, :n] @ inverse.T), 0.0))
+    inverse = np.linalg.pinv(np.array(tables["plant"]["B"], dtype=float))
+    jumps = tables["plant"].get("jumps")
+    W = np.array(tables["plant"]["W"] if jumps is None else jumps["covariance"], dtype=float)
+    W = W * (1.0 if jumps is None else jumps["rate"]) / (h if model.continuous else 1.0)  # per step
+    usual = 0.5 * np.sqrt(np.maximum(np.diag(inverse @ W @ inverse.T), 0.0))
     deviation = np.broadcast_to(np.asarray(stated.get("deviation", usual), dtype=float), (m,)).copy()
     return Given(A, B, C, D, E, float(np.exp(-h / stated.get("time_constant", 1000 * h))), deviation)
 
@@ -252,6 +254,8 @@ class KeptPolicy:
         self.side, self.link = link, link  # the link may have another name
         self.rule, self.level, self.every, self.retry = rule, level, every, retry
         self.always, self.told, self.base = always, told, base
+        # a slow disturbance moves between the samples of a continuous plant, and here at samples alone
+        self.approximate = model.continuous and given.deviation is not None
         self.exact = None if base is None or not always else base.exact
         n, q = model.n, model.m if given.deviation is not None else 0
         self.q = q
@@ -396,8 +400,8 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
         twin = KeptPolicy(model, given, level=level, base=base, always=True, **{**keys, "law": free})
     for one in filter(None, (own, twin)):
         one.shared = np.random.default_rng(12345)  # each reads the same numbers
-    if law.lossy and twin is not None:
-        twin = None  # other fates: no common noise
+    if law.lossy or model.function is not None:
+        twin = None  # other fates: no common noise; the exact cost is that of a linear plant
     return own, twin
 
 

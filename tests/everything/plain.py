@@ -578,5 +578,6 @@ def with_actual(model: Model, tables: Tables, folder: Path) -> Model:
         return model
     kept = {"operating_point": tables["plant"]["operating_point"]} if "operating_point" in tables["plant"] else {}
     other = model_of({**tables, "plant": {**kept, **actual}}, folder)
-    # the cost counts deviations as the design does; the plant moves as it does
-    return replace(other, X=model.X, U=model.U, stage=model.stage if not model.continuous else other.stage)
+    if model.q + model.s or model.continuous:
+        return other  # its cost counts from where its own outputs are at their set-points
+    return replace(other, stage=model.stage)  # whose weights may be those of a controller with the plant of the design
