@@ -28,22 +28,19 @@ START = time.monotonic()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let a run of the full counts be shortened, repeat that of a day, and end in time on a slow machine."""
     parser.addoption("--shortened", action="store_true", help="reduced counts of the evidence, and turns by the day")
-    parser.addoption(
-        "--day", type=date.fromisoformat, help="the day of turns and dated examples: YYYY-MM-DD; default: today"
-    )
+    parser.addoption("--day", help="the day of turns and dated examples: YYYY-MM-DD; default: today")
     parser.addoption("--start-within", type=float, metavar="SECONDS", help="skip evidence that would start later")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Tell the tests what the options ask for; a worker takes the day of the process that started it."""
-    RUN.day = date.fromisoformat(os.environ.setdefault("TACITURN_DAY", str(config.getoption("--day") or date.today())))
+    """Tell the tests what the options ask for; workers get the day of the process that starts them."""
+    config.option.day = str(config.getoption("--day") or date.today())
+    try:
+        RUN.day = date.fromisoformat(config.option.day)
+    except ValueError:
+        raise pytest.UsageError(f"--day is {config.option.day!r}; expected YYYY-MM-DD") from None
     RUN.shortened = config.getoption("--shortened")
-
-
-def pytest_report_header() -> str | None:
-    """Print how a shortened run can be repeated."""
-    return f"shortened: --day {RUN.day} repeats turns and dated examples" if RUN.shortened else None
 
 
 @pytest.hookimpl(trylast=True)
@@ -86,6 +83,8 @@ def pytest_runtest_makereport(
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """List slow quick tests, then, in red, what this machine cannot show."""
+    if RUN.shortened:
+        terminalreporter.write_line(f"shortened: --day {RUN.day} repeats turns and dated examples")
     reports = [report for group in terminalreporter.stats.values() for report in group]
     quick = [report for report in reports if is_last(report) and "evidence" not in report.keywords]
     used = {report.nodeid: dict(report.user_properties).get(PROCESSOR, 0.0) for report in quick}
