@@ -3,6 +3,8 @@
 The *choice* is what a packet carries: the input over the actuator link, the measurement over the sensor link. In
 silence, the receiver uses a *candidate* instead, its last value or the prediction of a model. The node that decides
 knows the receiver's candidate, because every packet arrives or because the network acknowledges those that arrive.
+A sensor that decides on the controller's state computes it too. Its packets carry this state, which the controller
+adopts, since an integral would keep a difference for ever: after a lost packet, a restart, or rounding.
 """
 
 from __future__ import annotations
@@ -85,6 +87,7 @@ def route_over(
     lossy: bool,
     copied: Filter | None = None,
     start: Array | None = None,
+    follows: bool = True,
 ) -> Route:
     """Return the route of a given controller's packets.
 
@@ -99,6 +102,7 @@ def route_over(
         copied: the filter whose estimates a receiver that predicts gets, if its prediction enters the value: over links
             that drop packets, and for a base that is silent in some steps.
         start: state of the controller at the start, (k,); default 0.
+        follows: whether the decision reads the controller's state, which a sensor that decides then computes.
     """
     start = np.zeros(len(controller.A)) if start is None else start
     choice("actuation", actuation, ("hold", "model", "zero"))
@@ -106,7 +110,7 @@ def route_over(
         return _over_actuator_link(problem, controller, actuation, lossy, copied, start)
     if actuation == "zero":
         raise ProblemError("actuation is 'zero', and the link is that of the sensor; expected 'hold' or 'model'")
-    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start)
+    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start, follows)
 
 
 def _over_actuator_link(
@@ -151,29 +155,37 @@ def _over_actuator_link(
 
 
 def _over_sensor_link(
-    problem: Discrete, controller: Controller, model: bool, lossy: bool, copied: Filter | None, start: Array
+    problem: Discrete,
+    controller: Controller,
+    model: bool,
+    lossy: bool,
+    copied: Filter | None,
+    start: Array,
+    follows: bool,
 ) -> Route:
-    """Return the route of measurements; the sensor has a copy of the controller.
+    """Return the route of measurements; the sensor has a copy of the controller, if it ``follows`` it.
 
     In silence, a controller that predicts uses C x̃, with the state x̃ of a model that starts at the last sent estimate.
     """
     plant, c = problem.plant, controller
     p, state, at = plant.outputs, np.eye(plant.states), "sensor"
-    unit = np.eye(p)
+    unit, own, k = np.eye(p), np.eye(len(c.A)), len(c.A) if follows else 0
     on = Acknowledged("sensor") if lossy else SEND
     known = ({CANDIDATE: unit}, {MEASURED: unit})
     silent = {"forecast": plant.C} if model else {"used": unit}
-    packet = {MEASURED: unit, **({ESTIMATE: state} if model else {})}
+    packet = {MEASURED: unit, **({ESTIMATE: state} if model else {}), **({REGISTER: own} if k else {})}
+    adopted = Assign("controller", "state", ({"state": own}, {REGISTER: own}), Received("sensor")) if k else None
     receiver: tuple[Step, ...] = (
         Assign("controller", "used", (silent, {MEASURED: unit}), Received("sensor")),
+        *((adopted,) if adopted else ()),
         Assign("controller", "command", nonempty({"state": c.C, "used": c.D})),
         Assign("actuator", "input", {"command": np.eye(plant.inputs)}),
         *((Assign("controller", "state", {"state": c.A, "used": c.B, "command": c.E}),) if len(c.A) else ()),
     )
     copy: tuple[Step, ...] = (
         Assign(at, "known", known, on),
-        Assign(at, HELD, nonempty({REGISTER: c.C, "known": c.D})),
-        *((Assign(at, NEXT, {REGISTER: c.A, "known": c.B, HELD: c.E}),) if len(c.A) else ()),
+        *((Assign(at, HELD, nonempty({REGISTER: c.C, "known": c.D})),) if follows else ()),
+        *((Assign(at, NEXT, {REGISTER: c.A, "known": c.B, HELD: c.E}),) if k else ()),
     )
     base, error = sensor_base(problem, controller), {CANDIDATE: unit, MEASURED: -unit}
     used, begun = (("prediction", "forecast"), plant.mean) if model else (("known", "used"), plant.C @ plant.mean)
@@ -198,8 +210,9 @@ def _over_sensor_link(
         error,
         (Assign(at, CANDIDATE, {"prediction": plant.C} if model else {"known": unit}),),
         (Send(at, "sensor", tuple(packet), SEND), *receiver, *copy),
-        dict.fromkeys((NEXT, "state") if len(start) else (), start) | dict.fromkeys(used, begun),
-        len(c.A),
+        dict.fromkeys((*((NEXT,) if k else ()), *(("state",) if len(start) else ())), start)
+        | dict.fromkeys(used, begun),
+        k,
     )
 
 

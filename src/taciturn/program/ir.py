@@ -298,6 +298,9 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
             new[index] = _copy(program, builder, op, new) if replaced is None else replaced
         else:  # the common case: as ``emit``, which takes twice as long
             moved = tuple([new[argument] for argument in arguments])
+            if name == "select" and moved[1] == moved[2]:  # of states that have been merged
+                new[index] = moved[1]
+                continue
             new[index] = found = known.setdefault((name, moved), len(ops))
             if found == len(ops):
                 ops.append(op if moved == arguments else Op(name, moved))
@@ -338,6 +341,9 @@ def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -
             arguments = tuple([a if i == LITERAL[name] else same[a] for i, a in enumerate(arguments)])
         else:  # the common case
             arguments = tuple([same[a] for a in arguments])
+            if name == "select" and arguments[1] == arguments[2]:  # such as a state that a packet repeats
+                same[index] = arguments[1]
+                continue
         same[index] = known.setdefault((name, arguments), index)
     return same
 

@@ -56,6 +56,7 @@ class SimulatedPlant:
             int(value.view(np.uint64)) if state.word else float(value)
             for value, state in zip(start, program.states, strict=True)
         ]
+        self._start = {i: self._states[i] for i, state in enumerate(program.states) if state.name == "x"}
         outputs = list(program.outputs)
         self._cost = outputs.index(COST)
         self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y", REFERENCE)]
@@ -67,6 +68,7 @@ class SimulatedPlant:
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
         noise: Array = spread @ draws.standard_normal((spread.shape[1],))
         self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + noise).tolist())
+        self._began = self.state, self.measurement
 
     @property
     def inputs(self) -> int:
@@ -107,6 +109,11 @@ class SimulatedPlant:
                 "expected a policy that stabilises the plant over this network"
             )
         return outputs[self._cost]
+
+    def restart(self) -> None:
+        """Start again from the initial state, as a plant that its protection has stopped; steps and noise go on."""
+        self._states = [self._start.get(i, value) for i, value in enumerate(self._states)]
+        self.state, self.measurement = self._began
 
     def final_cost(self) -> float:
         """Return the terminal cost of the current state; 0 without a terminal weight."""

@@ -181,7 +181,7 @@ def _keep(
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
     loop = KeptLoop.of(plant, cost, period, kept, controller is None)
-    route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start)
+    route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start, follows=False)
     size = len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
     decide = (

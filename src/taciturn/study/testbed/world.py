@@ -9,7 +9,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
-from taciturn.model.places import is_acknowledged, links_to, peers_of, receiver_of, roles, sender_of
+from taciturn.model.places import is_acknowledged, links_to, outputs_at, peers_of, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy, Send
 from taciturn.model.wire import OFFSETS, PLANT, PROOFS
 from taciturn.runtime.attacks import Forgery, KeyChange, Recording, draw_attacks
@@ -39,13 +39,23 @@ SHIFT = 1e3  # by which the numbers in packets of an attacker differ
 MakeNode: TypeAlias = Callable[..., Node]
 
 
-def promised_steps(heartbeat: int, keyed: bool) -> int:
+def promised_steps(heartbeat: int, keyed: bool, hops: int) -> int:
     """Return the number of steps after the last fault by which every node must use packets of its present step again.
 
     A clock that has jumped is corrected after ``AGREED`` packets or marks, of which one arrives in ``heartbeat`` steps.
     By then the node may be ``JUMPED`` steps ahead, and waits. With keys, the first packet may only cause a challenge.
+    Nodes that keep the time of this node have followed it, and are corrected after it.
     """
-    return (AGREED + 1 + keyed) * heartbeat + int(JUMPED)
+    return hops * ((AGREED + 1 + keyed) * heartbeat + int(JUMPED))
+
+
+def hops(policy: Policy) -> int:
+    """Return the largest number of links over which a process keeps the time of the plant."""
+    found: dict[str, int] = {}
+    for role in roles(policy):  # in the order of a step
+        heard = [found[sender_of(policy, link)] for link in links_to(policy, role)]
+        found[role] = 0 if outputs_at(policy, role) or not heard else 1 + max(heard)
+    return max(1, *found.values())
 
 
 def altered(packet: Packet, ahead: int, epoch: int) -> Packet:
@@ -70,6 +80,20 @@ class _Memory:
 
     def write(self, state: bytes) -> None:
         self.state = state
+
+
+class _ProtectedPlant(SimulatedPlant):
+    """A plant that starts again where it leaves the range of numbers, as an unstable one does that is cut off."""
+
+    trips = 0
+
+    def move(self, inputs: Sequence[float]) -> float:
+        try:
+            return super().move(inputs)
+        except ProblemError:
+            self.restart()
+            self.trips += 1
+            return 0.0
 
 
 class _CachedWire(Wire):
@@ -142,10 +166,11 @@ class World:
         self.processes: dict[str, VirtualProcess] = {}
         for role in self.roles:
             self._start(role, fresh=True)
+        self.simulated = _ProtectedPlant(loop, seed)
         self.plant_port = VirtualPort(self.network, (PLANT, 0))
         measuring = {link: (ends.measures, 0) for link, ends in self.wire.plant.items() if ends.measures is not None}
         self.plant = PlantServer(
-            [SimulatedPlant(loop, seed)], self._wire(PLANT), self.plant_port, measuring, tick=TICK,
+            [self.simulated], self._wire(PLANT), self.plant_port, measuring, tick=TICK,
             told=self.monitor.applied, clock=self.clocks[PLANT], epoch=EPOCH, draw=self.ring.nonce,
         )  # fmt: skip
         for fault in self.faults:
@@ -160,11 +185,12 @@ class World:
         """Return the counters of the last process of each role, of the plant and of the network."""
         found = {role: dict(life.counters()) for role, life in self.monitor.lives.items()}
         plant = {"inputs": self.plant.taken, **self.plant.refused, **self.plant.reception.counters}
+        plant |= {"starts again": self.simulated.trips} if self.simulated.trips else {}
         return {**found, PLANT: plant, "network": self._counted()}
 
     def run(self, copies: Sequence[Copy]) -> BrokenError | None:
         """Run until the nodes have recovered, and return what does not hold, or None."""
-        ready = int(self.end) + 1 + promised_steps(HEARTBEAT, self.keyed)
+        ready = int(self.end) + 1 + promised_steps(HEARTBEAT, self.keyed, hops(self.policy))
         remembers = max(life.node.remembers for life in self.monitor.lives.values())
         settled: int | None = None
         last, step, held = int(self.end), 0, 0
