@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import gcd
 
 import numpy as np
 
@@ -217,7 +218,8 @@ class Loop(Displayed):
     def start(self, program: Program, paths: int, seed: int, first: int = 0, stationary: bool = False) -> Array:
         """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths).
 
-        A ``stationary`` start is at a random step of a timetable of set-points.
+        A ``stationary`` start is at a random step of a timetable of set-points, among those at which the step counters
+        of the policy begin: if both repeat, they keep the phase in which they began together.
         """
         plant, network = self.problem.plant, self.network
         x, draws = self.start_of_plant(paths, seed, first)
@@ -227,7 +229,9 @@ class Loop(Displayed):
                 drawn[link_state(link)] = burst.pick(draws.random(paths)).astype(np.float64)[None]
         changes = plant.changes
         if stationary and isinstance(changes, SampledChanges):
-            place = draws.integers(len(changes.table), size=paths)
+            rows = len(changes.table)
+            phase = gcd(self.policy.cycle, rows)
+            place = phase * draws.integers(rows // phase, size=paths)
             x[-changes.size :] += (np.cumsum(changes.table, axis=0) - changes.table)[place].T
             drawn[TIMETABLE] = place.astype(np.float64)[None]
         begun = {TIMETABLE: (TIMETABLE, 0)} if TIMETABLE in drawn else {}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from everything.laws import Channel, Law, Nodes
 from everything.plain import Array, Model, NotModelledError, block, kalman, regulator
+from scipy.stats import chi2
 
 Tables = Mapping[str, Any]
 
@@ -254,6 +255,7 @@ class KeptPolicy:
         self.side, self.link = link, link  # the link may have another name
         self.rule, self.level, self.every, self.retry = rule, level, every, retry
         self.always, self.told, self.base = always, told, base
+        self.precision: Array | None = None  # of the innovations, whose squares raise an alarm
         # a slow disturbance moves between the samples of a continuous plant, and here at samples alone
         self.approximate = model.continuous and given.deviation is not None
         self.exact = None if base is None or not always else base.exact
@@ -270,7 +272,9 @@ class KeptPolicy:
         if model.V is None and not q:
             self.G = np.eye(n)
         else:
-            self.G = kalman(self.F, self.C, W, V)[0]
+            self.G, prior = kalman(self.F, self.C, W, V)[:2]
+            if rule == "cost" and every == 1:
+                self.precision = np.linalg.pinv(self.C @ prior @ self.C.T + V)
         filtered = (np.eye(len(self.F)) - self.G @ self.C) @ self.F
         parts = [filtered]
         if base is not None:  # slow disturbances begin with their stationary distribution
@@ -292,6 +296,7 @@ class KeptPolicy:
         self.channel = Channel(self.law, paths, rng)
         self.belief = np.tile(self.law.stationary, (paths, 1))
         self.missed = np.zeros(paths, dtype=bool)
+        self.surprise = np.zeros(paths)
         self.d = np.zeros((paths, self.q))
         if given.deviation is not None:
             self.d = given.deviation * self.noise(paths)
@@ -344,7 +349,16 @@ class KeptPolicy:
         assert self.base is not None
         w = np.hstack([estimate, self.c, y, self.h])
         psi = self.base.psi[k % self.every]
-        return np.einsum("pa,aij,pi,pj->p", self.belief, psi, w, w) > self.level
+        return (np.einsum("pa,aij,pi,pj->p", self.belief, psi, w, w) > self.level) | self._alarm(y)
+
+    def _alarm(self, y: Array) -> Array:
+        """Tell where the average square of the innovations is beyond what noise explains; then every sample is sent."""
+        if self.precision is None:
+            return np.zeros(len(y), dtype=bool)
+        innovation = y - self.prior @ self.C.T
+        self.surprise = 0.98 * self.surprise + 0.02 * np.einsum("pi,ij,pj->p", innovation, self.precision, innovation)
+        freedom = 99 * len(self.precision)  # the average of white squares has the moments of χ²/99
+        return self.surprise > chi2.ppf(1 - 1e-9, freedom) / 99
 
     def _learn(self, sends: Array, arrived: Array) -> None:
         """Move the belief about the channel by what an acknowledgement says, and by a step."""
@@ -379,8 +393,8 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
     h = model.seconds if model.continuous else float(tables["plant"]["dt"])
     told = law.acknowledged or not law.lossy
     design = law if told else Law(least=law.least, most=law.most)
-    if silence == "model" and law.lossy and told:
-        raise NotModelledError("a model over losses")
+    if silence == "model" and ((law.lossy and told) or every > 1):  # a base that predicts too
+        raise NotModelledError("a model over losses, or with a slower base")
     if "controller" in tables:
         given = given_of(tables, model, h)
     else:

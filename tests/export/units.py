@@ -12,6 +12,7 @@ import fmpy
 import numpy as np
 from export.devices import HERE, needs_compiler
 from fmpy.simulation import instantiate_fmu
+from runtime.loops import bits
 
 import taciturn
 from taciturn.export.description import Version, may_lose, tick_length
@@ -115,7 +116,9 @@ def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     return values
 
 
-def differing_ticks(instance: Instance, loop: Loop, vector: RecordedRun, ticks: Iterable[int]) -> list[int]:
+def differing_ticks(
+    instance: Instance, loop: Loop, vector: RecordedRun, ticks: Iterable[int], signed_zeros: bool = True
+) -> list[int]:
     """Step an instance, and return the steps in which a decision or a bit of the input differs."""
     wrong, seconds = list[int](), tick_length(loop)
     inputs = [f"u[{i + 1}]" for i in range(vector.applied.shape[1])]
@@ -124,7 +127,7 @@ def differing_ticks(instance: Instance, loop: Loop, vector: RecordedRun, ticks: 
         instance.step(tick * seconds, seconds)
         applied = np.array(instance.get(*inputs), dtype=np.float64)
         sent = [bool(value) for value in instance.get(*(f"sent_{identifier(link)}" for link in vector.links))]
-        same = applied.tobytes() == vector.applied[tick].astype(np.float64).tobytes()
+        same = bits(applied, signed_zeros) == bits(vector.applied[tick].astype(np.float64), signed_zeros)
         if not same or sent != [value > 0 for value in vector.sent[tick]]:
             wrong.append(tick)
     return wrong

@@ -112,6 +112,18 @@ def test_a_timetable_is_followed_from_its_first_row() -> None:
     assert path.measurement.shape == (60, 2)
 
 
+def test_sends_at_fixed_steps_keep_their_phase_in_a_timetable() -> None:
+    """A cycle of two steps begins with a timetable of four: a change never meets a send, though phases were mixed."""
+    plant = follow(
+        Plant([[0.8]], [[1.0]], [[1e-6]], [[1.0]], [[1e-6]]), changes=Timetable([0, 1, 3, 4], np.c_[[0, 9, 0, 0]])
+    )
+    loop = close(plant, design.periodic(plant, Cost([[1.0]], [[0.1]]), every=2))
+    found, run = average(loop, steps=20_000), simulate(loop, 400, seed=1)
+    x, r = run.state[200:].T
+    costs = (x - r) ** 2 + 0.1 * (run.input[200:, 0] - 0.2 * r) ** 2  # deviations from x = r, u = 0.2 r
+    assert abs(costs.mean() - found.cost.value) < 1e-3 * found.cost.value
+
+
 def test_a_change_between_sampling_instants_takes_effect_at_the_next() -> None:
     """And its size is unchanged."""
     table = Timetable([0, 0.24, 1.0], [[0.0], [3.0], [0.0]]).sampled(0.1).table

@@ -135,6 +135,9 @@ def test_no_path_costs_more_than_its_certificate(seed: int, size: float, kept: b
     assert policy.guarantee is not None
     simulated = taciturn.average(close(plant, policy), steps=200_000, seed=seed)
     assert simulated.cost.value - 4 * simulated.cost.standard_error <= policy.guarantee.cost
+    if not simulated.settled:  # such as one of two limit cycles for thousands of steps: a note says so
+        assert any("has not settled" in note for note in simulated.notes)
+        return
     late = found.std(ddof=1) / sqrt(40)
     assert abs(found.mean() - simulated.cost.value) <= 5 * np.hypot(late, simulated.cost.standard_error) + 0.02 * late
     for link, rate in zip(policy.theory.errors, rates, strict=True):

@@ -14,6 +14,7 @@ from taciturn import PID, Burst, Controller, Cost, Disturbance, Network, Plant, 
 from taciturn.design.base import Attempts, Base, advantage, critical_scale
 from taciturn.design.kept import lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
+from taciturn.design.silence import ChannelBelief
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
 from taciturn.model.policy import Received
@@ -276,3 +277,13 @@ def test_a_dropout_may_be_followed_by_another_attempt(network: Network) -> None:
     assert costs[0].value < policy.guarantee.cost
     with pytest.raises(ProblemError, match="retry is true, and no packet is acknowledged and dropped"):
         design.excess(PLANT, WEIGHTS, theta=0.5, retry=True)
+
+
+def test_a_belief_about_the_channel_survives_what_its_law_excludes() -> None:
+    """A fault may lose an acknowledgement that the law never loses: the belief must not end at no state at all."""
+    turns, losses = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0]]), np.array([0.8, 0.0, 0.1])
+    start = np.array([0.2, 0.4, 0.4])
+    belief = ChannelBelief(turns, losses, start)
+    certain = np.array([0.0, 1.0, 0.0])  # that nothing is lost
+    assert np.allclose(belief(certain, [1.0], [1.0]), [0.0, 0.0, 1.0])
+    assert np.allclose(belief(certain, [1.0], [0.0]), turns.T @ start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from counts import few
@@ -149,8 +150,22 @@ def test_a_sensor_and_an_integrating_controller_agree_after_every_fault(policy: 
     assert found.broken is None
 
 
+def test_keys_are_those_of_every_link_of_the_plant(tmp_path: Path) -> None:
+    """The plant sends measurements and set-points that change over one path: each link has its key."""
+    (tmp_path / "levels.csv").write_text("0,0\n20,1\n35,-1\n60,0\n", encoding="utf-8")
+    file = tmp_path / "loop.toml"
+    file.write_text(
+        "plant = {A = [[0.8]], B = [[1.0]], C = [[1.0]], W = [[0.1]], V = [[0.1]], dt = 1.0}\n"
+        'cost = {Q = [[1.0]], R = [[0.5]]}\nreference = {file = "levels.csv"}\n'
+        'policy = {kind = "excess", theta = 0.3}\n',
+        encoding="utf-8",
+    )
+    for seed in range(3):
+        assert run_world(taciturn.load(file), seed, keyed=True).broken is None
+
+
 def test_a_clock_is_corrected_after_the_clock_that_it_follows() -> None:
-    """The controller's clock jumps while it is cut, and the actuator follows it: each needs packets of a right clock."""
+    """A clock jumps while its node is cut, and the actuator follows it: each needs packets of a right clock."""
     mild = problem("remote-scalar").changed({"plant.A": [[1.2]]})
     found = run_world(mild, 400)
     assert any(isinstance(fault, Jump) for fault in found.faults)

@@ -78,7 +78,7 @@ def cost_of_silence(
                 Apply(
                     route.node,
                     {BELIEF: len(states)},
-                    ChannelBelief(attempts.turns, attempts.losses),
+                    ChannelBelief(attempts.turns, attempts.losses, attempts.start),
                     (BELIEF, "attempted", "arrived"),
                 ),
                 *(Evaluate(route.node, name, (form,)) for name, form in zip(names, forms, strict=True)),
@@ -97,10 +97,14 @@ def cost_of_silence(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ChannelBelief(Displayed):
-    """The update of the distribution of the channel state by the fate of an attempt, and by a step of the channel."""
+    """The update of the distribution of the channel state by the fate of an attempt, and by a step of the channel.
+
+    After a fate that the law excludes, such as an acknowledgement that a fault has lost, it begins again at ``start``.
+    """
 
     turns: Array
     losses: Array
+    start: Array
 
     def __call__(self, belief: Any, attempted: Any, arrived: Any) -> Any:
         """Return the distribution at the next step; ``attempted`` and ``arrived`` are 0 or 1."""
@@ -108,7 +112,7 @@ class ChannelBelief(Displayed):
         likelihood = 1.0 - a + a * (r * (1.0 - p) + (1.0 - r) * p)
         weights = belief * likelihood
         total = sum(weights[i] for i in range(len(p)))
-        known = weights / np.where(total > 0.0, total, 1.0)
+        known = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), self.start)
         return self.turns.T @ known
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
@@ -141,18 +142,21 @@ class World:
         self.lag = {
             link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
         }
-        self._uses = {path: link for link, path in self._paths()}
+        used = self._paths()
         if keyed:  # challenges travel against packets
-            self._uses |= {(path[1], path[0]): link for path, link in self._uses.items()}
+            used += [(link, (path[1], path[0])) for link, path in used]
+        self._uses: dict[Path, list[str]] = defaultdict(list)  # links by path, of which the plant may have several
+        for link, path in dict.fromkeys(used):
+            self._uses[path].append(link)
         paths = list(self._uses)
         self._history: dict[Path, list[tuple[float, bytes]]] = {path: [] for path in paths}
         names = [*self.roles, PLANT]
-        uses = {name: sorted({self._uses[path] for path in paths if name in path}) for name in names}
+        uses = {name: sorted({link for link, path in used if name in path}) for name in names}
         self.ring = KeyRing(seed, self.wire.links, uses)
         self.keyed = keyed
         if faults is None:
             faults = draw_faults(seed, paths, self.roles, WITHIN)
-            faults += draw_attacks(seed, paths, sorted({*self._uses.values()}), WITHIN, faults) if keyed else ()
+            faults += draw_attacks(seed, paths, sorted({link for link, _ in used}), WITHIN, faults) if keyed else ()
         self.faults = tuple(faults)
         self._on_links = [fault for fault in self.faults if isinstance(fault, LinkFault)]
         self.end = max((fault.end for fault in self.faults), default=0.0)
@@ -392,11 +396,11 @@ class World:
 
     def _forge(self, fault: Forgery, step: int) -> None:
         """Send what was sent in a step with other numbers and a wrong key."""
-        wrong = self.wire.with_keys(self.ring.wrong(self._uses[fault.path], fault.former))
+        wrong = {link: self.wire.with_keys(self.ring.wrong(link, fault.former)) for link in self._uses[fault.path]}
         for sent, datagram in self._history[fault.path]:
             packet = self.wires[fault.path[0]].decode(datagram) if int(sent) == step else ""
             if isinstance(packet, Packet):
-                self._throw(fault.path, wrong.encode(altered(packet, 1, packet.epoch)))
+                self._throw(fault.path, wrong[packet.link].encode(altered(packet, 1, packet.epoch)))
                 self.monitor.forge(fault.path[1])
 
     def _throw(self, path: Path, datagram: bytes) -> None:
