@@ -99,8 +99,8 @@ class SimulatedPlant:
         lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
         if lost and all(map(isfinite, u)):
             raise ProblemError(
-                f"the loop drives the plant to a point where its function gives no finite number as state {lost[0] + 1} "
-                f"at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
+                "the loop drives the plant to a point where its function gives no finite number as state "
+                f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
         if not (isfinite(outputs[self._cost]) and fits(self.measurement)):
