@@ -20,10 +20,15 @@ Tables = Mapping[str, Any]
 
 
 def cycle_gains(model: Model, cycle: Sequence[int], K: Array | None = None) -> tuple[list[Array], list[Array]]:
-    """Return values and gains at the sends of a cycle of intervals, by backward recursion from the far future."""
-    n = model.n
-    A, B = model.A[:n, :n], model.B[:n]
-    parts = [lifted(A, B, model.Q, model.R, model.N, steps) for steps in cycle]
+    """Return values and gains at the sends of a cycle of intervals, by backward recursion from the far future.
+
+    Disturbances that decay are states as others are; what an interval leaves of them counts.
+    """
+    n, size = model.n, len(model.A)
+    if model.q and np.abs(np.linalg.eigvals(model.A[n : n + model.q, n : n + model.q])).max() < 1 - 1e-6:
+        n += model.q
+    Q, R, N = model.stage[:n, :n], model.stage[size:, size:], model.stage[:n, size:]
+    parts = [lifted(model.A[:n, :n], model.B[:n], Q, R, N, steps) for steps in cycle]
     value, values, gains = (np.eye(n) if K is None else K), [], []
     for _ in range(50_000):
         before, values, gains = value, [], []
@@ -36,9 +41,9 @@ def cycle_gains(model: Model, cycle: Sequence[int], K: Array | None = None) -> t
     raise NotModelledError("a cycle that does not settle")
 
 
-def innovations(base: Certainty) -> Array:
-    """Return the covariance of the white noise with which the estimate of the plant moves at every step."""
-    model, n = base.model, base.model.n
+def innovations(base: Certainty, n: int) -> Array:
+    """Return the covariance of the white noise with which the estimate of the first n states moves at every step."""
+    model = base.model
     return (model.A @ base.Sigma @ model.A.T + model.W - base.Sigma)[:n, :n]
 
 
@@ -52,7 +57,8 @@ class Clocked(Certainty):
             raise NotModelledError("periodic over a horizon")
         self.cycle, self.exact = list(cycle), None
         if actuation == "hold":
-            self.own = [self.full(L) for L in cycle_gains(model, cycle)[1]]
+            gains = cycle_gains(model, cycle)[1]
+            self.own = [np.hstack([L, self.full(L[:, : model.n])[:, L.shape[1] :]]) for L in gains]
         else:
             self.own = [self.L] * len(cycle)
         self.starts = np.concatenate([[0], np.cumsum(self.cycle)[:-1]]).tolist()
@@ -137,7 +143,7 @@ class Rollout(Certainty):
         A, B = model.A[:n, :n], model.B[:n]
         F = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
         stage = np.block([[model.Q, model.N], [model.N.T, model.R]])
-        innovation = innovations(self)
+        innovation = innovations(self, model.n)
         for sends in self.schedules:
             P, gains, noise = np.zeros((n + m, n + m)), {}, 0.0
             P[:n, :n] = K
@@ -205,12 +211,11 @@ def cycle_of(steps: Sequence[int], length: int) -> tuple[int, ...]:
 
 def cost_of(model: Model, cycle: Sequence[int]) -> float:
     """Return what tells the costs of patterns apart: the mean of the noise cost over the cycle, without the filter."""
-    n, m = model.n, model.m
-    base = Certainty(model, None)
     values, _ = cycle_gains(model, cycle)
-    M = innovations(base)  # their value depends on the phase
+    n, m, size = len(values[0]), model.m, len(model.A)
+    M = innovations(Certainty(model, None), n)  # their value depends on the phase
     F = np.block([[model.A[:n, :n], model.B[:n]], [np.zeros((m, n)), np.eye(m)]])
-    stage = np.block([[model.Q, model.N], [model.N.T, model.R]])
+    stage = model.stage[np.ix_([*range(n), *range(size, size + m)], [*range(n), *range(size, size + m)])]
     total, steps = 0.0, 0
     for place, interval in enumerate(cycle):
         P = np.zeros((n + m, n + m))
