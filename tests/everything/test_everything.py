@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from counts import RUN
 from everything import checks, run
 from everything.draft import write
 from everything.features import FEATURES, build
-from everything.search import Tally, features_of, file_of, pairs, shrunk, tried
+from everything.fingerprints import differing
+from everything.search import Outcome, Tally, features_of, file_of, pairs, shrunk, tried
 from everything.toml import text_of
 
 SECONDS = 180.0  # of the problems of a day
@@ -69,6 +71,43 @@ def test_every_pair_of_features_has_a_number_of_its_own() -> None:
     assert features_of(3, len(listed) + 5) == features_of(3, len(listed) + 5)
 
 
+def test_the_table_of_pairs_tells_what_became_of_each_and_why() -> None:
+    """A pair that was accepted once has no reason any more; the text of a resumed run is the same."""
+    tally = Tally()
+    refusal = "/somewhere/problem.toml: a pair is given; expected another"
+    for number, (names, drawn, refused) in enumerate([
+        (("start", "ramp"), True, refusal), (("start", "delay"), True, refusal), (("ramp", "delay"), False, None),
+        (("start", "ramp"), True, None),
+    ]):  # fmt: skip
+        tally.add(Outcome(number, names, drawn, checks.Report(refused)))
+    assert tally.fates() == (["ramp + start"], ["delay + start"], ["delay + ramp"])
+    lines = tally.table().splitlines()
+    assert "       1  delay + start: a pair is given; expected another" in lines
+    assert "       1        1        0  ramp + start" in lines
+    assert tally.unhashed == [3]
+    again = Tally.of(json.loads(json.dumps(tally.document())))
+    assert again == tally
+
+
+@pytest.mark.evidence
+def test_what_depends_on_the_order_of_a_hash_is_a_fault(tmp_path: Path) -> None:
+    """A problem whose function reads a hash is found among others, and named."""
+    right, wrong = tmp_path / "right", tmp_path / "wrong"
+    files = []
+    for place in (right, wrong):
+        place.mkdir()
+        drawn = build(("linear function", "kind excess"), 1)
+        if place == wrong:
+            text = drawn.files["plant.py"]
+            drawn.files["plant.py"] = text.replace(
+                "    moved = ", "    bent += 1e-9 * (hash('a') % 97) * x[0]\n    moved = "
+            )
+        files.append(write(drawn, place, text_of(drawn.tables)))
+    found = differing(files)
+    assert list(found) == [1]
+    assert found[1].startswith("depends on the seed of hashes: ")
+
+
 @pytest.mark.daily
 @pytest.mark.evidence
 def test_the_problems_of_the_day_are_right() -> None:
@@ -77,7 +116,7 @@ def test_the_problems_of_the_day_are_right() -> None:
     run.search(seed, list(range(100)), tally, SECONDS, 2, None)
     left = 100 - len(tally.done)
     print(f"seed {RUN.day}: {tally.summary()}; {left} of 100 problems left out by the limit of {SECONDS:g} s")
-    print(tally.table())
+    print("\n".join(tally.checks()))
     shown = [f"== {key} (problem {one['number']})\n{one['text']}\n{one['file']}" for key, one in tally.faults.items()]
     repeat = f"python tests/everything/run.py --seed {RUN.day} --only "
     smallest = min(tally.faults.values(), key=lambda one: len(one["file"]), default={"number": ""})
