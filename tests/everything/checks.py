@@ -23,8 +23,10 @@ import numpy as np
 from everything import plain
 from everything.commands import run
 from everything.interpreters import CHEAP, COSTLY, SkippedError
+from everything.lower import bounded_below
+from everything.mutated import like_python
 from everything.policies import policy_of, resolved
-from everything.routes import ROUTES, CommandError, accepted_alone
+from everything.routes import ALSO, ROUTES, CommandError, accepted_alone, command, is_sentence
 from everything.toml import text_of
 
 import taciturn
@@ -88,12 +90,6 @@ def within(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-
-
-def is_sentence(text: str) -> bool:
-    """Tell whether a refusal is one clause that says what is wrong, without what Python prints of objects."""
-    wrong = ("Traceback", "object at 0x", "array(", "np.float64", "nan", "NaN", "\n\n")
-    return bool(text.strip()) and "\n" not in text.strip() and not any(one in text for one in wrong)
 
 
 def attempt(report: Report, check: str, work: Callable[[], Any]) -> Any:
@@ -360,6 +356,28 @@ def shown(report: Report, problem: Problem, found: Evaluation, tables: Tables, f
             report.faults.append(Fault("shown: text", answer.out))
 
 
+def used(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """Every other route accepts the problem, or refuses it by name with one sentence."""
+    for route in ALSO:
+        refusal = ROUTES[route](folder, seed)
+        if refusal is not None and not is_sentence(refusal):
+            report.faults.append(Fault(f"{route}: sentence", refusal))
+        if refusal is not None:
+            report.skipped[route] = refusal
+
+
+def through_network(
+    report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int
+) -> None:
+    """The nodes run as processes that exchange datagrams, or are refused by name with one sentence."""
+    refusal = command("network", "--ticks", "12", "--json")(folder, seed)
+    if refusal is None:
+        return
+    if not is_sentence(refusal):
+        report.faults.append(Fault("network: sentence", refusal))
+    raise SkippedError(refusal)
+
+
 def _refuse(report: Report, word: str) -> float:
     report.faults.append(Fault("shown: JSON", word))
     return 0.0
@@ -383,6 +401,10 @@ CHECKS: dict[str, Check] = {
     "written again": written_again,
     "pickled": pickled,
     "shown": shown,
+    "used": used,
     **{name: by(work, name) for table in (CHEAP, COSTLY) for name, work in table.items()},
+    "mutated": by(lambda problem, found, seed, folder: like_python(problem, seed, folder), "mutated"),
+    "network": through_network,
+    "lower bound": by(lambda problem, found, seed, folder: bounded_below(problem, seed, evaluated), "lower bound"),
 }
-EXPENSIVE: tuple[str, ...] = tuple(COSTLY)
+EXPENSIVE: tuple[str, ...] = (*COSTLY, "mutated", "network", "lower bound")

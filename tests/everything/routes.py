@@ -7,7 +7,7 @@ by every route with the same sentence. The study of a policy that exists may ref
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +19,12 @@ from taciturn.errors import TaciturnError
 from taciturn.runtime.plant import SimulatedPlant
 
 STEPS_OF_NODES = 5
+
+
+def is_sentence(text: str) -> bool:
+    """Tell whether a refusal is one clause that says what is wrong, without what Python prints of objects."""
+    wrong = ("Traceback", "object at 0x", "array(", "np.float64", "nan", "NaN", "\n\n")
+    return bool(text.strip()) and "\n" not in text.strip() and not any(one in text for one in wrong)
 
 
 class CommandError(AssertionError):
@@ -67,7 +73,7 @@ def run_nodes(problem: taciturn.Problem, folder: Path, seed: int) -> None:
         plant.move(tuple(u))
 
 
-ROUTES: Mapping[str, Callable[[Path, int], str | None]] = {
+ROUTES: dict[str, Callable[[Path, int], str | None]] = {
     "evaluate": command("evaluate", "--steps", "2000", "--confidence", "0"),
     "show": command("show"),
     "show --json": command("show", "--json"),
@@ -77,6 +83,10 @@ ROUTES: Mapping[str, Callable[[Path, int], str | None]] = {
     "export --c": call(lambda problem, folder, seed: taciturn.export_c(problem, folder / "exported")),
     "export --fmu": call(lambda problem, folder, seed: taciturn.export_fmu(problem, folder / "exported.fmu")),
 }
+
+
+ALSO = ("show --wire", "simulate")
+"""Routes that each accepted problem takes beside the interpreters that have checks of their own."""
 
 
 class Alone(NamedTuple):

@@ -6,17 +6,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from math import isfinite
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from counts import RUN
-from everything import checks, run
+from everything import checks, lower, mutated, run
 from everything.draft import write
 from everything.features import FEATURES, build
 from everything.fingerprints import differing
 from everything.search import Outcome, Tally, features_of, file_of, pairs, shrunk, tried
 from everything.toml import text_of
+
+from taciturn import load
+from taciturn.problem import Problem
+from taciturn.study.evaluation import Evaluation
 
 SECONDS = 180.0  # of the problems of a day
 FIXED = (
@@ -106,6 +113,48 @@ def test_what_depends_on_the_order_of_a_hash_is_a_fault(tmp_path: Path) -> None:
     found = differing(files)
     assert list(found) == [1]
     assert found[1].startswith("depends on the seed of hashes: ")
+
+
+def test_a_lower_bound_that_is_too_high_is_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It is compared with the cost at other rates too, and repeated before it is one."""
+    monkeypatch.setattr(checks, "STEPS", 20_000)
+    monkeypatch.setattr(lower, "LONGER", 1)
+    drawn = build(("model", "one state", "kind excess"), 1)
+    problem = load(write(drawn, tmp_path, text_of(drawn.tables)))
+    assert lower.bounded_below(problem, 1, checks.evaluated) is None
+
+    def higher(problem: Problem, seed: int, longer: int = 1, confidence: float | None = None) -> Evaluation:
+        found = checks.evaluated(problem, seed, longer, confidence)
+        bound = found.lower_bound
+        return replace(found, lower_bound=None if bound is None else replace(bound, cost=1.1 * bound.cost))
+
+    text = lower.bounded_below(problem, 1, higher)
+    assert text is not None
+    assert "no schedule costs less than" in text
+
+
+@pytest.mark.evidence
+def test_a_number_that_only_python_accepts_is_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nodes in C and in Python read mutated packets alike; 1.7e308 is no number of a packet."""
+    drawn = build(("linear controller", "sensor decides", "kind excess"), 1)
+    problem = load(write(drawn, tmp_path, text_of(drawn.tables)))
+    assert mutated.like_python(problem, 3, tmp_path) is None
+    monkeypatch.setattr("taciturn.runtime.packet.fits", lambda values: all(map(isfinite, values)))
+    monkeypatch.setattr("taciturn.runtime.inbox.fits", lambda values: all(map(isfinite, values)))
+    assert mutated.like_python(problem, 3, tmp_path) is not None
+
+
+def test_what_is_refused_is_refused_by_every_route(tmp_path: Path) -> None:
+    """A route that computes with it, or says something else, is a fault."""
+    drawn = build(("kind excess",), 1)
+    drawn.tables["policy"]["theta"] = -1.0
+    write(drawn, tmp_path, text_of(drawn.tables))
+    report = checks.examine(drawn.tables, tmp_path, 1)
+    assert not report.faults
+    assert report.refused is not None
+    for answer, check in ((None, "accepted by nodes"), ("another", "nodes of a refused problem: another sentence")):
+        with patch.dict(checks.ROUTES, {"nodes": lambda folder, seed, answer=answer: answer}):
+            assert [one.check for one in checks.examine(drawn.tables, tmp_path, 1).faults] == [check]
 
 
 @pytest.mark.daily
