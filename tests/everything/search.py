@@ -23,6 +23,7 @@ from everything.fingerprints import differing
 from everything.toml import text_of
 
 MOST = 6  # features of a deep problem beside its kind
+TRIES = 30  # draws of a deep problem until its features find a place
 ROTATION = 4
 """One of so many problems has an expensive check: each in turn, or the next that exists for the problem; and of one of
 so many what is signed is compared under several seeds of hashes."""
@@ -55,6 +56,11 @@ def pairs(seed: int) -> tuple[tuple[str, str], ...]:
     return tuple(names[i] for i in order)
 
 
+def seed_of_problem(seed: int, number: int) -> int:
+    """Return the seed with which a numbered problem is built and examined."""
+    return int(np.random.default_rng([seed, 3, number]).integers(2**31))
+
+
 def features_of(seed: int, number: int) -> tuple[str, ...]:
     """Return the features of a numbered problem: a pair, and later more."""
     listed = pairs(seed)
@@ -62,6 +68,16 @@ def features_of(seed: int, number: int) -> tuple[str, ...]:
     if number < len(listed):
         chosen = list(listed[number])
         return complete(chosen, rng)
+    own, names = seed_of_problem(seed, number), tuple[str, ...]()
+    for again in range(TRIES):  # most sets of features find no place in one problem
+        names = _deep(np.random.default_rng([seed, 2, number, again]))
+        if is_placed(names, own):
+            break
+    return names
+
+
+def _deep(rng: np.random.Generator) -> tuple[str, ...]:
+    """Return several features of different groups, with what they need."""
     chosen: list[str] = []
     count = int(rng.integers(3, MOST + 1))
     groups: set[str] = set()
@@ -71,6 +87,15 @@ def features_of(seed: int, number: int) -> tuple[str, ...]:
             groups.add(feature.group)
             chosen.append(feature.name)
     return complete(chosen, rng)
+
+
+def is_placed(names: tuple[str, ...], own: int) -> bool:
+    """Tell whether features find a place in one problem."""
+    try:
+        build(names, own)
+    except Elsewhere:
+        return False
+    return True
 
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
@@ -149,11 +174,6 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
         for partner in PARTNERS.get(name, ()):
             add(partner)
     return tuple(found)
-
-
-def seed_of_problem(seed: int, number: int) -> int:
-    """Return the seed with which a numbered problem is built and examined."""
-    return int(np.random.default_rng([seed, 3, number]).integers(2**31))
 
 
 def draw(seed: int, number: int) -> Outcome:
