@@ -103,7 +103,11 @@ class Alone(NamedTuple):
     reason: str
 
 
-ALONE: tuple[Alone, ...] = ()
+OTHERS = tuple(route for route in ROUTES if route != "evaluate")
+ALONE: tuple[Alone, ...] = (
+    Alone(" diverges: ", OTHERS, "nodes and paths of the loop exist, and only its averages do not, as a study finds"),
+    Alone("the quadrature", ("show", "show --json"), "the gains of an optimal schedule exist without its boundary"),
+)
 
 
 def accepted_alone(sentence: str, route: str) -> str | None:

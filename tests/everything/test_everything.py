@@ -14,7 +14,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from counts import RUN
-from everything import checks, lower, mutated, run
+from everything import checks, lower, mutated, routes, run
 from everything.draft import write
 from everything.features import FEATURES, build
 from everything.fingerprints import differing
@@ -22,6 +22,7 @@ from everything.search import Outcome, Tally, features_of, file_of, pairs, shrun
 from everything.toml import text_of
 
 from taciturn import load
+from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
 
@@ -155,6 +156,22 @@ def test_what_is_refused_is_refused_by_every_route(tmp_path: Path) -> None:
     for answer, check in ((None, "accepted by nodes"), ("another", "nodes of a refused problem: another sentence")):
         with patch.dict(checks.ROUTES, {"nodes": lambda folder, seed, answer=answer: answer}):
             assert [one.check for one in checks.examine(drawn.tables, tmp_path, 1).faults] == [check]
+
+
+def test_a_loop_that_diverges_is_refused_by_its_study_alone(tmp_path: Path) -> None:
+    """For a reason that is stated; without it, each route that computes with the problem is a fault."""
+    drawn = build(("kind excess",), 1)
+    write(drawn, tmp_path, text_of(drawn.tables))
+
+    def diverges(*_: object) -> None:
+        raise ProblemError("the loop of excess diverges: its cost grows; expected a stable loop")
+
+    quick = {name: route for name, route in routes.ROUTES.items() if name != "export --fmu"}
+    with patch.object(checks, "evaluated", diverges), patch.dict(checks.ROUTES, quick, clear=True):
+        assert not checks.examine(drawn.tables, tmp_path, 1).faults
+        with patch.object(routes, "ALONE", ()):
+            faults = checks.examine(drawn.tables, tmp_path, 1).faults
+    assert {one.check for one in faults} == {f"accepted by {route}" for route in quick if route != "evaluate"}
 
 
 @pytest.mark.daily
