@@ -180,9 +180,7 @@ class Rollout(Certainty):
 
 def clocked_policy(tables: Tables, model: Model, law: Law) -> Any:
     """Return the policy of a file."""
-    if law.limited:
-        law = Law()  # sends at fixed steps keep the limits, or the problem is refused
-    policy = tables["policy"]
+    policy = tables["policy"]  # sends at fixed steps keep the limits of a link, or the problem is refused
     if policy["kind"] == "periodic":
         every = policy.get("every", 1)
         if model.continuous and policy.get("actuation", "hold") == "model" and "every" not in policy:
@@ -191,7 +189,9 @@ def clocked_policy(tables: Tables, model: Model, law: Law) -> Any:
     if policy["kind"] == "self-triggered":
         return SelfTriggered(model, policy["beta"], policy["max_interval"])
     if policy["kind"] == "rollout":
-        return Rollout(model, policy["horizon"], policy["every"])
+        found = Rollout(model, policy["horizon"], policy["every"])
+        found.law = law  # whose limits withhold packets of the schedule, or add some
+        return found
     length, sends = policy["length"], policy["sends"]
     patterns = {cycle_of(rest, length) for rest in combinations(range(length), sends)}
     found = [(cost_of(model, cycle), cycle) for cycle in sorted(patterns)]

@@ -51,8 +51,7 @@ def same_bits_of_nodes(problem: Problem, found: Evaluation, seed: int, folder: P
     if policy.model.outputs > policy.model.sensed:
         return _set_points_as_packets(problem, policy, seed)
     ticks = min(TICKS, loop.horizon or TICKS)
-    # a drawn policy may multiply by zeros, which programs leave out, so that a zero may have another sign
-    wrong, _ = differing_ticks(loop, *record(loop, ticks, seed), signed_zeros=False)
+    wrong, _ = differing_ticks(loop, *record(loop, ticks, seed))
     return f"nodes differ from the loop in the steps {wrong[:10]}" if wrong else None
 
 
@@ -133,7 +132,7 @@ def in_c(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | 
 
 
 def as_unit(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str | None:
-    """A co-simulation unit decides as the loop, in every bit but the sign of a zero."""
+    """A co-simulation unit decides as the loop, in every bit."""
     try:
         from export.units import Instance, differing_ticks, make_unit, record
     except ImportError:
@@ -145,7 +144,7 @@ def as_unit(problem: Problem, found: Evaluation, seed: int, folder: Path) -> str
     make_unit(loop, folder / "unit", seed=3)
     vector = record(loop, TICKS)
     instance = Instance(folder / "unit").start()
-    wrong = differing_ticks(instance, loop, vector, range(len(vector.measured)), signed_zeros=False)
+    wrong = differing_ticks(instance, loop, vector, range(len(vector.measured)))
     return f"the unit differs from the loop in the steps {wrong[:10]}" if wrong else None
 
 

@@ -56,13 +56,18 @@ class Certainty:
             self.exact += model.rest
             if model.changes.levels is not None:
                 self.exact += self._transients()
-            if model.function is not None:
-                self.nominal, self.exact = self.exact, None
             self.Ls, self.Hs = [self.L], [self.H]
+            self._expect_linear()
             return
         if model.q + model.s:
             raise NotModelledError("disturbances over a horizon")
         self._design_total(A, B)
+        self._expect_linear()
+
+    def _expect_linear(self) -> None:
+        """Claim no exact cost of a nonlinear plant."""
+        if self.model.function is not None:
+            self.nominal, self.exact = self.exact or 0.0, None
 
     def _design_total(self, A: Array, B: Array) -> None:
         """Gains over a horizon, or for a discounted sum; the filter begins with the covariance of the start."""

@@ -12,7 +12,6 @@ import fmpy
 import numpy as np
 from export.devices import HERE, needs_compiler
 from fmpy.simulation import instantiate_fmu
-from runtime.loops import bits
 
 import taciturn
 from taciturn.export.description import Version, may_lose, tick_length
@@ -116,9 +115,7 @@ def given(loop: Loop, vector: RecordedRun, tick: int) -> dict[str, Any]:
     return values
 
 
-def differing_ticks(
-    instance: Instance, loop: Loop, vector: RecordedRun, ticks: Iterable[int], signed_zeros: bool = True
-) -> list[int]:
+def differing_ticks(instance: Instance, loop: Loop, vector: RecordedRun, ticks: Iterable[int]) -> list[int]:
     """Step an instance, and return the steps in which a decision or a bit of the input differs."""
     wrong, seconds = list[int](), tick_length(loop)
     inputs = [f"u[{i + 1}]" for i in range(vector.applied.shape[1])]
@@ -127,7 +124,7 @@ def differing_ticks(
         instance.step(tick * seconds, seconds)
         applied = np.array(instance.get(*inputs), dtype=np.float64)
         sent = [bool(value) for value in instance.get(*(f"sent_{identifier(link)}" for link in vector.links))]
-        same = bits(applied, signed_zeros) == bits(vector.applied[tick].astype(np.float64), signed_zeros)
+        same = applied.tobytes() == vector.applied[tick].astype(np.float64).tobytes()
         if not same or sent != [value > 0 for value in vector.sent[tick]]:
             wrong.append(tick)
     return wrong

@@ -8,6 +8,7 @@ from scipy.linalg import solve_discrete_are
 from systems import make_system, well_posed
 
 from taciturn import Cost, Plant, design
+from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.riccati import regulate
 from taciturn.model.exosystem import ExternalDisturbance
@@ -59,3 +60,12 @@ def test_the_cost_of_a_sinusoid_at_the_input_is_that_of_its_equations() -> None:
     posterior = prior - prior @ seen.T @ np.linalg.solve(seen @ prior @ seen.T + 0.1, seen @ prior)
     gain = np.hstack([L, -np.eye(1, 2)])
     assert found == pytest.approx(0.2 * np.trace(K) + float((H @ gain @ posterior @ gain.T)[0, 0]), rel=1e-8)
+
+
+def test_a_ramp_that_a_held_input_cannot_follow_is_refused() -> None:
+    """The cost of a gain that does not stabilise overflows on the way to the answer;."""
+    B = np.array([[1.152], [1.9106]])
+    plant = Plant([[0.6439, 0.2553], [0.2012, 1.0485]], B, 0.2 * np.eye(2), [[0.7694, 0.0095]], [[0.1]], dt=1.0)
+    pushed = follow(plant, plant.C, None, [ExternalDisturbance(B[:, 0], 0.01, "ramp")])
+    with pytest.raises(UnstableError, match="the eigenvalue 1, which is uncontrollable through B"):
+        design.periodic(pushed, Cost(np.eye(2), [[0.5]]), every=[5, 4, 3, 2])

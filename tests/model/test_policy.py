@@ -375,3 +375,10 @@ def test_the_links_on_which_a_decision_sends_follow_from_the_steps() -> None:
     assert make().scheduled == make(always).scheduled == ("actuator",)
     both = (Send("sensor", "sensor", ("y",)), *STEPS)
     assert make(both).scheduled == ("actuator",)
+
+
+def test_a_memory_that_starts_at_minus_zero_starts_at_zero() -> None:
+    """A program merges states that start equal, such as one at −0.0 with one at 0.0, and a node may not."""
+    start = make(STEPS, initial={"input": [-0.0]}).initial["input"]
+    assert not np.signbit(start).any()
+    assert not start.flags.writeable

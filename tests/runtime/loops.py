@@ -52,14 +52,7 @@ def column(records: Records, name: str, path: int = 0) -> np.ndarray:
     return np.array([values[:, path] for key, values in records.items() if is_entry(key, name)]).T
 
 
-def bits(values: np.ndarray, signed_zeros: bool = True) -> bytes:
-    """Return the bits of values; without signed zeros, those of −0 are those of 0."""
-    return (values if signed_zeros else values + 0.0).tobytes()
-
-
-def differing_ticks(
-    loop: Loop, records: Records, draws: np.ndarray, path: int = 0, signed_zeros: bool = True
-) -> tuple[list[int], int]:
+def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int = 0) -> tuple[list[int], int]:
     """Run the nodes on what a loop measured and lost; return the steps in which a bit differs, and the packets sent."""
     policy = loop.policy
     nodes = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
@@ -74,9 +67,8 @@ def differing_ticks(
             mine = draws[tick, :, path] if node.program.draws is not None else None
             box, boxes[role] = boxes[role], []
             out, given = node.step(tick, y[tick, outputs_at(policy, role)] if node.measures else None, box, mine)
-            if given is not None and bits(np.array(given), signed_zeros) != bits(
-                applied[tick, inputs_at(policy, role)], signed_zeros
-            ):
+            expected = applied[tick, inputs_at(policy, role)]
+            if given is not None and np.array(given).tobytes() != expected.tobytes():
                 wrong.append(tick)
             for packet in out:
                 if packet.kind == "acknowledgement":

@@ -20,6 +20,7 @@ MARGIN = 1e-10  # least distance to the unit circle of a closed loop that counts
 # double eigenvalue about 1e-8 inside, so the required distance is larger than that.
 SINGULAR_MARGIN = 1e-6
 CLEAR = 1e-4  # distance from the unit circle, much larger than rounding moves an eigenvalue
+BEYOND = 1e250  # the cost of a gain that does not stabilise, up to rounding; its products with B would overflow
 LAST = 1e-6  # small terminal weight, relative to the cost of moving a state, so that modes without weight count too
 
 
@@ -79,7 +80,8 @@ class _Steps(Time):
         return MARGIN if is_definite(given.R) else SINGULAR_MARGIN
 
     def summed(self, F: Array, stage: Array) -> Array:
-        return summed(F.T, stage)
+        K = summed(F.T, stage)
+        return K if np.abs(K).max(initial=0.0) < BEYOND else np.full_like(K, np.inf)
 
     def answer(self, given: Quadratic, K: Array, L: Array) -> Gains:
         H, inverse = price(given.B, K, given.R)

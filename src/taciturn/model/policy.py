@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn._arrays import Array, array, number
+from taciturn._arrays import Array, array, frozen, number
 from taciturn._display import Displayed
 from taciturn._figure import Size
 from taciturn.errors import ProblemError
@@ -116,7 +116,10 @@ class Policy(Displayed):
                         f"{name} has {sizes[name]} entries in one step and {size} in another; expected equal sizes"
                     )
         object.__setattr__(self, "sizes", sizes)
-        initial = {name: array(f"initial {name}", value, (self._size(name),)) for name, value in self.initial.items()}
+        initial = {  # + 0.0: a program merges states that start equal, and −0.0 equals 0.0
+            name: frozen(array(f"initial {name}", value, (self._size(name),)) + 0.0)
+            for name, value in self.initial.items()
+        }
         object.__setattr__(self, "initial", initial)
         decided: list[str] = []
         for step in self.steps:

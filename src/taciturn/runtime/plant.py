@@ -99,7 +99,7 @@ class SimulatedPlant:
         lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
         if lost and all(map(isfinite, u)):
             raise ProblemError(
-                f"the loop drives the plant to a point where its function gives {self.state[lost[0]]} as state "
+                "the loop drives the plant to a point where its function gives no finite number as state "
                 f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )

@@ -76,6 +76,6 @@ def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | N
         last = last + (point.x if entries is None else point.x[entries])
     whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
     return UnstableError(
-        f"the plant's function gives {found[place]} as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "
+        f"the plant's function gives no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "
         "expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
     )
