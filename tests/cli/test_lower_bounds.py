@@ -136,7 +136,16 @@ def test_the_best_schedule_is_solved_and_is_no_loop_of_nodes(run: Run, write: Wr
         problem.design()
     with pytest.raises(ProblemError):
         problem.close(problem.designed())
-    assert "expected near-optimal" in run("certify", file).sentence
+    for command in (("certify", file), ("simulate", file), ("show", file, "--wire"), ("export", file, "--c", "out")):
+        assert "expected near-optimal" in run(*command).sentence  # and no packets of another policy are described
+
+
+def test_the_best_schedule_of_jumps_is_refused_by_its_design(run: Run, write: Write) -> None:
+    """Every command says the same: none shows a design that cannot be solved."""
+    jumps = "[plant]\nA = [[0]]\nB = [[1]]\n[plant.jumps]\nrate = 2\ncovariance = [[0.5]]\n"
+    file = write(plant=jumps, policy=OPTIMAL + "period = 0.2\n")
+    told = {run(command, file).sentence.partition(": ")[2] for command in ("show", "evaluate", "simulate")}
+    assert told == {"the noise consists of jumps; expected Gaussian noise for optimal, or the kind near-optimal"}
 
 
 @pytest.mark.evidence

@@ -218,4 +218,4 @@ def test_the_packets_of_the_nodes_are_printed_for_other_languages(run: Run, writ
     policy = INTEGRAL
     none = run("show", write(JUMPS, ONE, policy), "--wire")
     assert (none.code, none.out) == (2, "")
-    assert "integral without a period has no nodes" in none.err
+    assert "integral without a period is triggered in continuous time and cannot run as a loop of nodes" in none.err

@@ -21,13 +21,18 @@ from typing import Any
 
 import numpy as np
 from everything import plain
+from everything.commands import run
 from everything.interpreters import CHEAP, COSTLY, SkippedError
+from everything.lower import bounded_below
+from everything.mutated import like_python
 from everything.policies import policy_of, resolved
+from everything.routes import ALSO, ROUTES, CommandError, accepted_alone, command, is_sentence
 from everything.toml import text_of
 
 import taciturn
 from taciturn.errors import TaciturnError
 from taciturn.problem import Problem, parse
+from taciturn.renewal.policy import OptimalPolicy
 from taciturn.study.evaluation import Evaluation
 
 Tables = Mapping[str, Any]
@@ -87,12 +92,6 @@ def within(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def is_sentence(text: str) -> bool:
-    """Tell whether a refusal is one clause that says what is wrong, without what Python prints of objects."""
-    wrong = ("Traceback", "object at 0x", "array(", "np.float64", "nan", "NaN", "\n\n")
-    return bool(text.strip()) and "\n" not in text.strip() and not any(one in text for one in wrong)
-
-
 def attempt(report: Report, check: str, work: Callable[[], Any]) -> Any:
     """Return what the work returns; a crash, a hang or a refusal that is no sentence is a fault, and returns None.
 
@@ -122,31 +121,34 @@ def examine(tables: Tables, folder: Path, seed: int, more: tuple[str, ...] = ())
         tables: its tables.
         folder: with the files that it names.
         seed: of all that is drawn.
-        more: names of the expensive checks that are made too.
+        more: names of expensive checks, of which the first that exists for the problem is made too.
     """
-    report = Report()
+    report, stage = Report(), "load"
     try:
         problem = attempt(report, "load", lambda: taciturn.load(folder / "problem.toml"))
         if problem is None:
             return report
+        stage = "design"
         policy = attempt(report, "design", problem.designed)
         if policy is None:
             return report
-        found = attempt(
-            report, "evaluate", lambda: taciturn.evaluate(problem, steps=STEPS, seed=seed, after_step=False)
-        )
+        stage = "evaluate"
+        found = attempt(report, "evaluate", lambda: evaluated(problem, seed))
     except TaciturnError as error:
         report.refused = str(error)
-        _refused_by_all(report, folder, seed)
+        _refused_by_all(report, stage, folder, seed)
         return report
     if found is None:
         return report
-    for name, check in CHECKS.items():
-        if name in EXPENSIVE and name not in more:
-            continue
+    expensive = False
+    for name in (*(name for name in CHECKS if name not in EXPENSIVE), *more):
+        check = CHECKS[name]
+        if expensive:
+            break
         try:
             attempt(report, name, lambda check=check: check(report, problem, found, tables, folder, seed))
             report.compared.append(name)
+            expensive = name in EXPENSIVE
         except SkippedError as error:
             report.skipped[name] = str(error)
         except TaciturnError as error:
@@ -154,23 +156,41 @@ def examine(tables: Tables, folder: Path, seed: int, more: tuple[str, ...] = ())
     return report
 
 
-def _refused_by_all(report: Report, folder: Path, seed: int) -> None:
-    """Check that nothing else computes with a problem that cannot be evaluated."""
-    from typer.testing import CliRunner
+def evaluated(problem: Problem, seed: int, longer: int = 1, confidence: float | None = None) -> Evaluation:
+    """Return the answer of ``evaluate`` with a fixed number of steps, unless the policy is solved."""
+    steps = None if isinstance(problem.designed(), OptimalPolicy) else longer * STEPS
+    return taciturn.evaluate(problem, steps=steps, seed=seed, after_step=False, confidence=confidence)
 
-    from taciturn.cli.frame import app
 
-    file = str(folder / "problem.toml")
-    for command in (["evaluate", file, "--steps", "2000", "--json"], ["show", file], ["simulate", file]):
-        if command[0] == "simulate":
+def _refused_by_all(report: Report, stage: str, folder: Path, seed: int) -> None:
+    """Check that nothing computes with a problem that cannot be evaluated, but for a reason that is known.
+
+    Args:
+        report: with the refusal.
+        stage: "load", "design" or "evaluate", which refuses.
+        folder: of the problem.
+        seed: of what is drawn.
+    """
+    for route, use in ROUTES.items():
+        if route == stage:
             continue
-        with within(SECONDS):
-            result = CliRunner().invoke(app, command)
-        if isinstance(result.exception, TaciturnError):
-            continue  # printed as a sentence by the outermost frame
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            text = "".join(traceback.format_exception(result.exception)[-5:])
-            report.faults.append(Fault(f"{command[0]} of a refused problem: {type(result.exception).__name__}", text))
+        try:
+            other = attempt(report, f"{route} of a refused problem", lambda use=use: use(folder, seed))
+        except CommandError as error:
+            report.faults.append(Fault(f"{route} of a refused problem: no refusal", str(error)))
+            continue
+        if report.faults and report.faults[-1].check.startswith(f"{route} of a refused problem"):
+            continue  # it crashed
+        if other is None:
+            if stage != "evaluate" or accepted_alone(str(report.refused), route) is None:
+                text = f"{stage} refuses: {report.refused}"
+                report.faults.append(Fault(f"accepted by {route}", text))
+        elif not is_sentence(other):
+            report.faults.append(Fault(f"{route} of a refused problem: sentence", other))
+        elif stage != "evaluate" and other != report.refused:
+            report.faults.append(
+                Fault(f"{route} of a refused problem: another sentence", f"{report.refused} | {other}")
+            )
 
 
 # -- cheap checks
@@ -195,7 +215,7 @@ def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables,
     for name, bound in (("bound", found.cost_bound), ("bound at the rate", found.cost_bound_at_rate)):
         if bound is None or cost - slack - DOUBT * found.bound_error <= bound:
             continue
-        again = taciturn.evaluate(problem, steps=LONGER * STEPS, seed=seed + 1, after_step=False)
+        again = evaluated(problem, seed + 1, LONGER)
         other = again.cost_bound if name == "bound" else again.cost_bound_at_rate
         assert other is not None
         over = again.cost.value - SURE * (again.cost.standard_error + again.bound_error + again.cost.error) - other
@@ -223,7 +243,7 @@ def simulated(report: Report, problem: Problem, found: Evaluation, tables: Table
     doubtful = [name for name, (_, _, z) in differences.items() if z > DOUBT]
     if not doubtful:
         return
-    again = taciturn.evaluate(problem, steps=LONGER * STEPS, seed=seed + 1, after_step=False)
+    again = evaluated(problem, seed + 1, LONGER)
     differences = compare(problem, again, tables, folder, seed + 1, LONGER)
     for name, (own, theirs, z) in differences.items():
         if z > SURE and name in doubtful:
@@ -330,20 +350,36 @@ def pickled(report: Report, problem: Problem, found: Evaluation, tables: Tables,
 
 def shown(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
     """``show``, also as JSON, prints the problem; its JSON is strict."""
-    from typer.testing import CliRunner
+    for words in (("show",), ("show", "--json")):
+        answer = run(words[0], str(folder / "problem.toml"), *words[1:])
+        if answer.code:
+            report.faults.append(Fault("shown: exit", f"{answer.code}: {answer.err}"))
+        elif "--json" in words:
+            json.loads(answer.out, parse_constant=lambda word: _refuse(report, word))
+        elif re.search(r"\bnan\b|object at 0x", answer.out):
+            report.faults.append(Fault("shown: text", answer.out))
 
-    from taciturn.cli.frame import app
 
-    for command in (["show", str(folder / "problem.toml")], ["show", str(folder / "problem.toml"), "--json"]):
-        result = CliRunner().invoke(app, command)
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        if result.exit_code:
-            report.faults.append(Fault("shown: exit", result.output))
-        elif "--json" in command:
-            json.loads(result.stdout, parse_constant=lambda word: _refuse(report, word))
-        elif re.search(r"\bnan\b|object at 0x", result.stdout):
-            report.faults.append(Fault("shown: text", result.stdout))
+def used(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
+    """Every other route accepts the problem, or refuses it by name with one sentence."""
+    for route in ALSO:
+        refusal = ROUTES[route](folder, seed)
+        if refusal is not None and not is_sentence(refusal):
+            report.faults.append(Fault(f"{route}: sentence", refusal))
+        if refusal is not None:
+            report.skipped[route] = refusal
+
+
+def through_network(
+    report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int
+) -> None:
+    """The nodes run as processes that exchange datagrams, or are refused by name with one sentence."""
+    refusal = command("network", "--ticks", "12", "--json")(folder, seed)
+    if refusal is None:
+        return
+    if not is_sentence(refusal):
+        report.faults.append(Fault("network: sentence", refusal))
+    raise SkippedError(refusal)
 
 
 def _refuse(report: Report, word: str) -> float:
@@ -369,6 +405,10 @@ CHECKS: dict[str, Check] = {
     "written again": written_again,
     "pickled": pickled,
     "shown": shown,
+    "used": used,
     **{name: by(work, name) for table in (CHEAP, COSTLY) for name, work in table.items()},
+    "mutated": by(lambda problem, found, seed, folder: like_python(problem, seed, folder), "mutated"),
+    "network": through_network,
+    "lower bound": by(lambda problem, found, seed, folder: bounded_below(problem, seed, evaluated), "lower bound"),
 }
-EXPENSIVE: tuple[str, ...] = tuple(COSTLY)
+EXPENSIVE: tuple[str, ...] = (*COSTLY, "mutated", "network", "lower bound")

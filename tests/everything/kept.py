@@ -204,7 +204,7 @@ class Base:
             new = np.empty_like(P)
             for j in reversed(range(phases)):
                 ahead = P[(j + 1) % phases] if j == phases - 1 else new[j + 1]
-                mixed = np.einsum("ab,bij->aij", law.moves, ahead)
+                mixed = np.tensordot(law.moves, ahead, 1) if modes > 1 else ahead
                 for a in range(modes):
                     silent, sent = bellman(self.silent, mixed[a]), bellman(self.arrives, mixed[a])
                     new[j, a] = silent if j else law.drops[a] * silent + (1 - law.drops[a]) * sent
@@ -275,6 +275,8 @@ class KeptPolicy:
             self.G, prior = kalman(self.F, self.C, W, V)[:2]
             if rule == "cost" and every == 1:
                 self.precision = np.linalg.pinv(self.C @ prior @ self.C.T + V)
+                freedom = 99 * len(self.precision)  # the average of white squares has the moments of χ²/99
+                self.largest = chi2.ppf(1 - 1e-9, freedom) / 99
         filtered = (np.eye(len(self.F)) - self.G @ self.C) @ self.F
         parts = [filtered]
         if base is not None:  # slow disturbances begin with their stationary distribution
@@ -357,8 +359,7 @@ class KeptPolicy:
             return np.zeros(len(y), dtype=bool)
         innovation = y - self.prior @ self.C.T
         self.surprise = 0.98 * self.surprise + 0.02 * np.einsum("pi,ij,pj->p", innovation, self.precision, innovation)
-        freedom = 99 * len(self.precision)  # the average of white squares has the moments of χ²/99
-        return self.surprise > chi2.ppf(1 - 1e-9, freedom) / 99
+        return self.surprise > self.largest
 
     def _learn(self, sends: Array, arrived: Array) -> None:
         """Move the belief about the channel by what an acknowledgement says, and by a step."""

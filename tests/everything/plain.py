@@ -579,5 +579,8 @@ def with_actual(model: Model, tables: Tables, folder: Path) -> Model:
     kept = {"operating_point": tables["plant"]["operating_point"]} if "operating_point" in tables["plant"] else {}
     other = model_of({**tables, "plant": {**kept, **actual}}, folder)
     if model.q + model.s or model.continuous:
+        if "weights" in tables["cost"]:
+            raise NotModelledError("weights as a controller's for another plant that is sampled or follows set-points")
         return other  # its cost counts from where its own outputs are at their set-points
-    return replace(other, stage=model.stage)  # whose weights may be those of a controller with the plant of the design
+    # weights may be those of a controller with the plant of the design
+    return replace(other, stage=model.stage, pushed=model.pushed)

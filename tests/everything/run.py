@@ -22,8 +22,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from everything.checks import Fault, Report
-from everything.search import Outcome, Tally, draw, features_of, pairs
+from everything.search import Outcome, Tally, draw, features_of, hashed, pairs
 
+HASHES = -1  # begins the list of the problems whose fingerprints are compared
+BATCH = 24  # accepted problems whose fingerprints are compared in one process for each seed of hashes
+SHOWN, CHECKS = 5, 20  # pairs and checks on the screen; the file has all
 LONGEST = 900.0  # seconds of a problem with its shrinking, after which its process is ended
 
 
@@ -33,9 +36,9 @@ def seed_of(text: str) -> int:
 
 
 def work(seed: int, pipe: Connection) -> None:
-    """Examine the problems whose numbers arrive."""
-    while (number := pipe.recv()) is not None:
-        pipe.send(draw(seed, number))
+    """Examine each problem whose number arrives, or the fingerprints of several behind a mark."""
+    while (job := pipe.recv()) is not None:
+        pipe.send([draw(seed, job[0])] if len(job) == 1 else hashed(seed, job[1:]))
 
 
 class Worker:
@@ -43,7 +46,7 @@ class Worker:
 
     def __init__(self, seed: int) -> None:
         """Start."""
-        self.seed, self.number, self.began = seed, -1, 0.0
+        self.seed, self.job, self.began = seed, tuple[int, ...](), 0.0
         self._start()
 
     def _start(self) -> None:
@@ -52,12 +55,12 @@ class Worker:
         self.process.start()
         theirs.close()
 
-    def give(self, number: int) -> None:
-        """Let it examine a problem."""
-        self.number, self.began = number, time.monotonic()
-        self.pipe.send(number)
+    def give(self, job: tuple[int, ...]) -> None:
+        """Let it examine a problem, or the fingerprints of several behind ``HASHES``."""
+        self.job, self.began = job, time.monotonic()
+        self.pipe.send(job)
 
-    def take(self) -> Outcome | None:
+    def take(self) -> list[Outcome] | None:
         """Return its answer, or a fault if it has died or takes too long; None while it works."""
         try:
             if self.pipe.poll():
@@ -71,8 +74,9 @@ class Worker:
         self.process.join()
         text = f"after {LONGEST:g} s" if late else f"exit code {self.process.exitcode}"
         self._start()
-        names = features_of(self.seed, self.number)
-        return Outcome(self.number, names, True, Report(faults=[Fault("the process dies", text)]))
+        number = self.job[-1]
+        names = features_of(self.seed, number)
+        return [Outcome(number, names, True, Report(faults=[Fault("the process dies", text)]))]
 
     def end(self) -> None:
         """End it."""
@@ -82,23 +86,28 @@ class Worker:
 
 def search(seed: int, numbers: list[int], tally: Tally, seconds: float, processes: int, file: Path | None) -> None:
     """Examine problems until they end or the time is over; what is found is printed and kept."""
-    began, last, todo = time.monotonic(), 0.0, [number for number in numbers if number not in tally.done]
+    began, last = time.monotonic(), 0.0
+    todo = [(number,) for number in numbers if number not in tally.done]
     workers = [Worker(seed) for _ in range(min(processes, max(len(todo), 1)))]
     free, busy = list(workers), list[Worker]()
     try:
-        while (todo or busy) and time.monotonic() - began < seconds:
+        while (todo or busy or tally.unhashed) and time.monotonic() - began < seconds:
+            if not any(one.job[0] == HASHES for one in busy):  # one batch at a time
+                ready = tally.unhashed[:BATCH]
+                if len(ready) == BATCH or (ready and not todo and not busy):
+                    todo.insert(0, (HASHES, *ready))
             while free and todo:
                 one = free.pop()
                 one.give(todo.pop(0))
                 busy.append(one)
             wait([one.pipe for one in busy], timeout=1.0)
             for one in tuple(busy):
-                outcome = one.take()
-                if outcome is None:
+                outcomes = one.take()
+                if outcomes is None:
                     continue
                 busy.remove(one)
                 free.append(one)
-                for key in tally.add(outcome):
+                for key in tally.hashed(one.job[1:], outcomes) if one.job[0] == HASHES else tally.add(outcomes[0]):
                     show(key, tally)
             if time.monotonic() - last > 10.0:
                 last = time.monotonic()
@@ -134,6 +143,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1e9)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--resume", type=Path, help="file of the run, which is made if it is missing")
+    parser.add_argument("--table", type=Path, help="file into which the table of pairs is written")
     parser.add_argument("--only", type=int, help="number of a single problem")
     given = parser.parse_args()
     seed = seed_of(given.seed)
@@ -159,8 +169,13 @@ def main() -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     print(tally.summary())
-    for name, times in sorted(tally.compared.items(), key=lambda one: -one[1]):
-        print(f"{times:7d}  {name}")
+    if given.table is not None:
+        given.table.write_text(tally.table(), encoding="utf-8")
+    _, refused, without = tally.fates()
+    for title, found in (("only refused", refused), ("without place", without)):
+        print(f"{len(found)} pairs {title}{': ' if found else ''}{', '.join(found[:SHOWN])}"
+              f"{f' and {len(found) - SHOWN} more (--table FILE)' if len(found) > SHOWN else ''}")  # fmt: skip
+    print("checks", *tally.checks()[:CHECKS], sep="\n")
     return bool(tally.faults)
 
 

@@ -6,6 +6,7 @@ seed is always the same problem, so a run can be interrupted, resumed and divide
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -18,10 +19,14 @@ import numpy as np
 from everything.checks import EXPENSIVE, Fault, Report, examine
 from everything.draft import Elsewhere, write
 from everything.features import FEATURES, build, by_name
+from everything.fingerprints import differing
 from everything.toml import text_of
 
 MOST = 6  # features of a deep problem beside its kind
-ROTATION = 4  # one of so many problems has an expensive check, one after the other
+TRIES = 30  # draws of a deep problem until its features find a place
+ROTATION = 4
+"""One of so many problems has an expensive check: each in turn, or the next that exists for the problem; and of one of
+so many what is signed is compared under several seeds of hashes."""
 
 
 @dataclass
@@ -51,6 +56,11 @@ def pairs(seed: int) -> tuple[tuple[str, str], ...]:
     return tuple(names[i] for i in order)
 
 
+def seed_of_problem(seed: int, number: int) -> int:
+    """Return the seed with which a numbered problem is built and examined."""
+    return int(np.random.default_rng([seed, 3, number]).integers(2**31))
+
+
 def features_of(seed: int, number: int) -> tuple[str, ...]:
     """Return the features of a numbered problem: a pair, and later more."""
     listed = pairs(seed)
@@ -58,6 +68,16 @@ def features_of(seed: int, number: int) -> tuple[str, ...]:
     if number < len(listed):
         chosen = list(listed[number])
         return complete(chosen, rng)
+    own, names = seed_of_problem(seed, number), tuple[str, ...]()
+    for again in range(TRIES):  # most sets of features find no place in one problem
+        names = _deep(np.random.default_rng([seed, 2, number, again]))
+        if is_placed(names, own):
+            break
+    return names
+
+
+def _deep(rng: np.random.Generator) -> tuple[str, ...]:
+    """Return several features of different groups, with what they need."""
     chosen: list[str] = []
     count = int(rng.integers(3, MOST + 1))
     groups: set[str] = set()
@@ -67,6 +87,15 @@ def features_of(seed: int, number: int) -> tuple[str, ...]:
             groups.add(feature.group)
             chosen.append(feature.name)
     return complete(chosen, rng)
+
+
+def is_placed(names: tuple[str, ...], own: int) -> bool:
+    """Tell whether features find a place in one problem."""
+    try:
+        build(names, own)
+    except Elsewhere:
+        return False
+    return True
 
 
 NEEDS: Mapping[str, tuple[str, ...]] = {
@@ -149,18 +178,46 @@ def complete(chosen: Iterable[str], rng: np.random.Generator) -> tuple[str, ...]
 
 def draw(seed: int, number: int) -> Outcome:
     """Examine a numbered problem, and shrink it if it fails."""
-    names = features_of(seed, number)
-    own = int(np.random.default_rng([seed, 3, number]).integers(2**31))
-    turn = number % (ROTATION * len(EXPENSIVE))
-    more = EXPENSIVE[turn // ROTATION :][:1] if turn % ROTATION == 0 else ()
+    names, own = features_of(seed, number), seed_of_problem(seed, number)
+    turn = number // ROTATION % len(EXPENSIVE)
+    more = EXPENSIVE[turn:] + EXPENSIVE[:turn] if number % ROTATION == 0 else ()
     report = tried(names, own, more)
     outcome = Outcome(number, names, report is not None, report or Report())
     if report is None:
         return outcome
     for fault in report.faults:
-        smaller = shrunk(names, lambda fewer, fault=fault: fails(fewer, own, more, fault))
+        made = tuple(name for name in more if name in report.compared or fault.check.startswith(name))
+        smaller = shrunk(names, lambda fewer, fault=fault, made=made: fails(fewer, own, made, fault))
         outcome.smallest[fault.check] = (smaller, file_of(smaller, own))
     return outcome
+
+
+def hashed(seed: int, numbers: Iterable[int]) -> list[Outcome]:
+    """Return those of numbered problems of which something that is signed depends on the order of a hash."""
+
+    def different(problems: Iterable[tuple[Iterable[str], int]]) -> dict[int, str]:
+        with TemporaryDirectory() as folder:
+            files: list[Path] = []
+            for i, (names, own) in enumerate(problems):
+                (place := Path(folder) / str(i)).mkdir()
+                drawn = build(tuple(names), own)
+                files.append(write(drawn, place, text_of(drawn.tables)))
+            return differing(files)
+
+    def still(fewer: tuple[str, ...], own: int) -> bool:
+        try:
+            return bool(different([(fewer, own)]))
+        except Elsewhere:
+            return False
+
+    listed = [(number, features_of(seed, number), seed_of_problem(seed, number)) for number in numbers]
+    outcomes: list[Outcome] = []
+    for i, text in different((names, own) for _, names, own in listed).items():
+        number, names, own = listed[i]
+        smaller = shrunk(names, lambda fewer, own=own: still(fewer, own))
+        report = Report(faults=[Fault("hash seeds", text)])
+        outcomes.append(Outcome(number, names, True, report, {"hash seeds": (smaller, file_of(smaller, own))}))
+    return outcomes
 
 
 def tried(names: Iterable[str], seed: int, more: tuple[str, ...]) -> Report | None:
@@ -211,24 +268,46 @@ class Tally:
         counts: for each pair of features: accepted, refused, without place.
         faults: by the name of the check and the features of the smallest problem.
         compared: how often each check was made, and how often a problem had none, by the reason.
+        reasons: the sentence of a refusal, for each pair that was never accepted.
+        unhashed: numbers of accepted problems whose fingerprints are to be compared.
     """
 
     done: set[int] = field(default_factory=set)
     counts: dict[str, list[int]] = field(default_factory=dict)
     faults: dict[str, dict[str, Any]] = field(default_factory=dict)
     compared: dict[str, int] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
+    unhashed: list[int] = field(default_factory=list)
 
     def add(self, outcome: Outcome) -> list[str]:
         """Count an outcome; return the faults that no problem before it has shown."""
         self.done.add(outcome.number)
-        place = 2 if not outcome.drawn else 1 if outcome.report.refused is not None else 0
-        for pair in combinations(sorted(outcome.names), 2):
-            self.counts.setdefault(" + ".join(pair), [0, 0, 0])[place] += 1
+        refused = outcome.report.refused
+        place = 2 if not outcome.drawn else 1 if refused is not None else 0
+        for pair in map(" + ".join, combinations(sorted(outcome.names), 2)):
+            self.counts.setdefault(pair, [0, 0, 0])[place] += 1
+            if refused is not None:
+                self.reasons.setdefault(pair, re.sub(r"^\S*problem\.toml: ", "", refused))
+            if self.counts[pair][0]:
+                self.reasons.pop(pair, None)
+        if place == 0 and outcome.number % ROTATION == ROTATION // 2:
+            self.unhashed.append(outcome.number)
         for name in outcome.report.compared:
             self.compared[name] = self.compared.get(name, 0) + 1
         for name, why in outcome.report.skipped.items():
             key = f"{name} left out: {why}"
             self.compared[key] = self.compared.get(key, 0) + 1
+        return self.blame(outcome)
+
+    def hashed(self, numbers: Iterable[int], outcomes: Iterable[Outcome]) -> list[str]:
+        """Count problems whose fingerprints were compared; return the faults that no problem before has shown."""
+        numbers = set(numbers)
+        self.unhashed = [number for number in self.unhashed if number not in numbers]
+        self.compared["hash seeds"] = self.compared.get("hash seeds", 0) + len(numbers)
+        return [key for outcome in outcomes for key in self.blame(outcome)]
+
+    def blame(self, outcome: Outcome) -> list[str]:
+        """Count the faults of an outcome; return those that no problem before it has shown."""
         new: list[str] = []
         for fault in outcome.report.faults:
             names, text = outcome.smallest.get(fault.check, (outcome.names, ""))
@@ -241,25 +320,42 @@ class Tally:
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON."""
-        return {"done": sorted(self.done), "counts": self.counts, "faults": self.faults, "compared": self.compared}
+        return {"done": sorted(self.done), "counts": self.counts, "faults": self.faults, "compared": self.compared,
+                "reasons": self.reasons, "unhashed": self.unhashed}  # fmt: skip
 
     @staticmethod
     def of(document: Mapping[str, Any]) -> Tally:
         """Return what a document holds."""
-        return Tally(set(document["done"]), document["counts"], document["faults"], document["compared"])
+        rest = document.get("reasons", {}), document.get("unhashed", [])
+        return Tally(set(document["done"]), document["counts"], document["faults"], document["compared"], *rest)
 
     def summary(self) -> str:
         """Return the numbers of problems and pairs."""
-        met = sum(1 for accepted, _, _ in self.counts.values() if accepted)
-        total = [sum(column) for column in zip(*self.counts.values(), strict=True)] if self.counts else [0, 0, 0]
+        accepted, refused, without = self.fates()
         return (
-            f"{len(self.done)} problems, {len(self.counts)} pairs of features drawn, {met} of them accepted at least "
-            f"once ({total[0]} accepted, {total[1]} refused, {total[2]} without place); {len(self.faults)} faults"
+            f"{len(self.done)} problems, {len(self.counts)} pairs of features drawn: {len(accepted)} accepted at least "
+            f"once, {len(refused)} only refused, {len(without)} without place; {len(self.faults)} faults"
         )
 
+    def fates(self) -> tuple[list[str], list[str], list[str]]:
+        """Return the pairs that were accepted at least once, those that were only refused, and those without place."""
+        found: tuple[list[str], list[str], list[str]] = [], [], []
+        for pair, (accepted, refused, _) in sorted(self.counts.items()):
+            found[0 if accepted else 1 if refused else 2].append(pair)
+        return found
+
     def table(self) -> str:
-        """Return every pair that was drawn, how often it was accepted, refused and without place; and the checks."""
-        lines = ["accepted  refused  no place"]
-        lines += [f"{a:8d} {b:8d} {c:9d}  {pair}" for pair, (a, b, c) in sorted(self.counts.items())]
+        """Return all pairs that were drawn with their numbers, those that were never accepted first, and the checks."""
+        accepted, refused, without = self.fates()
+        lines = [self.summary(), "", f"{len(refused)} pairs that were only refused: times, and a sentence"]
+        lines += [f"{self.counts[pair][1]:8d}  {pair}: {self.reasons.get(pair, 'unknown')}" for pair in refused]
+        lines += ["", f"{len(without)} pairs whose features found no place in one problem: times"]
+        lines += [f"{self.counts[pair][2]:8d}  {pair}" for pair in without]
+        lines += ["", f"{len(accepted)} pairs that were accepted: times accepted, refused, without place"]
+        lines += ["{:8d} {:8d} {:8d}  {}".format(*self.counts[pair], pair) for pair in accepted]
+        return "\n".join([*lines, "", "checks: times", *self.checks(), ""])
+
+    def checks(self) -> list[str]:
+        """Return how often each check was made, and how often there was none, a line each."""
         checks = sorted(self.compared.items(), key=lambda one: -one[1])
-        return "\n".join([*lines, "checks", *(f"{times:8d}  {name}" for name, times in checks)])
+        return [f"{times:8d}  {name}" for name, times in checks]

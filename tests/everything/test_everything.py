@@ -5,16 +5,26 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from math import isfinite
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from counts import RUN
-from everything import checks, run
+from everything import checks, lower, mutated, routes, run
 from everything.draft import write
 from everything.features import FEATURES, build
-from everything.search import Tally, features_of, file_of, pairs, shrunk, tried
+from everything.fingerprints import differing
+from everything.search import Outcome, Tally, features_of, file_of, pairs, shrunk, tried
 from everything.toml import text_of
+
+from taciturn import load
+from taciturn.errors import ProblemError
+from taciturn.problem import Problem
+from taciturn.study.evaluation import Evaluation
 
 SECONDS = 180.0  # of the problems of a day
 FIXED = (
@@ -69,6 +79,101 @@ def test_every_pair_of_features_has_a_number_of_its_own() -> None:
     assert features_of(3, len(listed) + 5) == features_of(3, len(listed) + 5)
 
 
+def test_the_table_of_pairs_tells_what_became_of_each_and_why() -> None:
+    """A pair that was accepted once has no reason any more; the text of a resumed run is the same."""
+    tally = Tally()
+    refusal = "/somewhere/problem.toml: a pair is given; expected another"
+    for number, (names, drawn, refused) in enumerate([
+        (("start", "ramp"), True, refusal), (("start", "delay"), True, refusal), (("start", "ramp"), True, None),
+        (("ramp", "delay"), False, None),
+    ]):  # fmt: skip
+        tally.add(Outcome(number, names, drawn, checks.Report(refused)))
+    assert tally.fates() == (["ramp + start"], ["delay + start"], ["delay + ramp"])
+    lines = tally.table().splitlines()
+    assert "       1  delay + start: a pair is given; expected another" in lines
+    assert "       1        1        0  ramp + start" in lines
+    assert tally.unhashed == [2]
+    again = Tally.of(json.loads(json.dumps(tally.document())))
+    assert again == tally
+
+
+@pytest.mark.evidence
+def test_what_depends_on_the_order_of_a_hash_is_a_fault(tmp_path: Path) -> None:
+    """A problem whose function reads a hash is found among others, and named."""
+    right, wrong = tmp_path / "right", tmp_path / "wrong"
+    files = []
+    for place in (right, wrong):
+        place.mkdir()
+        drawn = build(("linear function", "kind excess"), 1)
+        if place == wrong:
+            text = drawn.files["plant.py"]
+            drawn.files["plant.py"] = text.replace(
+                "    moved = ", "    bent += 1e-9 * (hash('a') % 97) * x[0]\n    moved = "
+            )
+        files.append(write(drawn, place, text_of(drawn.tables)))
+    found = differing(files)
+    assert list(found) == [1]
+    assert found[1].startswith("depends on the seed of hashes: ")
+
+
+def test_a_lower_bound_that_is_too_high_is_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It is compared with the cost at other rates too, and repeated before it is one."""
+    monkeypatch.setattr(checks, "STEPS", 20_000)
+    monkeypatch.setattr(lower, "LONGER", 1)
+    drawn = build(("model", "one state", "kind excess"), 1)
+    problem = load(write(drawn, tmp_path, text_of(drawn.tables)))
+    assert lower.bounded_below(problem, 1, checks.evaluated) is None
+
+    def higher(problem: Problem, seed: int, longer: int = 1, confidence: float | None = None) -> Evaluation:
+        found = checks.evaluated(problem, seed, longer, confidence)
+        bound = found.lower_bound
+        return replace(found, lower_bound=None if bound is None else replace(bound, cost=1.1 * bound.cost))
+
+    text = lower.bounded_below(problem, 1, higher)
+    assert text is not None
+    assert "no schedule costs less than" in text
+
+
+@pytest.mark.evidence
+def test_a_number_that_only_python_accepts_is_a_fault(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Nodes in C and in Python read mutated packets alike; 1.7e308 is no number of a packet."""
+    drawn = build(("linear controller", "sensor decides", "kind excess"), 1)
+    problem = load(write(drawn, tmp_path, text_of(drawn.tables)))
+    assert mutated.like_python(problem, 3, tmp_path) is None
+    monkeypatch.setattr("taciturn.runtime.packet.fits", lambda values: all(map(isfinite, values)))
+    monkeypatch.setattr("taciturn.runtime.inbox.fits", lambda values: all(map(isfinite, values)))
+    assert mutated.like_python(problem, 3, tmp_path) is not None
+
+
+def test_what_is_refused_is_refused_by_every_route(tmp_path: Path) -> None:
+    """A route that computes with it, or says something else, is a fault."""
+    drawn = build(("kind excess",), 1)
+    drawn.tables["policy"]["theta"] = -1.0
+    write(drawn, tmp_path, text_of(drawn.tables))
+    report = checks.examine(drawn.tables, tmp_path, 1)
+    assert not report.faults
+    assert report.refused is not None
+    for answer, check in ((None, "accepted by nodes"), ("another", "nodes of a refused problem: another sentence")):
+        with patch.dict(checks.ROUTES, {"nodes": lambda folder, seed, answer=answer: answer}):
+            assert [one.check for one in checks.examine(drawn.tables, tmp_path, 1).faults] == [check]
+
+
+def test_a_loop_that_diverges_is_refused_by_its_study_alone(tmp_path: Path) -> None:
+    """For a reason that is stated; without it, each route that computes with the problem is a fault."""
+    drawn = build(("kind excess",), 1)
+    write(drawn, tmp_path, text_of(drawn.tables))
+
+    def diverges(*_: object) -> None:
+        raise ProblemError("the loop of excess diverges: its cost grows; expected a stable loop")
+
+    quick = {name: route for name, route in routes.ROUTES.items() if name != "export --fmu"}
+    with patch.object(checks, "evaluated", diverges), patch.dict(checks.ROUTES, quick, clear=True):
+        assert not checks.examine(drawn.tables, tmp_path, 1).faults
+        with patch.object(routes, "ALONE", ()):
+            faults = checks.examine(drawn.tables, tmp_path, 1).faults
+    assert {one.check for one in faults} == {f"accepted by {route}" for route in quick if route != "evaluate"}
+
+
 @pytest.mark.daily
 @pytest.mark.evidence
 def test_the_problems_of_the_day_are_right() -> None:
@@ -77,7 +182,7 @@ def test_the_problems_of_the_day_are_right() -> None:
     run.search(seed, list(range(100)), tally, SECONDS, 2, None)
     left = 100 - len(tally.done)
     print(f"seed {RUN.day}: {tally.summary()}; {left} of 100 problems left out by the limit of {SECONDS:g} s")
-    print(tally.table())
+    print("\n".join(tally.checks()))
     shown = [f"== {key} (problem {one['number']})\n{one['text']}\n{one['file']}" for key, one in tally.faults.items()]
     repeat = f"python tests/everything/run.py --seed {RUN.day} --only "
     smallest = min(tally.faults.values(), key=lambda one: len(one["file"]), default={"number": ""})

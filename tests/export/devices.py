@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import NamedTuple
+from unittest.mock import patch
 
 import pytest
 
@@ -23,6 +24,8 @@ from taciturn.model.places import inputs_at, outputs_at, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.wire import KINDS
 from taciturn.program.ops import Precision
+from taciturn.runtime.inbox import Handling, Inbox, Stream
+from taciturn.runtime.node import Node
 from taciturn.runtime.packet import REFUSALS, Packet
 from taciturn.study.testbed.devices import ACCESS, COUNTERS, Key
 
@@ -30,6 +33,7 @@ CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
 WAITING = 4  # steps that a packet may be early
+WIDTH = 64  # of the window of a device
 
 
 def key_of(secret: bytes | None) -> Key:
@@ -264,6 +268,39 @@ class Device:
         """What it has counted, without what it has not met."""
         found = (c.c_uint32 * len(COUNTERS)).from_address(self.code.shim_counters(self.node))
         return {name: count for name, count in zip(COUNTERS, found, strict=True) if count}
+
+
+class SmallInbox(Inbox):
+    """The inbox of a device: few packets wait, each in the place of its step.
+
+    Before the first step the newer of two keeps a place; then whichever is nearer.
+    """
+
+    def take(self, packet: Packet, past: int) -> Handling:
+        """Take a packet in that a step wants which is not further ahead than places are."""
+        stream = self.streams.get((packet.kind, packet.link))
+        self.past = past
+        with patch("taciturn.runtime.inbox.AHEAD", WAITING - (stream.lag if stream else 0)):
+            return super().take(packet, past)
+
+    def _wait(self, stream: Stream, packet: Packet) -> None:
+        for tick in [t for t in stream.waiting if t % WAITING == packet.tick % WAITING and t != packet.tick]:
+            if self.past < 0 and tick > packet.tick:
+                return self._miss(stream, packet)
+            if self.past < 0:
+                self._miss(stream, stream.waiting.pop(tick))
+            elif tick > self.past:  # else it is late, and found to be so when it is looked for
+                del stream.waiting[tick]
+                self.counters["ahead"] += 1
+        return super()._wait(stream, packet)
+
+
+def with_small_inbox(node: Node) -> Node:
+    """Return a node in Python with the inbox of a device; its window has a device's ``WIDTH`` if that is patched."""
+    inbox = node.inbox
+    lossless = node.network.protocol == "ideal"
+    node.inbox = SmallInbox(inbox.streams, inbox.loop, lossless, node.counters, node._degrade)
+    return node
 
 
 def compile_checked(policy: Policy, role: str, network: Network, folder: Path) -> Path:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from catalogue import POLICIES, closed
 from counts import few
-from export.devices import WAITING, Device, Library, compile_node
+from export.devices import WIDTH, Device, Library, compile_node, with_small_inbox
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
@@ -27,37 +27,11 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network as AnyNetwork
 from taciturn.model.places import roles
 from taciturn.model.policy import Policy
-from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
+from taciturn.runtime.inbox import USABLE
 from taciturn.runtime.node import Node, Stepped
 from taciturn.runtime.packet import Packet, Wire
 
-WIDTH = 64  # of the window of a device
 LOOP, SEED = 7, 3
-
-
-class SmallInbox(Inbox):
-    """The inbox of a device: few packets wait, each in the place of its step.
-
-    Before the first step the newer of two keeps a place; then whichever is nearer.
-    """
-
-    def take(self, packet: Packet, past: int) -> Handling:
-        """Take a packet in that a step wants which is not further ahead than places are."""
-        stream = self.streams.get((packet.kind, packet.link))
-        self.past = past
-        with patch("taciturn.runtime.inbox.AHEAD", WAITING - (stream.lag if stream else 0)):
-            return super().take(packet, past)
-
-    def _wait(self, stream: Stream, packet: Packet) -> None:
-        for tick in [t for t in stream.waiting if t % WAITING == packet.tick % WAITING and t != packet.tick]:
-            if self.past < 0 and tick > packet.tick:
-                return self._miss(stream, packet)
-            if self.past < 0:
-                self._miss(stream, stream.waiting.pop(tick))
-            elif tick > self.past:  # else it is late, and found to be so when it is looked for
-                del stream.waiting[tick]
-                self.counters["ahead"] += 1
-        return super()._wait(stream, packet)
 
 
 class Watch(NamedTuple):
@@ -79,12 +53,12 @@ class Case(NamedTuple):
     def host(self, epoch: int) -> Node:
         """Return it on the host, with the inbox of a device."""
         ticks, safe = self.watch.ticks or None, "hold" if self.watch.safe is None else self.watch.safe
-        node = Node(
-            self.policy, self.role, network=self.network, epoch=epoch, seed=SEED, loop=LOOP, watchdog=ticks, safe=safe
-        )
-        inbox = node.inbox
-        node.inbox = SmallInbox(inbox.streams, LOOP, self.network.protocol == "ideal", node.counters, node._degrade)
-        return node
+        return with_small_inbox(
+            Node(
+                self.policy, self.role, network=self.network, epoch=epoch, seed=SEED, loop=LOOP, watchdog=ticks,
+                safe=safe,
+            )
+        )  # fmt: skip
 
 
 def ideal() -> Loop:

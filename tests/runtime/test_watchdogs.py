@@ -55,6 +55,27 @@ def mark(link: str, tick: int) -> Packet:
     return Packet("mark", link, tick, tick, (), 1)
 
 
+def test_a_mark_of_its_own_that_is_sent_back_to_a_node_is_no_sign_of_life() -> None:
+    """Neither in Python nor in C: the tag of such a mark is right, so its direction must tell."""
+    loop = tanks()
+    valve = Node(loop.policy, "pump-1", epoch=1, watchdog=5)
+    device = Device(compile_node(loop.policy, "pump-1", loop.network, Path(mkdtemp())), epoch=1)
+    device.watch(5)
+    wire = Wire(loop.policy, loop.network)
+    for tick in range(12):
+        own = Packet("mark", "pump-1", tick, tick, (), 1, back=True)
+        assert valve.sort_in(own) == "misdirected"
+        assert not device.receive(wire.encode(own))
+        valve.step(tick)
+        device.step(tick)
+    assert valve.silent
+    assert device.silent
+    assert valve.counters["misdirected"] == device.counters["misdirected"] == 12
+    controllers = mark("pump-1", 11)
+    assert valve.sort_in(controllers) == "marks"
+    assert device.receive(wire.encode(controllers))
+
+
 @pytest.mark.parametrize(("dead", "limit"), [("level-1", INTERVAL), ("level-2", WATCHDOG)])
 def test_one_of_two_sensors_dies_and_the_controller_names_its_link(dead: str, limit: int) -> None:
     """Within ``max_interval`` of its link, else within the watchdog; set-points and the other sensor do not hide it.

@@ -125,13 +125,9 @@ def show(
     if wire:
         if plot is not None:
             raise taciturn.ProblemError("--wire and --plot are both given; expected one of them")
-        if found.nodes is None:
-            raise taciturn.ProblemError(
-                f"{found.problem.kind} without a period has no nodes; expected policy.period, or no --wire"
-            )
         from taciturn.runtime.description import describe_wire
 
-        print_json(describe_wire(found.nodes, found.problem.network), origin(found.problem))
+        print_json(describe_wire(found.problem.design(), found.problem.network), origin(found.problem))
         return
     if plot is not None and drawn is None:
         raise taciturn.ProblemError(
@@ -168,7 +164,6 @@ def simulate(
     from taciturn._figure import check_format, save
     from taciturn._progress import answered_within
     from taciturn._table import check_table, save_table
-    from taciturn.renewal.policy import EventPolicy, OptimalPolicy
     from taciturn.study.record import origin
 
     if plot is not None:
@@ -177,12 +172,7 @@ def simulate(
         check_table(table)
     with answered_within(time):
         problem = load_changed(file, settings, no_functions)
-        policy = problem.designed()
-        if isinstance(policy, EventPolicy | OptimalPolicy):
-            raise taciturn.ProblemError(
-                f"{policy.kind} without a period can only be analysed, not simulated step by step; expected a policy "
-                "with a period, such as near-optimal or excess"
-            )
+        policy = problem.design()
         found = taciturn.simulate(problem.close(policy), ticks, seed=seed)
     if as_json:
         print_json({"policy": policy.kind} | found.document(), origin(problem, seed, "simulation"))

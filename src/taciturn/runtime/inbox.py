@@ -23,7 +23,7 @@ from typing import Any, Literal, TypeAlias
 
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.wire import LARGEST, SETPOINT, fits
+from taciturn.model.wire import BACK, LARGEST, SETPOINT, fits
 from taciturn.program.layout import Arrival
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.window import Window
@@ -91,6 +91,8 @@ class Inbox:
         self.counters, self._degrade = counters, degrade
         self.marks = {link: Window() for _, link in streams}
         self.marked = {link: -1 for _, link in streams}  # last step that the sender has finished
+        # a mark that comes in the direction of the node's own is one of its own, which somebody has sent back
+        self._back = {link: kind in BACK for kind, link in streams}
 
     @property
     def links(self) -> list[str]:
@@ -110,7 +112,7 @@ class Inbox:
         """
         self.counters["received"] += 1
         stream = self.streams.get((packet.kind, packet.link))
-        mark = packet.kind == "mark" and packet.link in self.marks
+        mark = packet.kind == "mark" and packet.back == self._back.get(packet.link)
         if packet.loop != self.loop or not (mark or stream):
             self.counters["misdirected"] += 1
             return "misdirected"

@@ -33,7 +33,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         The optimal stopping problem, which is solved when the policy is evaluated.
 
     Raises:
-        ProblemError: if λ is not positive, the plant has jumps and C or V, or period is missing or not applicable.
+        ProblemError: if λ is not positive, the plant has jumps, or period is missing or not applicable.
         UnstableError: if no stabilising gain or filter exists.
 
     Source: cogill2007
@@ -47,6 +47,8 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         raise ProblemError(
             "disturbances or set-points are given, which optimal does not use; expected near-optimal, or neither"
         )
+    if getattr(plant, "jumps", None) is not None:
+        raise ProblemError("the noise consists of jumps; expected Gaussian noise for optimal, or the kind near-optimal")
     policy = modelled(
         "optimal",
         plant,
@@ -69,7 +71,7 @@ KIND = Kind(
     follows=(),
     proved="the least cost of all schedules",
     refused=(
-        "a price as for `near-optimal`; errors of more than three dimensions, or with a direction that the "
+        "a price as for `near-optimal`; jumps; errors of more than three dimensions, or with a direction that the "
         "noise between two checks does not excite"
     ),
     data=(
