@@ -4,7 +4,7 @@ The *choice* is what a packet carries: the input over the actuator link, the mea
 silence, the receiver uses a *candidate* instead, its last value or the prediction of a model. The node that decides
 knows the receiver's candidate, because every packet arrives or because the network acknowledges those that arrive.
 A sensor that decides on the controller's state computes it too. Its packets carry this state, which the controller
-adopts, since an integral would keep a difference for ever: after a lost packet, a restart, or rounding.
+adopts, since an integral would keep a difference for ever: after a dropped packet, a restart, or rounding.
 """
 
 from __future__ import annotations
