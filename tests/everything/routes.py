@@ -106,6 +106,7 @@ class Alone(NamedTuple):
 OTHERS = tuple(route for route in ROUTES if route != "evaluate")
 ALONE: tuple[Alone, ...] = (
     Alone(" diverges: ", OTHERS, "nodes and paths of the loop exist, and only its averages do not, as a study finds"),
+    Alone("in the loop of ", OTHERS, "a function of a loop that diverges gives no number, but later than others run"),
     Alone("the quadrature", ("show", "show --json"), "the gains of an optimal schedule exist without its boundary"),
 )
 

@@ -33,7 +33,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         The optimal stopping problem, which is solved when the policy is evaluated.
 
     Raises:
-        ProblemError: if λ is not positive, the plant has jumps, or period is missing or not applicable.
+        ProblemError: if λ is not positive, the plant has jumps or a function, or period is missing or not applicable.
         UnstableError: if no stabilising gain or filter exists.
 
     Source: cogill2007
@@ -49,6 +49,8 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         )
     if getattr(plant, "jumps", None) is not None:
         raise ProblemError("the noise consists of jumps; expected Gaussian noise for optimal, or the kind near-optimal")
+    if getattr(plant, "function", None) is not None:
+        raise ProblemError("the plant has a function; expected a linear plant for optimal, or the kind near-optimal")
     policy = modelled(
         "optimal",
         plant,
@@ -71,7 +73,7 @@ KIND = Kind(
     follows=(),
     proved="the least cost of all schedules",
     refused=(
-        "a price as for `near-optimal`; jumps; errors of more than three dimensions, or with a direction that the "
+        "a price as for `near-optimal`; jumps; nonlinear plants; errors of more than three dimensions, or with a direction that the "
         "noise between two checks does not excite"
     ),
     data=(
