@@ -347,3 +347,28 @@ def test_an_integral_that_only_counts_does_not_delay_the_recovery_of_a_node() ->
     )
     assert counts.theory.recovers == pytest.approx(plain.theory.recovers, rel=1e-6)
     assert np.isfinite(taciturn.Nodes(counts).step([0.5])).all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_silence_that_saves_a_mission_from_an_unstable_controller_costs_what_a_recursion_says(noise: float) -> None:
+    """The identity would be the difference of two numbers of 1e46, the base and what silence saves."""
+    horizon, weights = 200, Cost([[1.0]], [[1.0]], horizon=200)
+    plant = Plant([[0.9]], [[1.0]], [[noise]], dt=1.0, mean=[1.0])
+    policy = design.excess(plant, weights, theta=0.1, controller=PID(2.2, disturbance=NO_DISTURBANCE))
+    found = taciturn.evaluate(policy, steps=500_000)
+    squares = [1.0]
+    for _ in range(horizon):
+        squares.append(0.81 * squares[-1] + noise)
+    assert policy.cost_all_time > 1e40
+    assert found.rates["actuator"].value == 0
+    error = found.cost.standard_error
+    assert error < 0.2
+    assert abs(found.cost.value - sum(squares)) < 4 * error + 1e-9
+    assert any("grow by a factor of 1.3 per step: its cost, to which the bound refers" in note for note in found.notes)
+
+
+def test_a_mission_whose_base_costs_more_than_a_number_holds_is_refused_with_its_reason() -> None:
+    """And with the remedy of an unstable loop."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.01]], dt=1.0), Cost([[1.0]], [[1.0]], horizon=2000)
+    with pytest.raises(UnstableError, match="sends every sample, is not stable, .* times the weights; expected a stab"):
+        design.excess(plant, cost, theta=0.1, controller=PID(2.2, disturbance=NO_DISTURBANCE))

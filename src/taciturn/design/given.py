@@ -16,7 +16,7 @@ import numpy as np
 from taciturn._arrays import choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
-from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage
+from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
@@ -157,7 +157,7 @@ def keep_controller(
         initial={**estimation.initial, **route.initial, **silence.initial},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*([] if lossy else loop.beside_lqg(all_time)), *loop.notes),
+        notes=(*([] if lossy else loop.beside_lqg(all_time)), *note_growth(route.base, attempts, loop.remedy), *loop.notes),
         disturbance=loop.disturbance,
     )
     return loop.carried_out(policy)
