@@ -370,5 +370,5 @@ def test_silence_that_saves_a_mission_from_an_unstable_controller_costs_what_a_r
 def test_a_mission_whose_base_costs_more_than_a_number_holds_is_refused_with_its_reason() -> None:
     """And with the remedy of an unstable loop."""
     plant, cost = Plant([[0.9]], [[1.0]], [[0.01]], dt=1.0), Cost([[1.0]], [[1.0]], horizon=2000)
-    with pytest.raises(UnstableError, match="sends every sample, is not stable, .* times the weights; expected a stab"):
+    with pytest.raises(UnstableError, match=r"sends every sample, is not stable, .* times the weights; expected a sta"):
         design.excess(plant, cost, theta=0.1, controller=PID(2.2, disturbance=NO_DISTURBANCE))

@@ -157,7 +157,11 @@ def keep_controller(
         initial={**estimation.initial, **route.initial, **silence.initial},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*([] if lossy else loop.beside_lqg(all_time)), *note_growth(route.base, attempts, loop.remedy), *loop.notes),
+        notes=(
+            *([] if lossy else loop.beside_lqg(all_time)),
+            *note_growth(route.base, attempts, loop.remedy),
+            *loop.notes,
+        ),
         disturbance=loop.disturbance,
     )
     return loop.carried_out(policy)

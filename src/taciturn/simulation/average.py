@@ -13,7 +13,14 @@ from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.parts import Estimator, Part, sends
-from taciturn.simulation.reliability import doubt_errors, doubt_moments, doubt_tail, drifts_of, expect_arrivals, find_doubts
+from taciturn.simulation.reliability import (
+    doubt_errors,
+    doubt_moments,
+    doubt_tail,
+    drifts_of,
+    expect_arrivals,
+    find_doubts,
+)
 from taciturn.simulation.sampling import (
     SETTLING_CONSTANTS,
     SHORTEST_BURN_IN,
