@@ -1,8 +1,8 @@
 """Exact cost of a schedule of a shared channel that repeats: a stretch of time division, repeated for ever.
 
 Between two sends, k checks apart, a loop costs S(k) (``Clocked``). The times at which time division sends depend on no
-error. So each stretch of T steps of it, repeated, is a periodic schedule. Its cost is the sum of S over the intervals of
-all loops, divided by T. The interval around the end of the stretch, from the last send to the first one of the next
+error. So each stretch of T steps of it, repeated, is a periodic schedule. Its cost is the sum of S over the intervals
+of all loops, divided by T. The interval around the end of the stretch, from the last send to the first one of the next
 repetition, is one of them.
 """
 
