@@ -9,12 +9,13 @@ import pytest
 from counts import few
 from systems import make_system, well_posed
 
-from taciturn import ContinuousPlant, Cost, Plant, average, close, design, load, simulate
+from taciturn import ContinuousPlant, Cost, Network, Plant, average, close, design, load, simulate
 from taciturn.design.certainty import design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
+from taciturn.model.network import NodeRole
 from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
@@ -102,6 +103,25 @@ def test_sensors_that_decide_need_not_know_the_set_points(sensors: tuple[str, st
     apart = path.state[:, :3] @ C.T - path.state[:, -2:]
     means = apart.reshape(50, -1, 2).mean(axis=1)
     assert (np.abs(means.mean(axis=0)) < 4 * means.std(axis=0, ddof=1) / np.sqrt(50)).all()
+
+
+@pytest.mark.parametrize("outputs", [((0,), (1,)), ((0, 1), ())], ids=["each one", "one both"])
+def test_where_the_set_points_begin_does_not_matter_to_sensors_that_predict(
+    outputs: tuple[tuple[int, ...], ...],
+) -> None:
+    """A change moves every set-point alike, and a sensor that forgot what its output shows would send all the time."""
+    nodes = {f"s{i}": NodeRole(measures=rows) for i, rows in enumerate(outputs) if rows}
+    network = Network(nodes={**nodes, "c": NodeRole(controls=True), "a": NodeRole(applies=True)})
+    rates = []
+    for value in ((0.0, 0.0), (5.0, -20.0)):
+        plant = follow(
+            Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, changes=RandomSteps(1e-4, np.eye(2))
+        )
+        policy = design.distributed(plant, COST, theta=0.5, prediction="model", network=network)
+        sends = simulate(close(plant, policy), 600).sends
+        rates.append([float(sends[node][100:].mean()) for node in nodes])
+    assert np.abs(np.subtract(*rates)).max() < 0.01
+    assert max(rates[0]) < 0.9
 
 
 def test_a_timetable_is_followed_from_its_first_row() -> None:
