@@ -418,6 +418,27 @@ def test_dynamics_of_a_disturbance_neither_lack_nor_grow(changes: dict[str, obje
         plant_with(ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, **changes))  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        (ExternalDisturbance([0.0, 0.3], 1e-3), r"disturbance\[1\].enters has 2 entries; expected 3"),
+        (
+            ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, measured=[1.0]),
+            r"disturbance\[1\].measured has 1 ent.*; expected 2",
+        ),
+        (
+            ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, "sinusoid", 4.0),
+            r"disturbance\[1\].frequency is 4; expected below",
+        ),
+        (ExternalDisturbance([1.0, 0, 0], 1e-3, "matrix", matrix=[[1.1]]), r"disturbance\[1\].matrix has the mode 1.1"),
+    ],
+)
+def test_messages_name_the_disturbance_by_its_place(second: ExternalDisturbance, words: str) -> None:
+    """As in the file, from 0 on."""
+    with pytest.raises(ProblemError, match=words):
+        plant_with(PUSH, second)
+
+
 def test_a_dead_band_without_noise_leaves_an_offset_below_its_bound() -> None:
     """|z| ≤ √(δ M H⁻¹ M') with M = C_z (I − A − BL)⁻¹ B, and the band is wide enough for an offset."""
     delta = 0.3
