@@ -298,5 +298,7 @@ def test_a_period_far_from_the_time_scale_of_the_plant_is_named_and_not_the_dist
 @pytest.mark.parametrize("A", [-1.0, 0.0])
 def test_a_period_of_which_nothing_is_left_in_a_step_is_refused_without_a_problem(A: float) -> None:
     """Also of an integrator, which has no time scale of its own."""
-    with pytest.raises(ProblemError, match="period is 1e-300, and rounding hides what the plant does .* at least 1e-1"):
+    with pytest.raises(
+        ProblemError, match=r"period is 1e-300, and rounding hides what the plant does .* at least 1e-1"
+    ):
         excess(ContinuousPlant([[A]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1, period=1e-300)

@@ -200,7 +200,8 @@ def discretise(
     if period < SHORTEST or 0 < moved < LEAST:
         least = max(SHORTEST, LEAST / pace(plant.A) if moved else 0.0)
         raise ProblemError(
-            f"period is {period:g}, and rounding hides what the plant does in such a step; expected at least {least:.1g}"
+            f"period is {period:g}, and rounding hides what the plant does in such a step; expected at least "
+            f"{least:.1g}"
         )
     rate = float(eigenvalues(plant.A).real.max())
     if rate * period > np.log(GROWTH):
