@@ -298,3 +298,27 @@ def test_what_set_points_that_change_are_refused() -> None:
         design.relative(follow(tank, value=[1.0]), cost, sigma=0.1, period=0.5)
     with pytest.raises(ProblemError, match=r"disturbance\.enters and measured are zero"):
         ExternalDisturbance([0.0], 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("# seconds, level\n0, 1\n\n5, x\n", "column 2 of line 4 is 'x', which is no finite number"),
+        ("0, 1\r\n5, nan\r\n", "column 2 of line 2 is 'nan', which is no finite number"),
+        (
+            "time, level\n0, 1\n",
+            "column 1 of line 1 is 'time', which is no finite number); expected rows .* without a header",
+        ),
+        ("\n\n0, 1\n# held\n5, 2, 3\n", "line 5 has 3 columns, and line 3 has 2"),
+        ("", "at least two times"),
+    ],
+)
+def test_a_mistake_in_a_file_of_set_points_is_named_by_its_line_as_editors_count(
+    text: str, words: str, tmp_path: Path
+) -> None:
+    """Comments and empty lines are lines; the first line and the first column are 1."""
+    (tmp_path / "levels.csv").write_bytes(text.encode())
+    tank = {"A": [[0.9]], "B": [[1.0]], "W": [[0.1]], "C": [[1.0]], "V": [[0.1]], "dt": 0.5}
+    tables = {"plant": tank, "cost": {"Q": [[1.0]], "R": [[1.0]]}, "policy": {"kind": "excess", "theta": 0.1}}
+    with pytest.raises(ProblemError, match=words.replace("number)", r"number\)")):
+        parse({**tables, "reference": {"file": str(tmp_path / "levels.csv")}}, "tank")
