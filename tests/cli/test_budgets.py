@@ -89,6 +89,11 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
             ["--rate", "+5%"],
             "--rate is '+5%'; expected a number, or a percentage such as 50% of the rate of",
         ),
+        (
+            ["--cost", "+5"],
+            "--cost is '+5', a number with a sign; expected 5 for a cost of this size, or a percentage such as +5%",
+        ),
+        (["--traffic", "+.5"], "--traffic is '+.5', a number with a sign; expected .5 for a traffic of this size"),
         (["--cost", "5%"], "--cost is '5%'; expected a number, or a percentage such as +5%"),
         (["--rate", "5%", "--least-period", "0.1"], "expected --rate with a number, and no --cost"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),

@@ -61,6 +61,28 @@ def test_set_points_that_change_are_shown_as_data(run: Run, tmp_path: Path) -> N
         assert run("show", str(path)).code == 0
 
 
+def test_outputs_to_be_zero_are_shown_without_the_states_that_there_are_not(run: Run, tmp_path: Path) -> None:
+    """With the key outputs alone; a value makes one state."""
+    text = "[plant]\nA = [[0.9, 0.1], [0, 0.8]]\nB = [[0], [1]]\nC = [[1, 0]]\ndt = 1.0\n"
+    text += "W = [[0.1, 0], [0, 0.1]]\nV = [[1]]\n" + WEIGHTS
+    text += '[policy]\nkind = "excess"\ntheta = 0.1\n[reference]\noutputs = [[1.0, 0.0]]\n'
+    for line, told, matrices in (
+        ("", "none; C_z x is to be zero", {"C_z"}),
+        (
+            "value = [3.0]",
+            "and set-points, 1 state d: d⁺ = S d + noise; C_z x + F d is to be zero",
+            {*"SEGWF", "C_z", "start"},
+        ),
+    ):
+        path = tmp_path / "p.toml"
+        path.write_text(text + line, encoding="utf-8")
+        found = rows(run("show", str(path)).out)
+        assert found["disturbances"] == told
+        assert {name.removeprefix("d, ") for name in found if name.startswith("d, ")} == matrices
+        shown = document(run, str(path))["plant"]["exosystem"]
+        assert (shown["outputs"], len(shown["S"])) == ([[1.0, 0.0]], len(line) > 0)
+
+
 def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
     """The gains are found in the steps; here they are computed from the matrices."""
     problem = taciturn.load("two-mass-lqg")
@@ -151,6 +173,7 @@ def test_a_guarantee_that_does_not_hold_is_not_claimed(run: Run, write: Write, f
         file = write(plant="[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\ninput_limit = [9.0]\n")
     found = rows(run("show", file).out)
     assert found["guarantee"] == "none for this loop; for the loop of the design: J ≤ (1+θ) J_all, mean-square stable"
+    assert found["every sample"].endswith("; it is that of the loop of the design, and for this loop it is not known")
     shown = document(run, file)
     assert (shown["guarantee"]["holds"], words in shown["notes"]) == (False, True)
 

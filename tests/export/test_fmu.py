@@ -18,7 +18,7 @@ import pytest
 from catalogue import POLICIES
 from counts import few
 from export.devices import STRICT
-from export.test_set_points_in_c import tank
+from export.test_set_points_in_c import TANK, tank
 from export.units import FMI, SEED, Instance, build_driver, differing_ticks, drive, given, make_unit, record
 from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
@@ -34,6 +34,7 @@ from taciturn.export.description import Version, list_variables, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
 from taciturn.export.node import identifier
 from taciturn.loop import Loop
+from taciturn.problem import parse
 
 VERSIONS: tuple[Version, ...] = ("3.0", "2.0")
 LOSSY = "lossy-double-integrator"
@@ -194,6 +195,34 @@ def test_a_unit_names_the_set_point_that_is_too_large_and_the_page_lists_all_var
     page = (Path(__file__).parents[2] / "docs" / "fmu.md").read_text(encoding="utf-8")
     for one in list_variables(loop):
         assert f"`{one.name.partition('_')[0]}" in page, one.name
+
+
+def test_set_points_start_at_those_that_the_problem_states(make: Make) -> None:
+    """In the description, in the unit before its first step and after a reset, and in the input that it computes."""
+    loop, _, folder = make("set-points", "3.0")
+    applied = list[float]()
+    for told in ({}, {"setpoint[1]": 3.0}, {"setpoint[1]": 0.0}):
+        instance = Instance(folder).start()
+        assert instance.get("setpoint[1]") == [3.0]
+        instance.set({"y[1]": 0.5, **told})
+        instance.step(0.0, tick_length(loop))
+        applied += instance.get("u[1]")
+        instance.fmu.reset()
+        assert instance.get("setpoint[1]", "y[1]") == [3.0, 0.0]
+        instance.close()
+    assert applied[0] == applied[1] != applied[2]
+    starts = {one.name: one.start for one in instance.described.modelVariables if one.causality == "input"}
+    assert {name: float(start) for name, start in starts.items()} == {"y[1]": 0.0, "setpoint[1]": 3.0}
+
+
+def test_set_points_of_a_unit_are_in_the_units_of_the_plant() -> None:
+    """Also if the loop counts from an operating point."""
+    given = {**TANK["plant"], "operating_point": {"x": [0.5, 10.0], "u": [20.0]}}
+    problem = parse(
+        {**TANK, "plant": given, "reference": {"value": [13.0], "steps": TANK["reference"]["steps"]}}, "tank"
+    )
+    listed = {one.name: one.start for one in list_variables(problem.close(problem.design()))}
+    assert listed["setpoint[1]"] == 13.0
 
 
 @pytest.mark.parametrize("version", VERSIONS)

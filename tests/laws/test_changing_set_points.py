@@ -9,12 +9,13 @@ import pytest
 from counts import few
 from systems import make_system, well_posed
 
-from taciturn import ContinuousPlant, Cost, Plant, average, close, design, load, simulate
+from taciturn import ContinuousPlant, Cost, Network, Plant, average, close, design, load, simulate
 from taciturn.design.certainty import design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
+from taciturn.model.network import NodeRole
 from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
@@ -102,6 +103,25 @@ def test_sensors_that_decide_need_not_know_the_set_points(sensors: tuple[str, st
     apart = path.state[:, :3] @ C.T - path.state[:, -2:]
     means = apart.reshape(50, -1, 2).mean(axis=1)
     assert (np.abs(means.mean(axis=0)) < 4 * means.std(axis=0, ddof=1) / np.sqrt(50)).all()
+
+
+@pytest.mark.parametrize("outputs", [((0,), (1,)), ((0, 1), ())], ids=["each one", "one both"])
+def test_where_the_set_points_begin_does_not_matter_to_sensors_that_predict(
+    outputs: tuple[tuple[int, ...], ...],
+) -> None:
+    """A change moves every set-point alike, and a sensor that forgot what its output shows would send all the time."""
+    nodes = {f"s{i}": NodeRole(measures=rows) for i, rows in enumerate(outputs) if rows}
+    network = Network(nodes={**nodes, "c": NodeRole(controls=True), "a": NodeRole(applies=True)})
+    rates = []
+    for value in ((0.0, 0.0), (5.0, -20.0)):
+        plant = follow(
+            Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2)), C, value, changes=RandomSteps(1e-4, np.eye(2))
+        )
+        policy = design.distributed(plant, COST, theta=0.5, prediction="model", network=network)
+        sends = simulate(close(plant, policy), 600).sends
+        rates.append([float(sends[node][100:].mean()) for node in nodes])
+    assert np.abs(np.subtract(*rates)).max() < 0.01
+    assert max(rates[0]) < 0.9
 
 
 def test_a_timetable_is_followed_from_its_first_row() -> None:
@@ -290,3 +310,27 @@ def test_what_set_points_that_change_are_refused() -> None:
         design.relative(follow(tank, value=[1.0]), cost, sigma=0.1, period=0.5)
     with pytest.raises(ProblemError, match=r"disturbance\.enters and measured are zero"):
         ExternalDisturbance([0.0], 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("# seconds, level\n0, 1\n\n5, x\n", "column 2 of line 4 is 'x', which is no finite number"),
+        ("0, 1\r\n5, nan\r\n", "column 2 of line 2 is 'nan', which is no finite number"),
+        (
+            "time, level\n0, 1\n",
+            "column 1 of line 1 is 'time', which is no finite number); expected rows .* without a header",
+        ),
+        ("\n\n0, 1\n# held\n5, 2, 3\n", "line 5 has 3 columns, and line 3 has 2"),
+        ("", "at least two times"),
+    ],
+)
+def test_a_mistake_in_a_file_of_set_points_is_named_by_its_line_as_editors_count(
+    text: str, words: str, tmp_path: Path
+) -> None:
+    """Comments and empty lines are lines; the first line and the first column are 1."""
+    (tmp_path / "levels.csv").write_bytes(text.encode())
+    tank = {"A": [[0.9]], "B": [[1.0]], "W": [[0.1]], "C": [[1.0]], "V": [[0.1]], "dt": 0.5}
+    tables = {"plant": tank, "cost": {"Q": [[1.0]], "R": [[1.0]]}, "policy": {"kind": "excess", "theta": 0.1}}
+    with pytest.raises(ProblemError, match=words.replace("number)", r"number\)")):
+        parse({**tables, "reference": {"file": str(tmp_path / "levels.csv")}}, "tank")

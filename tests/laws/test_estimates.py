@@ -189,6 +189,14 @@ def test_a_limit_clips_what_the_plant_receives() -> None:
     assert (np.abs(path.input) == 0.5).mean() > 0.01
 
 
+def test_one_packet_carries_a_command_within_the_limits_and_the_input_moves_towards_it_step_by_step() -> None:
+    """Of an integrator far from its place: the largest input, at most 0.5 more in each step, also in silence."""
+    plant = Plant([[1.0]], [[1.0]], [[0.0]], dt=1.0, mean=[10.0], input_limit=[2.0], input_rate=[0.5])
+    path = taciturn.simulate(close(plant, design.lqg(plant, Cost([[1.0]], [[0.01]]), theta=0.5)), 6)
+    assert path.sends["actuator"].tolist() == [True, False, False, False, False, False]
+    assert path.input[:, 0].tolist() == [-0.5, -1.0, -1.5, -2.0, -2.0, -2.0]
+
+
 @pytest.mark.parametrize("pole", [0.999, pytest.param(0.9999, marks=pytest.mark.evidence)])
 def test_a_slow_mode_is_waited_for_even_at_low_precision(pole: float) -> None:
     """A mode that no input moves needs thousands of steps; asked for 5 %, the estimate is still unbiased."""

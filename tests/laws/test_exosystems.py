@@ -31,7 +31,7 @@ from taciturn.analyse.limits import bound_below
 from taciturn.design.certainty import design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.regulation import regulator_equations
+from taciturn.lqg.regulation import has_average, regulator_equations
 from taciturn.model.exosystem import Exosystem, ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.set_points import SetPoint, Timetable
@@ -416,6 +416,36 @@ def test_dynamics_of_a_disturbance_neither_lack_nor_grow(changes: dict[str, obje
     """In one sentence."""
     with pytest.raises(ProblemError, match=words):
         plant_with(ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, **changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-13])
+def test_a_ramp_has_no_average_in_any_units(size: float) -> None:
+    """Beside a constant disturbance, whose input is larger by the ratio of the units."""
+    plant = ContinuousPlant([[-1.0]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
+    ramp = ExternalDisturbance([size], 1e-3 / size**2, "ramp")
+    moving = follow(plant, disturbances=[ExternalDisturbance([1.0], 1e-3), ramp])
+    assert not has_average(moving, Cost([[1.0]], [[1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        (ExternalDisturbance([0.0, 0.3], 1e-3), r"disturbance\[1\].enters has 2 entries; expected 3"),
+        (
+            ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, measured=[1.0]),
+            r"disturbance\[1\].measured has 1 ent.*; expected 2",
+        ),
+        (
+            ExternalDisturbance([0.0, 0.3, 0.1], 1e-3, "sinusoid", 4.0),
+            r"disturbance\[1\].frequency is 4; expected below",
+        ),
+        (ExternalDisturbance([1.0, 0, 0], 1e-3, "matrix", matrix=[[1.1]]), r"disturbance\[1\].matrix has the mode 1.1"),
+    ],
+)
+def test_messages_name_the_disturbance_by_its_place(second: ExternalDisturbance, words: str) -> None:
+    """As in the file, from 0 on."""
+    with pytest.raises(ProblemError, match=words):
+        plant_with(PUSH, second)
 
 
 def test_a_dead_band_without_noise_leaves_an_offset_below_its_bound() -> None:

@@ -25,6 +25,7 @@ from taciturn import (
     design,
 )
 from taciturn.design.base import advantage
+from taciturn.design.given import send_every_sample
 from taciturn.design.kept import REMEDY, lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
@@ -34,6 +35,7 @@ from taciturn.program.engine import prepare
 from taciturn.program.names import Option, Sent
 from taciturn.program.numpy import run
 from taciturn.simulation.average import average
+from taciturn.study.disturbed import sends_every_sample
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)
@@ -347,3 +349,62 @@ def test_an_integral_that_only_counts_does_not_delay_the_recovery_of_a_node() ->
     )
     assert counts.theory.recovers == pytest.approx(plain.theory.recovers, rel=1e-6)
     assert np.isfinite(taciturn.Nodes(counts).step([0.5])).all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_silence_that_saves_a_mission_from_an_unstable_controller_costs_what_a_recursion_says(noise: float) -> None:
+    """The identity would be the difference of two numbers of 1e46, the base and what silence saves."""
+    horizon, weights = 200, Cost([[1.0]], [[1.0]], horizon=200)
+    plant = Plant([[0.9]], [[1.0]], [[noise]], dt=1.0, mean=[1.0])
+    policy = design.excess(plant, weights, theta=0.1, controller=PID(2.2, disturbance=NO_DISTURBANCE))
+    found = taciturn.evaluate(policy, steps=500_000)
+    squares = [1.0]
+    for _ in range(horizon):
+        squares.append(0.81 * squares[-1] + noise)
+    assert policy.cost_all_time > 1e40
+    assert found.rates["actuator"].value == 0
+    error = found.cost.standard_error
+    assert error < 0.2
+    assert abs(found.cost.value - sum(squares)) < 4 * error + 1e-9
+    assert any("grow by a factor of 1.3 per step: its cost, to which the bound refers" in note for note in found.notes)
+
+
+def test_a_mission_whose_base_costs_more_than_a_number_holds_is_refused_with_its_reason() -> None:
+    """And with the remedy of an unstable loop."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[0.01]], dt=1.0), Cost([[1.0]], [[1.0]], horizon=2000)
+    with pytest.raises(UnstableError, match=r"sends every sample, is not stable, .* times the weights; expected a sta"):
+        design.excess(plant, cost, theta=0.1, controller=PID(2.2, disturbance=NO_DISTURBANCE))
+
+
+@pytest.mark.parametrize("link", ["sensor", "actuator"])
+def test_dead_bands_are_evaluated_on_a_plant_that_no_filter_could_estimate(link: str) -> None:
+    """The sum of a measured state is not observed and costs nothing; the loops with every sample need no filter."""
+    plant = Plant([[0.9, 0.0], [0.1, 1.0]], [[0.1], [0.0]], np.diag([1e-4, 0.0]), [[1.0, 0.0]], dt=STEP)
+    alone = Plant([[0.9]], [[0.1]], [[1e-4]], [[1.0]], dt=STEP)
+    parameters, kept = {"delta": 0.02, "link": link}, PID(1.2, 0.15)
+    found, without = (
+        taciturn.evaluate(
+            taciturn.Problem(one, cost, Network(), "send-on-delta", parameters, controller=kept), steps=20_000
+        )
+        for one, cost in ((plant, WEIGHTS), (alone, Cost([[1.0]], [[0.05]])))
+    )
+    assert found.after_step is not None
+    assert found.as_written is not None
+    assert without.as_written is not None
+    assert found.as_written.cost_all_time == pytest.approx(without.as_written.cost_all_time, rel=1e-9)
+    assert found.cost_all_time == pytest.approx(without.cost_all_time, rel=1e-9)
+
+
+@pytest.mark.parametrize("horizon", [None, 30])
+@pytest.mark.parametrize("link", ["sensor", "actuator"])
+def test_the_loop_with_every_sample_is_that_of_excess_at_no_cost_of_silence(link: str, horizon: int | None) -> None:
+    """One has no filter and nothing to decide; the other has both, and triggers that always send."""
+    cost = Cost(np.diag([1.0, 0.0]), [[0.05]], horizon=horizon)
+    deciding = design.excess(TANK, cost, delta=0.0, controller=KEPT, link=link)
+    always = send_every_sample("every sample", TANK, cost, None, KEPT, link)
+    assert always.cost_all_time == pytest.approx(deciding.cost_all_time, rel=1e-12)
+    path, other = (
+        taciturn.simulate(taciturn.close(TANK, one, cost=cost), 30) for one in (always, sends_every_sample(deciding))
+    )
+    assert np.abs(path.input - other.input).max() < 1e-12
+    assert np.abs(path.state - other.state).max() < 1e-12

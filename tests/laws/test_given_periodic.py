@@ -6,16 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from laws.test_given_controllers import ALL_TIME, KEPT, STEP, TANK, WEIGHTS, random_loop
+from laws.test_given_controllers import ALL_TIME, KEPT, NO_DISTURBANCE, STEP, TANK, WEIGHTS, random_loop
 
 import taciturn
 from taciturn import (
+    Controller,
     Cost,
+    Plant,
     ProblemError,
     UnstableError,
     design,
 )
 from taciturn.design.certainty import design_certainty
+from taciturn.design.kept import lqg_observer
 from taciturn.lqg.discrete import discretise
 from taciturn.model.policy import Decide, Location
 from taciturn.model.theory import Theory
@@ -141,3 +144,42 @@ def test_at_its_own_rate_a_periodic_base_is_improved() -> None:
     total = Cost(WEIGHTS.Q, WEIGHTS.R, discount=0.9)
     with pytest.raises(ProblemError, match="actuation is 'model', every is 3, and the cost is a total; expected"):
         design.excess(TANK, total, theta=0.2, every=3, actuation="model")
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.8])
+@pytest.mark.parametrize("actuation", ["hold", "zero"])
+def test_no_other_gain_costs_less_with_the_same_packets(actuation: str, discount: float) -> None:
+    """Of LQG with a packet at every third step, whatever the actuator applies between them; with total costs too."""
+    plant = Plant([[1.25, 0.3], [0.0, 0.9]], [[0.2], [1.0]], 0.1 * np.eye(2), dt=1.0)
+    cost = Cost(np.eye(2), [[0.2]], [[0.1], [0.0]], discount=discount)
+
+    def base(controller: Controller | None) -> float:
+        policy = design.excess(plant, cost, delta=0.0, every=3, actuation=actuation, controller=controller)  # type: ignore[arg-type]
+        assert policy.theory.identity is not None
+        return policy.theory.identity.constant
+
+    best, L = base(None), lqg_observer("excess", discretise(plant, cost, None), 3, zero=actuation == "zero").D
+    for change in 0.02 * np.array([[[1, 0]], [[-1, 0]], [[0, 1]], [[0, -1]]]):
+        other = Controller(
+            np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), L + change, dt=1.0, disturbance=NO_DISTURBANCE
+        )
+        assert best < base(other) < 1.1 * best
+
+
+def test_a_plant_that_held_inputs_cannot_stabilise_is_controlled_by_inputs_that_end() -> None:
+    """The square of a scalar, with one input in three steps: the optimum of a Riccati equation, by hand."""
+    policy = design.excess(
+        Plant([[2.0]], [[1.0]], [[0.1]]), Cost([[1.0]], [[0.1]]), delta=0.0, every=3, actuation="zero"
+    )
+    assert policy.theory.identity is not None
+    a, b, q, n, r = (
+        8.0,
+        4.0,
+        1 + 4 + 16,
+        2 + 8,
+        0.1 + 1 + 4,
+    )  # three steps as one: x⁺ = 8x + 4u and the sums of the costs
+    k = q
+    for _ in range(60):
+        k = q + a * a * k - (a * b * k + n) ** 2 / (r + b * b * k)
+    assert policy.theory.identity.constant == pytest.approx((k * 0.1 * 21 + 0.1 * (1 + 5)) / 3, rel=1e-9)

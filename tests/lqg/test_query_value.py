@@ -9,7 +9,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
-from taciturn import Plant, UnstableError
+from taciturn import Cost, Plant, UnstableError, design
 from taciturn._modes import radius
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.queries import Predictor, QueryValue, Weights
@@ -54,6 +54,45 @@ def test_the_tail_of_a_slow_filter_is_summed_at_once(A):
     assert 0.98 < radius(A - A @ steady.gain @ plant.C) < 1
     value = QueryValue(Predictor(plant), Weights(np.eye(n)))(1.01 * steady.prior)
     assert value == pytest.approx(sixty_digits(plant, 1.01 * steady.prior, np.eye(n), terms=2500), rel=1e-9)
+
+
+BIASED = Plant(  # a sensor whose bias wanders slowly, a second one without bias
+    [[0.9, 0.1, 0.0], [0.0, 0.95, 0.0], [0.0, 0.0, 1.0]], [[0.005], [0.1], [0.0]], np.diag([1e-4, 4e-4, 1e-8]),
+    [[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]], 1e-3 * np.eye(2),
+)  # fmt: skip
+BIAS_FREE = np.diag([1.0, 0.1, 0.0])
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.999])
+def test_few_steps_of_a_slow_filter_have_the_sum_of_all(discount: float) -> None:
+    """Thousands of steps, of which a few hundred are summed, for covariances of any size."""
+    value, steady = (
+        QueryValue(Predictor(BIASED), Weights(BIAS_FREE, discount)),
+        steady_filter(BIASED.A, BIASED.C, BIASED.W, BIASED.V),
+    )
+    flow = value._flow
+    assert flow is not None
+    assert len(value._weighed) < len(flow.powers) / 10
+    dense = QueryValue(Predictor(BIASED), Weights(BIAS_FREE, discount))
+    dense._weighed, dense._observed = flow.weighed(BIAS_FREE, discount), flow.observed
+    for Sigma in (steady.prior, 0.3 * steady.prior, 7 * steady.prior, BIASED.W, np.eye(3)):
+        assert value(Sigma) == pytest.approx(dense(Sigma), rel=1e-11)
+
+
+def test_a_schedule_is_computed_once_for_designs_with_other_triggers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every trial of a search for theta has the same queries."""
+    plant, cost = (
+        Plant([[0.9, 0.1], [0.0, 0.95]], [[0.0], [0.1]], np.diag([1e-4, 4e-4]), [[1.0, 0.0]], [[1e-3]]),
+        Cost(np.eye(2), [[0.05]]),
+    )
+    first = design.remote_lqg(plant, cost, theta=0.1, zeta=2e-3)
+    monkeypatch.setattr(QueryValue, "__call__", lambda *_: pytest.fail("computed again"))
+    second = design.remote_lqg(plant, cost, theta=0.2, zeta=2e-3)
+    assert first.schedule is not None
+    assert second.schedule is not None
+    assert np.array_equal(first.schedule.queries, second.schedule.queries)
+    with pytest.raises(ValueError, match="read-only"):
+        first.schedule.queries[0] = True
 
 
 @law(5, 60, seed=SEEDS, discount=st.sampled_from([1.0, 0.6]))

@@ -15,11 +15,13 @@ from hypothesis import strategies as st
 from taciturn import ContinuousPlant, Cost, Network, Problem
 from taciturn._modes import accumulate
 from taciturn.design import excess
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import lift
 from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.lqg.sampling import sample, sample_prediction
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("A", "B", "Q", "R", "N", "W", "noise_cost")
@@ -273,7 +275,30 @@ def test_a_period_that_rounding_hides_is_named(period: float) -> None:
     """Neither the noise V nor the weight Q is the reason; an error of another kind keeps its own."""
     plant = ContinuousPlant([[-0.1, 1.0], [0.0, -0.2]], [[0.0], [1.0]], 0.01 * np.eye(2), C=[[1.0, 0.0]], V=[[0.01]])
     cost = Cost(np.diag([1.0, 0.0]), [[0.1]])
-    with pytest.raises(UnstableError, match=rf"^period is {period:g} s, in which the plant moves by .*longer"):
+    with pytest.raises(TaciturnError, match=rf"^period is {period:g} s, in which the plant moves by .*longer"):
         Problem(plant, cost, Network(), "excess", {"theta": 0.1, "period": period}).designed()
     with pytest.raises(ProblemError, match="neither delta nor theta is given"):
         Problem(plant, cost, Network(), "excess", {"period": period}).designed()
+
+
+@pytest.mark.parametrize(("period", "longer"), [(1e-300, "longer"), (1e-12, "longer"), (1e100, "shorter")])
+def test_a_period_far_from_the_time_scale_of_the_plant_is_named_and_not_the_disturbance(
+    period: float, longer: str
+) -> None:
+    """With a period that has a design; the disturbance and the noise are the same."""
+    plant = ContinuousPlant([[0, 1], [-1, -0.4]], [[0], [1]], np.diag([0, 1.0]), C=[[1.0, 0.0]], V=[[0.01]])
+    plant = follow(plant, disturbances=[ExternalDisturbance([0.0, 1.0], 1e-4)])
+    problem = Problem(plant, Cost(np.eye(2), [[1.0]]), Network(), "lqg", {"theta": 0.1, "period": period})
+    words = re.escape(f"period is {period:g} s, in which the plant moves")
+    with pytest.raises(ProblemError, match=f"^{words} .*; expected a {longer} period, such as 0.1 s$"):
+        problem.designed()
+    Problem(plant, problem.cost, Network(), "lqg", {"theta": 0.1, "period": 0.1}).designed()
+
+
+@pytest.mark.parametrize("A", [-1.0, 0.0])
+def test_a_period_of_which_nothing_is_left_in_a_step_is_refused_without_a_problem(A: float) -> None:
+    """Also of an integrator, which has no time scale of its own."""
+    with pytest.raises(
+        ProblemError, match=r"period is 1e-300, and rounding hides what the plant does .* at least 1e-1"
+    ):
+        excess(ContinuousPlant([[A]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1, period=1e-300)

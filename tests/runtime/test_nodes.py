@@ -426,3 +426,13 @@ def test_places_that_wait_for_each_other_are_refused() -> None:
     together = replace(policy, sites=policy.network.sites)
     with pytest.raises(ProblemError, match=r"within a step, .* and plc .* wait for packets of each other"):
         Node(together, "plc")
+
+
+@pytest.mark.parametrize("name", few(["two-mass", "quadruple-tank", "pid-tank", "pendulum-by-encoders"], 1))
+def test_nodes_compute_the_inputs_of_a_simulated_path_bit_for_bit(name: str) -> None:
+    """From the recorded measurements: the record is that of the bit-exact build."""
+    problem = taciturn.load(name)
+    policy = problem.design()
+    path, nodes = taciturn.simulate(problem.close(policy), 40, seed=1), taciturn.Nodes(policy, problem.network)
+    applied = np.array([nodes.step(y) for y in path.measurement])
+    assert applied.tobytes() == path.input.tobytes()

@@ -176,7 +176,10 @@ def test_a_verdict_without_a_bound_above_the_cost_of_every_sample_says_so() -> N
     [
         ({"settled": False}, "none: the loop has not settled, so the simulated cost is not an average"),
         ({"trusted": False}, "none: the standard error of the cost cannot be trusted"),
-        ({"cost_all_time": None}, "none: for this loop, the cost of sending every sample is not known"),
+        (
+            {"cost_all_time": None},
+            "none: the cost of sending every sample is known for the loop of the design, and not for this loop",
+        ),
         ({"cost_all_time": 0.0}, "none: sending every sample costs nothing, so no cost is a percentage of it"),
     ],
 )

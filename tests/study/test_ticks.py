@@ -11,7 +11,15 @@ from taciturn.model.following import follow
 from taciturn.model.set_points import RandomSteps, Timetable
 from taciturn.simulation.statistics import batch_means
 from taciturn.study.testbed.network import NetworkRun, _datagrams, _unheard
-from taciturn.study.testbed.ticks import cost_of_ticks, measured, plant_cost, rate_of_ticks, remark_on_rates, settled
+from taciturn.study.testbed.ticks import (
+    cost_of_ticks,
+    least_steps,
+    measured,
+    plant_cost,
+    rate_of_ticks,
+    remark_on_rates,
+    settled,
+)
 
 PROBLEM = taciturn.load("two-mass-lqg")
 LOOP = PROBLEM.close(PROBLEM.design())
@@ -20,7 +28,7 @@ LOOP = PROBLEM.close(PROBLEM.design())
 def test_a_long_run_has_a_mean_with_its_error() -> None:
     """Over all loops, without the steps in which the loop settles."""
     skipped = settled(LOOP)
-    costs = np.random.default_rng(1).exponential(size=(2, skipped + 640))
+    costs = np.random.default_rng(1).exponential(size=(2, skipped + least_steps(LOOP)))
     costs[:, :skipped] = 1e6
     found = plant_cost(PROBLEM, LOOP, costs.tolist(), 0.0)
     expected = batch_means(costs[:, skipped:].mean(axis=0))
@@ -42,7 +50,7 @@ def test_where_nothing_arrives_there_is_no_average() -> None:
 
 def test_a_cost_that_a_few_ticks_decide_is_told() -> None:
     """One step in a thousand costs a million times as much."""
-    costs = np.ones((1, settled(LOOP) + 1000))
+    costs = np.ones((1, settled(LOOP) + least_steps(LOOP)))
     costs[0, -1] = 1e6
     assert "its mean square may not exist" in plant_cost(PROBLEM, LOOP, costs.tolist(), 0.0)["notes"][-1]
 
@@ -98,6 +106,24 @@ def test_a_few_rare_changes_give_no_error_however_many_steps_there_are(plant: Pl
     found, _ = cost_of_ticks(usual, costs, 0.0)
     assert found is not None
     assert found.standard_error > 0
+
+
+def test_the_error_of_a_slow_loop_is_its_spread_over_many_records() -> None:
+    """A square that decays by 0.98 per step: 64 records of the least length with an error; shorter ones have none."""
+    plant, cost = Plant([[0.99]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e6]])
+    loop = close(plant, design.excess(plant, cost, delta=0.1))
+    assert loop.policy.theory.settling == pytest.approx(100, rel=0.01)
+    rng, steps = np.random.default_rng(5), settled(loop) + least_steps(loop)
+    x, costs = rng.standard_normal(64) / np.sqrt(1 - 0.99**2), np.empty((steps, 64))
+    for k in range(steps):
+        costs[k], x = x**2, 0.99 * x + rng.standard_normal(64)
+    found = [cost_of_ticks(loop, record, 0.0)[0] for record in costs.T]
+    spread = np.std([one.value for one in found if one is not None], ddof=1)
+    claimed = np.sqrt(np.mean([one.standard_error**2 for one in found if one is not None]))
+    assert 0.7 < claimed / spread < 1.3  # the spread of 64 records is known to 9 %
+    short, notes = cost_of_ticks(loop, costs[:3000, 0], 0.0)
+    assert short == Estimate(float(costs[settled(loop) : 3000, 0].mean()), 0.0, "exact")
+    assert f"expected at least {steps}: the cost is that of this run, with about 25 time constants" in notes[0]
 
 
 @pytest.mark.parametrize("relay", [True, False])

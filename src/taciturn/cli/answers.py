@@ -86,9 +86,10 @@ def evaluate(
         )
     if not found.settled:
         why = "a note states why there is no average, or " if found.notes else ""
+        longer = ", or a longer period" if found.unit == "second" else ""  # else the plant has no period
         refuse(
             f"the loop has not settled within {found.steps} steps: {why}its time constants, or the intervals between "
-            "sends, take too many steps; choose a longer period"
+            f"sends, take too many steps; give more --steps{longer}"
         )
     if not found.reached:
         wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"

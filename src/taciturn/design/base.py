@@ -96,6 +96,12 @@ class Attempts(Displayed):
         """Stationary distribution of the channel state, (s,)."""
         return stationary(self.turns)
 
+    @property
+    def often(self) -> str:
+        """How often the base attempts to send, as text."""
+        period = self.pattern[1:].index(True) + 1 if any(self.pattern[1:]) else len(self.pattern)
+        return "every sample" if period == 1 else f"once in {period} steps"
+
     def scaled(self, factor: float) -> Attempts:
         """Return the same attempts over a link with ``factor`` times the losses."""
         return replace(self, losses=factor * self.losses)
@@ -151,6 +157,11 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
             value = losses[:, None, None] * Y
             value[:, :n, :n] += reached * (closed.T @ Y @ closed)
         seen = seen + value.sum(axis=0)
+        if not np.abs(value).max() <= _fixed_point.LARGEST * np.abs(base.stage).max():  # also if it is NaN
+            raise UnstableError(
+                f"the base of the policy, which sends {attempts.often}, is not stable, and its cost exceeds "
+                f"{_fixed_point.LARGEST:g} times the weights; expected a stable loop, or a shorter horizon: {remedy}"
+            )
     total = attempts.terminal is not None or alpha < 1
     if not total:
         cost /= len(weights)
@@ -161,6 +172,19 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
     if not total and losses.any():
         fourth = _fixed_point.fourth(seen, _cycle(base, attempts), attempts.turns)
     return Advantage(P, np.array(H), np.array(slope), float(cost), settling, fourth)
+
+
+def note_growth(base: Base, attempts: Attempts, remedy: str) -> tuple[str, ...]:
+    """Return a remark if the base of a total cost is not stable, so that its cost grows with the horizon."""
+    if attempts.terminal is None:
+        return ()
+    grows = radius(base.Phi + base.Gamma @ base.K)
+    if all(attempts.pattern) and grows > 1 + GROWTH:
+        return (
+            f"the loop that sends every sample is not stable, and its deviations grow by a factor of {grows:.4g} per "
+            f"step: its cost, to which the bound refers, grows with the horizon; expected a stable loop: {remedy}",
+        )
+    return ()
 
 
 def critical_scale(base: Base, attempts: Attempts) -> float:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
 from taciturn.design.estimation import ESTIMATE
@@ -25,7 +25,8 @@ from taciturn.model.theory import Innovations
 from taciturn.model.trigger import Form, Trigger
 
 SILENT, STATE = "silent", "state"
-REMEMBERED = 0.999  # factor per step of a disturbance in the filter of one sensor
+REMEMBERED = 0.999  # factor per step of a disturbance that one sensor does not see, in its filter
+SHOWN = 1e-6  # relative size of the effect of a disturbance on outputs that counts as none
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,18 +151,42 @@ class ContributionSteps(Displayed):
         """Return the step of the Kalman filter of x⁺ = (A + BL)x + w̌ from the measurements of one sensor.
 
         An output that the controller keeps free of a disturbance does not show it, so the filter forgets it slowly. It
-        does not estimate set-points, which are known.
+        does not forget disturbances and set-points that its outputs show, and does not estimate set-points that are
+        known and constant.
         """
         plant, (signal, _, outputs) = self._plant, self._sensors[node]
         moved, closed = plant.B @ self.certainty.regulator.L, closed_loop(self.certainty)
         known = resting_states(plant)
-        closed = np.where((self.certainty.problem.lasting & ~known)[:, None], REMEMBERED * closed, closed)
+        closed = closed - (1 - REMEMBERED) * self._unseen(outputs, ~known) @ closed
         W = plant.W + moved @ self.certainty.filter.posterior @ moved.T
         C, V = plant.C[outputs], plant.V[np.ix_(outputs, outputs)]
         gain, place = np.zeros((plant.states, len(outputs))), np.ix_(~known, ~known)
         gain[~known] = filter_checked(closed[place], C[:, ~known], W[place], V).gain
         kept = (np.eye(plant.states) - gain @ C) @ closed
         return Assign(node, f"local_{node}", {f"local_{node}": kept, signal: gain})
+
+    def _unseen(self, outputs: list[int], among: Bits) -> Array:
+        """Return the projection on the lasting states, of some, that outputs do not show where x = Xd, (n, n).
+
+        These are the unobservable directions of d⁺ = Sd with the outputs (CX + C_d)d. No prediction of these outputs
+        depends on them.
+        """
+        problem = self.certainty.problem
+        d, found = problem.lasting & among, np.zeros(self._plant.A.shape)
+        if problem.followed is None:
+            return np.diag(d.astype(np.float64))
+        S, shown = self._plant.A[np.ix_(d, d)], problem.followed.outputs(self._plant.C[outputs])[:, d]
+        rows = [shown]
+        for _ in range(1, len(S)):
+            rows.append(rows[-1] @ S)
+        seen = np.vstack(rows)
+        size = np.abs(seen).max(axis=0, initial=0.0)  # so that the result does not depend on the units
+        size[size == 0] = 1.0
+        _, lengths, directions = np.linalg.svd(seen / size, full_matrices=True)
+        rank = int((lengths > SHOWN * lengths.max(initial=0.0)).sum())
+        hidden = directions[rank:]
+        found[np.ix_(d, d)] = (hidden.T @ hidden) / size[:, None] * size
+        return found
 
 
 def closed_loop(certainty: CertaintyEquivalentDesign) -> Array:

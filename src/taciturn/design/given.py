@@ -16,7 +16,7 @@ import numpy as np
 from taciturn._arrays import choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
-from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage
+from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import bound_by_attempts
 from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
@@ -131,7 +131,9 @@ def keep_controller(
     alike = average and every == 1 and not lossy  # the base is the linear loop with every sample
     finite = found.fourth is None or found.fourth < 1
     alone_always = route.base if lqg is None else actuator_base(problem, lqg)
-    all_time = base if lossy or every == 1 else _with_every_sample(problem, alone_always, loop.remedy)
+    all_time = base
+    if every > 1 and not lossy:
+        all_time = _cost(problem, _every_sample(problem, alone_always, loop.remedy))
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
@@ -157,7 +159,55 @@ def keep_controller(
         initial={**estimation.initial, **route.initial, **silence.initial},
         network=network if lossy else Network(),
         tick=problem.tick,
-        notes=(*([] if lossy else loop.beside_lqg(all_time)), *loop.notes),
+        notes=(
+            *([] if lossy else loop.beside_lqg(all_time)),
+            *note_growth(route.base, attempts, loop.remedy),
+            *loop.notes,
+        ),
+        disturbance=loop.disturbance,
+    )
+    return loop.carried_out(policy)
+
+
+def send_every_sample(
+    kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, link: str = "actuator"
+) -> Policy:
+    """Return the loop of a given controller with a packet at every sample.
+
+    No node decides, so none needs a filter, and the plant need not be detectable.
+
+    Args:
+        kind: name of the policy kind, for messages.
+        plant: the plant, without the slow disturbance that the controller compensates.
+        cost: the cost.
+        period: seconds between steps; only with a continuous plant.
+        kept: the controller.
+        link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
+
+    Raises:
+        ProblemError: the controller does not suit the plant.
+        UnstableError: the loop is unstable.
+    """
+    loop = KeptLoop.of(plant, cost, period, kept)
+    problem, average = loop.problem, not loop.problem.cost.mission
+    plant = problem.plant
+    route = route_over(link, problem, loop.controller, "hold", False, start=loop.point.start)
+    found = _every_sample(problem, route.base, loop.remedy)
+    always = Decide(route.node, SEND, Trigger({"silent": Form(constant=1.0), SEND: Form()}))
+    policy = Policy(
+        kind=kind,
+        steps=route.steps({"y": np.eye(plant.outputs)}, (always,), ()),
+        model=plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(_cost(problem, found)),
+            noise_cost=problem.noise_cost,
+            settling=found.settling,
+            recovery=recovery(route.base, plant, loop.disturbance) if average else None,
+        ),
+        sites=route.sites,
+        initial=route.initial,
+        tick=problem.tick,
         disturbance=loop.disturbance,
     )
     return loop.carried_out(policy)
@@ -194,11 +244,10 @@ def _cost(problem: Discrete, found: Advantage) -> float:
     return found.cost + float(np.sum(P * moment))
 
 
-def _with_every_sample(problem: Discrete, base: Base, remedy: str) -> float:
-    """Return the cost of a base with every sample."""
+def _every_sample(problem: Discrete, base: Base, remedy: str) -> Advantage:
+    """Return the value of a base with every sample."""
     always = StepCounter((True,) * (problem.cost.horizon or 1), (0,))
-    attempts = _attempts(problem, base, Network(), "actuator", always, False)
-    return _cost(problem, advantage(base, remedy, attempts))
+    return advantage(base, remedy, _attempts(problem, base, Network(), "actuator", always, False))
 
 
 def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: float) -> tuple[tuple[Step, ...], Form]:

@@ -84,10 +84,12 @@ def disturbed(
     return problem, controller, disturbance
 
 
-def lqg_observer(kind: str, problem: Discrete, every: int = 1, L: Array | None = None) -> Controller:
+def lqg_observer(
+    kind: str, problem: Discrete, every: int = 1, L: Array | None = None, zero: bool = False
+) -> Controller:
     """Return LQG control as a controller, whose observer uses the input that was applied.
 
-    Its gain is L, or by default optimal for a packet at every q-th step and a held input.
+    Its gain is L, or by default optimal for a packet at every q-th step, and an input that is held or ``zero`` between.
 
     Raises:
         ProblemError: the cost has a horizon, so that the gains change.
@@ -103,12 +105,15 @@ def lqg_observer(kind: str, problem: Discrete, every: int = 1, L: Array | None =
         return observer_controller(plant, filter_checked(plant.A, plant.C, plant.W, plant.V), L)
     if not problem.cost.mission:
         certainty = design_certainty(kind, problem)
-        steady, L, held = certainty.filter, certainty.regulator.L, certainty.held
+        steady, gain, moved, shrunk = certainty.filter, certainty.regulator.L, certainty.corrections, 1.0
     else:
-        steady, L = filter_checked(plant.A, plant.C, plant.W, plant.V), price_control(problem).L
-        shrunk = np.sqrt(problem.cost.discount)
-        held = Held(shrunk * plant.A, shrunk * plant.B, problem.Q, problem.R, problem.N, plant.W)
-    return observer_controller(plant, steady, L if every == 1 else held.solve((every,)).gains[0])
+        steady, gain = filter_checked(plant.A, plant.C, plant.W, plant.V), price_control(problem).L
+        moved, shrunk = plant.W, np.sqrt(problem.cost.discount)
+    if every > 1:  # with a discount, in states and inputs that are smaller by its root in each step
+        factor = 0.0 if zero else shrunk
+        between = Held(shrunk * plant.A, shrunk * plant.B, problem.Q, problem.R, problem.N, moved, factor)
+        gain = between.solve((every,)).gains[0]
+    return observer_controller(plant, steady, gain)
 
 
 def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:

@@ -19,7 +19,6 @@ _TYPES = {
     "truth": {"3.0": "Boolean", "2.0": "Boolean"},
     "count": {"3.0": "UInt64", "2.0": "Integer"},
 }
-_STARTS = {"number": "0", "truth": "false"}  # start values of inputs
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,6 +31,7 @@ class UnitVariable(Displayed):
         kind: type of the value: a real number, a Boolean, or a counter that never decreases.
         causality: independent, input or output.
         text: description of the variable.
+        start: value of an input before it is set; 0 of a truth value is false.
     """
 
     name: str
@@ -39,6 +39,7 @@ class UnitVariable(Displayed):
     kind: Literal["number", "truth", "count"]
     causality: Literal["independent", "input", "output"]
     text: str
+    start: float = 0.0
 
 
 def used_links(loop: Loop) -> tuple[str, ...]:
@@ -68,6 +69,12 @@ def may_lose(loop: Loop) -> bool:
     return loop.network.protocol != "ideal"
 
 
+def starts(loop: Loop) -> list[float]:
+    """Return the start values of the measurements, and of the set-points after them: those that the problem states."""
+    model = loop.in_units.policy.model
+    return [0.0] * model.sensed + model.given.tolist() if model.set_points else [0.0] * model.sensed
+
+
 def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
     """Return the variables of the FMU for the policy of a loop, except the time."""
     links, first, model, codes = used_links(loop), references(loop), loop.policy.model, wire_links(loop.policy)
@@ -78,8 +85,9 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
         for i in range(model.sensed)
     ]
     found += [
-        UnitVariable(f"setpoint[{i - model.sensed + 1}]", first["y"] + i, "number", "input", "Set-point")
-        for i in range(model.sensed, model.outputs)
+        UnitVariable(f"setpoint[{i - model.sensed + 1}]", first["y"] + i, "number", "input", "Set-point", start)
+        for i, start in enumerate(starts(loop))
+        if i >= model.sensed
     ]
     if may_lose(loop):
         found += [
@@ -166,7 +174,7 @@ def _list(root: Xml.Element, variables: tuple[UnitVariable, ...], version: Versi
             "name": one.name, "valueReference": str(one.reference), "description": one.text,
             "causality": one.causality, "variability": "discrete",
         }  # fmt: skip
-        start = {"start": _STARTS[one.kind]} if one.causality == "input" else {}
+        start = {"start": "false" if one.kind == "truth" else repr(one.start)} if one.causality == "input" else {}
         initial = {"initial": "calculated"} if one.causality == "output" else {}
         if version == "3.0":
             Xml.SubElement(listed, _TYPES[one.kind][version], {**said, **initial, **start})

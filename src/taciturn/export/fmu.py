@@ -26,6 +26,7 @@ from taciturn.export.description import (
     list_variables,
     may_lose,
     references,
+    starts,
     tick_length,
     used_links,
 )
@@ -263,6 +264,8 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
         f"const unsigned fmu_{name}[] = {{{', '.join(f'{i}U' for i in places)}}};"
         for name, places in {"outputs": outputs, "inputs": inputs}.items()
     ]
+    begun = ", ".join(c_literal(value, "float64") for value in starts(loop))
+    lines += [f"const double fmu_starts[] = {{{begun}}};"]
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
     lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.name}, 0U, 0U, none);" for i, node in enumerate(nodes)]
@@ -315,6 +318,7 @@ typedef struct {{
 
 extern const bool fmu_links[]; /* whether packets are sent over each link */
 extern const bool fmu_lossy;   /* whether packets may be dropped */
+extern const double fmu_starts[]; /* measurements and set-points until they are set */
 extern const unsigned fmu_outputs[]; /* output of the plant of each measurement, in the order of the nodes */
 extern const unsigned fmu_inputs[];  /* input of the plant of each input, in the order of the nodes */
 

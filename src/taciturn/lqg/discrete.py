@@ -11,7 +11,7 @@ import numpy as np
 
 from taciturn._arrays import Array, Bits, instance, number
 from taciturn._display import Displayed
-from taciturn._modes import eigenvalues, radius
+from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic
@@ -31,6 +31,8 @@ INSTANTS = (
     "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
     "at the sampling instants; nothing is claimed for the integral, or for another period"
 )
+SHORTEST = 1e-100  # period whose inverse and squares are numbers
+LEAST = 1e-10  # movement within a period, in units of the state, that leaves digits of what a plant does in a step
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
 
@@ -194,6 +196,13 @@ def discretise(
             "(give plant.dt if A and B describe one step)"
         )
     number("period", period, 0.0)
+    moved = pace(plant.A) * period
+    if period < SHORTEST or 0 < moved < LEAST:
+        least = max(SHORTEST, LEAST / pace(plant.A) if moved else 0.0)
+        raise ProblemError(
+            f"period is {period:g}, and rounding hides what the plant does in such a step; expected at least "
+            f"{least:.1g}"
+        )
     rate = float(eigenvalues(plant.A).real.max())
     if rate * period > np.log(GROWTH):
         raise ProblemError(

@@ -25,7 +25,9 @@ from taciturn.lqg.riccati import regulate
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
 
-def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int) -> Sampled:
+def lift(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int, factor: float = 1.0
+) -> Sampled:
     """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step.
 
     A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
@@ -39,6 +41,8 @@ def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W
         N: (n, m) cross weight.
         W: (n, n) semidefinite covariance of the noise of one step.
         every: k, the number of steps, at least 1.
+        factor: by which the input changes from one step to the next, instead of being constant: F = [[A, B],
+            [0, factor·I]]. For 0, the input is zero after the first step, and B_k = A^(k−1)B.
 
     Returns:
         The lifted problem; its costs are sums over k steps.
@@ -57,7 +61,7 @@ def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
     every = _arrays.count("every", every)
-    F = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
+    F = np.block([[A, B], [np.zeros((m, n)), factor * np.eye(m)]])
     once = Interval(F, np.block([[Q, N], [N.T, R]]), np.pad(W, ((0, m), (0, m))), 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         whole = repeat(once, every)
@@ -102,6 +106,7 @@ class Held:
         R: (m, m) symmetric input weight.
         N: (n, m) cross weight.
         corrections: (n, n) covariance of the correction by a measurement, Σ̃ − Σ; W if the state is measured.
+        factor: by which the input changes from one step to the next between sends: 1 if it is held, 0 if it is zero.
 
     Source: khashooei2017, astrom1997computer, bengaid2006
 
@@ -112,15 +117,22 @@ class Held:
     """
 
     def __init__(
-        self, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, corrections: ArrayLike
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        Q: ArrayLike,
+        R: ArrayLike,
+        N: ArrayLike,
+        corrections: ArrayLike,
+        factor: float = 1.0,
     ) -> None:
         """Store the problem of one step."""
-        self._tick, self._known = (A, B, Q, R, N, corrections), dict[int, Sampled]()
+        self._tick, self._factor, self._known = (A, B, Q, R, N, corrections), factor, dict[int, Sampled]()
 
     def lifted(self, ticks: int) -> Sampled:
-        """Return the LQ problem in which the input is held for a number of steps."""
+        """Return the LQ problem in which the input is held for a number of steps, or changes by the factor."""
         if ticks not in self._known:
-            self._known[ticks] = lift(*self._tick, ticks)
+            self._known[ticks] = lift(*self._tick, ticks, self._factor)
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:

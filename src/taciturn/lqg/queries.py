@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -14,7 +14,8 @@ from taciturn._modes import radius, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
-from taciturn.lqg._flow import riccati_flow
+from taciturn.lqg._cache import kept
+from taciturn.lqg._flow import Flow, riccati_flow
 from taciturn.lqg._repetition import Repetition
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.plant import Plant
@@ -30,7 +31,8 @@ VALUE, TERM, STEP = (
     2e3,
     1.5e5,
 )  # nanoseconds: for one value of a query, for a term of its sum, for a term that is computed step by step
-CHUNK = 64  # steps whose matrices are computed together
+SILENT = 1, 16, 256  # steps without a query before which the sum over few steps is checked
+CHUNK = 512  # steps whose matrices are computed together
 APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
 
 
@@ -147,7 +149,21 @@ class QueryValue:
         self._predictor, self._weights, self._done = predictor, weights, 0.0
         self._flow = riccati_flow(predictor.plant, weights.discount, weights.horizon)
         if self._flow is not None and weights.horizon is None:
-            self._weighed = self._flow.weighed(weights.P, weights.discount)
+            expected = [self._flow.steady, *self._starts(self._flow)]
+            self._weighed, self._observed = self._flow.thinned(weights.P, weights.discount, np.array(expected))
+
+    def _starts(self, flow: Flow) -> Iterator[Array]:
+        """Yield covariances from which later queries begin: one that is known, and those after silence."""
+        found, after = np.zeros_like(flow.steady), 0
+        for steps in (0, *SILENT):
+            with np.errstate(over="ignore", invalid="ignore"):
+                for _ in range(steps - after):
+                    found = self._predictor.silent(found if after else flow.steady)
+                    after += 1
+            if not np.isfinite(found).all():
+                return
+            if flow.attracts(found):
+                yield found
 
     def __call__(self, Sigma: Array, tick: int = 0) -> float:
         """Return h ≥ 0.
@@ -166,11 +182,12 @@ class QueryValue:
             return self._follow(np.stack([X, Y]), symmetrised(gain @ plant.C @ Sigma @ plant.A.T), tick)
         ahead = self._weights.horizon is not None
         weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
+        observed = flow.observed[: len(weighed)] if ahead else self._observed
         self._count(VALUE + TERM * len(weighed), len(weighed))
         S, total = plant.C @ Sigma @ plant.C.T + plant.V, 0.0
         for begin in range(0, len(weighed), CHUNK):
             ticks = slice(begin, min(begin + CHUNK, len(weighed)))
-            left, right = (flow.faded(part, gain, ticks) for part in (X, Y))
+            left, right = (flow.faded(part, gain, observed[ticks]) for part in (X, Y))
             total += float((weighed[ticks] @ left @ S * right).sum())
         return total
 
@@ -245,6 +262,15 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
 
     Source: khashooei2017
     """
+    return _scheduled(plant.A, plant.B, plant.W, plant.C, plant.V, weights.P, weights.discount, price, initial)
+
+
+@kept
+def _scheduled(
+    A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
+) -> Schedule:
+    """Return the schedule of ``schedule_queries``; every trial of a search for another parameter needs it again."""
+    plant, weights = Plant(A, B, W, C, V), Weights(P, discount)
     predictor, horizon = Predictor(plant), weights.horizon
     worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
     for tick in range(horizon or LONGEST):
@@ -304,7 +330,9 @@ def _schedule(
     plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None, discount: float
 ) -> Schedule:
     values = frozen(np.array(value))
-    found = Schedule(values > price, values, frozen(np.array(covariance)), price, start, discount)
+    queries = values > price
+    queries.setflags(write=False)  # designs share a schedule
+    found = Schedule(queries, values, frozen(np.array(covariance)), price, start, discount)
     expect_queries(plant, found)
     return found
 

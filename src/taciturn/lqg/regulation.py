@@ -37,7 +37,6 @@ SOLVED = 1e-9  # relative residual of the equations
 BEYOND = 1e-9  # rounding of an input at its limit
 CRUMB = 1e-13  # entry of X or U, relative to the largest for the same state of d, that is a rounding error
 FREE = 1e-10  # relative singular value below which a direction is free
-ROUNDS = 1e-12  # entry of U, relative to the largest of its input, that counts as zero
 STILL = 1e-9  # relative rate of change of an input that counts as zero
 
 
@@ -133,7 +132,6 @@ def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array,
 
 def _is_still(U: Array, S: Array) -> bool:
     """Return whether the modes of d that do not decay leave Ud at rest, so that U S d is zero or decays."""
-    U = np.where(np.abs(U) > ROUNDS * np.abs(U).max(axis=1, keepdims=True, initial=0.0), U, 0.0)
     moved = U @ S
     moved = np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
     seen = invariant(unit_columns(moved.T), [S.T])

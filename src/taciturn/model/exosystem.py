@@ -175,12 +175,15 @@ class Exosystem(Displayed):
         """
         z, n = target.outputs.shape
         parts, enters, seen = list[Array](), list[Array](), list[Array]()
-        for one in disturbances:
-            S = one.dynamics(continuous)
+        for place, one in enumerate(disturbances):
+            try:
+                S = one.dynamics(continuous)
+            except ProblemError as error:
+                raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
             measured = np.zeros(outputs) if one.measured is None else one.measured
             for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
                 if len(got) != expected:
-                    raise ProblemError(f"disturbance.{name} has {len(got)} entries; expected {expected}")
+                    raise ProblemError(f"disturbance[{place}].{name} has {len(got)} entries; expected {expected}")
             parts.append(S)
             rest = np.zeros((1, len(S) - 1))
             enters.append(np.hstack([one.enters[:, None], np.tile(rest, (n, 1))]))

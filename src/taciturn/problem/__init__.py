@@ -31,11 +31,12 @@ from taciturn._display import Displayed
 from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._plugins import problem_folders
+from taciturn._progress import OutOfTime
 from taciturn._pydantic import ValidationError, validate
 from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import AnyPolicy, Kind
-from taciturn.errors import PlacementError, ProblemError, TaciturnError, UnstableError
+from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -95,7 +96,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     **{name: (name,) for name in ("cost", "reference", "controller")},
 }
 TABLES = frozenset(one.name for one in fields(File)) - {"policy"}  # tables of a file that are replaced as a whole
-SHORT = 1e-5  # change of the state of a plant within a period that is too short for a design
+SHORT, USUAL, LONG = 1e-5, 0.1, 1e3  # movement of a plant, by its state, within a short, a usual and a long period
 LARGEST = 2**24  # bytes of a problem file
 CHANGED = "the changed problem"  # name of a changed problem in messages
 
@@ -198,12 +199,8 @@ class Problem(Displayed):
         except TaciturnError as error:
             key = "policy." if re.split("[ .]", str(error))[0] in self.record.parameters else ""
             text = f"{error}{self._others()}" if isinstance(error, PlacementError) else str(error)
-            if isinstance(error, UnstableError) and (moved := self._moved_in_a_period()) is not None:
-                key, text = (
-                    "policy.",
-                    f"period is {self.parameters['period']:g} s, in which the plant moves by {moved:.1g} ",
-                )
-                text += "of its state, so rounding hides its modes; expected a longer period"
+            if not isinstance(error, OutOfTime) and (found := self._other_period()) is not None:
+                key, text = "policy.", found
             raise type(error)(f"{self.name}: {key}{text}" if self.name else text) from None
         except np.linalg.LinAlgError as error:
             raise ProblemError(
@@ -211,13 +208,25 @@ class Problem(Displayed):
                 "to 1: scale the problem"
             ) from None
 
-    def _moved_in_a_period(self) -> float | None:
-        """Return by which share of its state a plant moves within a period that is too short for a design, or None."""
+    def _other_period(self) -> str | None:
+        """Return a sentence if the period is far from the time scale of the plant and a usual one has a design."""
         period, plant = self.parameters.get("period"), self.plant
         if not isinstance(period, float | int) or not isinstance(plant, ContinuousPlant):
             return None
-        moved = period * pace(plant.A)
-        return moved if 0 < moved < SHORT else None
+        rate = pace(plant.A)
+        moved = period * rate
+        if not 0 < moved < np.inf or SHORT <= moved <= LONG:
+            return None
+        try:
+            replace(self, parameters={**self.parameters, "period": USUAL / rate})._designed()
+        except TaciturnError:
+            return None
+        many = f"by {moved:.1g} of its state" if moved < 1 else f"through {moved:.1g} times its fastest time constant"
+        longer = "longer" if moved < 1 else "shorter"
+        return (
+            f"period is {period:g} s, in which the plant moves {many}, so rounding hides its modes; expected a "
+            f"{longer} period, such as {USUAL / rate:.1g} s"
+        )
 
     def _others(self) -> str:
         """Return the other kinds that accept plant, cost, network, reference and controller, as the end of a remedy."""

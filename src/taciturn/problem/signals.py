@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import warnings
+from math import isfinite, nan
 from pathlib import Path
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, quoted
 from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._text import backslash_text
@@ -90,16 +89,42 @@ def _changes(table: ReferenceTable) -> Changes | None:
     if table.file is None:
         return None
     try:
-        with warnings.catch_warnings():  # of a file without rows, which Timetable refuses
-            warnings.simplefilter("ignore", UserWarning)
-            rows = np.loadtxt(io.StringIO(read_text(Path(table.file), LARGEST)), delimiter=",", ndmin=2)
+        rows = _rows(read_text(Path(table.file), LARGEST))
     except (OSError, ValueError) as error:
         raise ProblemError(
-            f"reference.file {table.file!r} cannot be read ({why_unreadable(error).split(';')[0]}); expected rows of a "
+            f"reference.file {table.file!r} cannot be read ({why_unreadable(error)}); expected rows of a "
             "time and the set-points from then on, separated by commas, without a header"
             f"{backslash_text(table.file)}"
         ) from None
     return Timetable(rows[:, 0], rows[:, 1:])
+
+
+def _rows(text: str) -> Array:
+    """Return the numbers of a text with commas between columns, (rows, columns).
+
+    Raises:
+        ValueError: an entry is no finite number, or the numbers of columns differ; the message names the line of the
+            file, as an editor counts, and the column, both from 1 on.
+    """
+    rows, first = list[list[float]](), 0
+    for line, content in enumerate(text.split("\n"), start=1):
+        if not (content := content.partition("#")[0].strip()):
+            continue
+        entries, row = content.split(","), list[float]()
+        first = first or line
+        if rows and len(entries) != len(rows[0]):
+            raise ValueError(f"line {line} has {len(entries)} columns, and line {first} has {len(rows[0])}")
+        for column, entry in enumerate(entries, start=1):
+            try:
+                row.append(float(entry.replace("_", "?")))
+            except ValueError:
+                row.append(nan)
+            if not isfinite(row[-1]):
+                raise ValueError(
+                    f"column {column} of line {line} is {quoted(entry.strip())}, which is no finite number"
+                )
+        rows.append(row)
+    return np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 2))
 
 
 def _outputs_of(nodes: list[str], plant: Plant | ContinuousPlant, network: Network) -> list[int]:

@@ -23,11 +23,16 @@ Runner: TypeAlias = Callable[[Array, int, int | None], Run]
 """Function from states (states, paths), number of steps and threads (None: all processors) to a ``Run``."""
 
 
-def prepare(program: Program) -> Runner:
-    """Compile a program without inputs, and return the function that runs it for a number of steps."""
+def prepare(program: Program, exact: bool = False) -> Runner:
+    """Compile a program without inputs, and return the function that runs it for a number of steps.
+
+    Args:
+        program: the program.
+        exact: whether the numbers are those of NumPy bit for bit; the fast build may differ in the last bits.
+    """
     if not machine.available():
         return lambda states, ticks, threads: interpreter.run(program, states, ticks)
-    kernel = machine.Kernel(program)
+    kernel = machine.Kernel(program, "parity" if exact else "fast")
     return lambda states, ticks, threads: kernel.run(program, states, ticks, threads=threads)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
@@ -17,6 +18,7 @@ LONGEST = 1 << 17  # most checks between two sends; an error with a longer inter
 FIRST = 64  # intervals that are computed first; their number is doubled when needed
 SETTLED = 1e-15  # relative distance of a cost per check from its limit below which it equals the limit
 HALVINGS = 200
+Places = npt.NDArray[np.int64]
 
 
 class Clocked:
@@ -53,6 +55,12 @@ class Clocked:
         self._extend(whole + 1)
         below, above = self._sums[whole - 1], self._sums[whole]
         return float(rate * (below + (interval - whole) * (above - below))) if np.isfinite(above) else np.inf
+
+    def sums(self, intervals: Places) -> Array:
+        """Return the costs S(k) of whole intervals of k ≥ 1 checks between sends; infinite above the longest."""
+        self._extend(int(intervals.max(initial=1)))
+        most = len(self._sums)
+        return np.where(intervals <= most, self._sums[np.minimum(intervals, most) - 1], np.inf)
 
     def interval(self, price: float) -> float:
         """Return the optimal number of checks between sends for a given price per send; infinity if no send pays off.

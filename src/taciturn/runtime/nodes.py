@@ -99,7 +99,7 @@ class StepFunction:
 class Nodes:
     """All nodes of a policy and their links, in memory: each step takes the measurement y and returns the input u.
 
-    The results are bit-identical to those of separate nodes and of the closed loop.
+    The results are bit-identical to those of separate nodes, and to the paths that ``simulate`` records.
 
     Args:
         policy: policy of the nodes.

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+
+import numpy as np
 
 from taciturn._arrays import count, instance, number
 from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.parts import Estimator, Part, sends
-from taciturn.simulation.reliability import doubt_moments, doubt_tail, drifts_of, expect_arrivals, find_doubts
+from taciturn.simulation.reliability import (
+    doubt_errors,
+    doubt_moments,
+    doubt_tail,
+    drifts_of,
+    expect_arrivals,
+    find_doubts,
+)
 from taciturn.simulation.sampling import (
     SETTLING_CONSTANTS,
     SHORTEST_BURN_IN,
@@ -25,6 +35,8 @@ WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two wi
 PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
 TO_START = 1.2e7  # counted work to build and compile a program
 LEAN = 60  # operations of a small program
+CANCELS = 0.5  # share of an identity's constant below which the cost is a difference of larger numbers
+DIGITS = 1e-12  # rounding error of such a difference, relative to the constant
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
@@ -196,6 +208,10 @@ def least_work(loop: Loop) -> float:
 class Averaging:
     """A simulation of a loop that can predict its remaining computation from the first windows of steps.
 
+    The identity J = J_base + E[cost of silence] has large errors if the cost is far below that of its base, for example
+    over a horizon if sending every sample destabilises the loop. So in this case, the first steps are also simulated
+    with the plain average, and the estimator with the smaller error is used.
+
     Args:
         loop: the closed loop.
         estimator: estimator of the cost; default: the best that is valid.
@@ -233,9 +249,9 @@ class Averaging:
         instance("loop", loop, Loop)
         if estimator is not None:
             instance("estimator", estimator, Estimator)
-        self.estimator = estimator or choose_estimator(loop)
-        self.parts = [Part(loop, self.estimator)]
-        self.answers = _answers(self.parts, seed, standard_error, steps, progress, threads)
+        self.loop, self.chosen = loop, estimator is not None
+        self.effort = seed, standard_error, steps, progress, threads
+        self._use(estimator or choose_estimator(loop))
         self.first: Averages | None = None
         self.failed: UnstableError | OutOfTime | None = None
 
@@ -250,11 +266,7 @@ class Averaging:
         Raises:
             OutOfTime: the time limit has passed.
         """
-        if self.first is None and self.failed is None:
-            try:
-                self.first = next(self.answers)
-            except (UnstableError, OutOfTime) as error:
-                self.failed = error
+        self._begin()
         if isinstance(self.failed, OutOfTime):
             raise self.failed
         if self.first is None:
@@ -270,9 +282,36 @@ class Averaging:
             UnstableError: the loop diverges.
             OutOfTime: the time limit passed before any answer was available.
         """
+        self._begin()
         if self.failed is not None:
             raise self.failed
         return _judged(self.parts, last_of(self.answers, self.first))
+
+    def _use(self, estimator: Estimator) -> None:
+        """Prepare a simulation with an estimator."""
+        self.estimator = estimator
+        self.parts = [Part(self.loop, estimator)]
+        self.answers = _answers(self.parts, *self.effort)
+
+    def _begin(self) -> None:
+        """Simulate the first windows, unless this is done, and choose the estimator with the smaller error."""
+        if self.first is not None or self.failed is not None:
+            return
+        try:
+            self.first = next(self.answers)
+        except (UnstableError, OutOfTime) as error:
+            self.failed = error
+            return
+        estimator, answers, found = self.estimator, self.answers, self.first
+        if self.chosen or estimator.sum != EXCESS or found.cost.value > CANCELS * estimator.offset:
+            return
+        with suppress(UnstableError, OutOfTime):
+            self._use(plain_average(self.loop))
+            self.first = next(self.answers)
+        error = float(np.hypot(found.cost.standard_error, DIGITS * estimator.offset))
+        if self.first is found or self.first.cost.standard_error > error:
+            self.estimator, self.answers, self.first = estimator, answers, found
+            self.parts = [Part(self.loop, estimator)]
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
@@ -319,7 +358,7 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
         return found
     if loop.horizon is not None:
         notes = doubt_tail(found.tail)
-        return replace(found, notes=notes, trusted=not notes)
+        return replace(found, notes=notes + doubt_errors(found.cost, found.steps), trusted=not notes)
     # completed squares are bounded if they are those of a decision and not of the input that is applied
     identity, lossy = loop.identity, any(loop.network.loss(link) > 0 for link in loop.network.links)
     unbounded = parts[0].estimator.sum == COST or (identity is not None and identity.on is None and lossy)

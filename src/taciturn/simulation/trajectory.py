@@ -150,6 +150,10 @@ class Trajectory(Tabular):
 def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     """Simulate one path of a loop from its initial distribution, and record all signals.
 
+    The numbers are those of the bit-exact build: nodes that get the recorded measurements compute the recorded inputs
+    bit for bit. Averages over many paths (``evaluate``, ``average``) use the fast build, which may differ in the last
+    bits of a step.
+
     Args:
         loop: the closed loop, or a policy, which is closed with the plant, cost and network that it was designed for.
         ticks: number of steps, at least 1, and not beyond the end of a finite-horizon run.
@@ -181,7 +185,7 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     try:
         if size > ADDRESSES:
             raise MemoryError
-        outputs = prepare(program)(loop.start(program, 1, seed), ticks, 1).outputs
+        outputs = prepare(program, exact=True)(loop.start(program, 1, seed), ticks, 1).outputs
     except MemoryError:
         raise ProblemError(
             f"ticks is {ticks}, and a record of so many steps needs {size / 1e9:.3g} GB, more memory than there is; "

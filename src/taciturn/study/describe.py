@@ -126,7 +126,10 @@ class Description(Displayed):
             lines += [(f"actual {name}".strip(), text) for name, text in _plant_lines(problem.actual)]
         lines += _cost_lines(problem)
         lines += [] if problem.limits is None else [("limits", problem.limits.short())]
-        lines.append(("every sample", f"J_all = {self.policy.cost_all_time:.6g} {per_unit(per)}"))
+        whose = "; it is that of the loop of the design, and for this loop it is not known" * bool(
+            self.violated_assumptions
+        )
+        lines.append(("every sample", f"J_all = {self.policy.cost_all_time:.6g} {per_unit(per)}{whose}"))
         if self.controller is not None:
             lines += _controller_lines(self.problem.controller, self.controller)
         for name, value in self.gains.items():
@@ -302,9 +305,11 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     lines += [(name, text) for name in ("input limit", "input rate") if isinstance(text := rows[name], str)]
     if (e := plant.exosystem) is not None:
         moves = "dd/dt = S d + noise" if plant.continuous else "d⁺ = S d + noise"
-        lines.append(("disturbances", f"and set-points, {len(e.S)} states d: {moves}; C_z x + F d is to be zero"))
+        q = f"{len(e.S)} state{'s' * (len(e.S) > 1)} d"
+        goal = f"and set-points, {q}: {moves}; C_z x + F d is to be zero" if len(e.S) else "none; C_z x is to be zero"
+        lines.append(("disturbances", goal))
         shown = {"S": e.S, "E": e.E, "G": e.G, "W": e.W, "C_z": e.outputs, "F": e.F + 0.0, "start": e.start[None]}
-        lines += [line for name, value in shown.items() for line in matrix_lines(f"d, {name}", value)]
+        lines += [line for name, value in shown.items() if value.size for line in matrix_lines(f"d, {name}", value)]
     return lines
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn.design.certainty import SEND
-from taciturn.design.kinds.excess import excess
+from taciturn.design.given import send_every_sample
 from taciturn.loop import close
 from taciturn.model.estimate import Estimate
 from taciturn.model.placement import placed
@@ -102,8 +102,7 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     # over several links, which are ideal, the loop with every sample is that of one link
     sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
     link = "sensor" if sensed else "actuator"
-    alone = excess(problem.plant, problem.cost, delta=0.0, period=period, controller=problem.controller, link=link)
-    always = sends_every_sample(alone)
+    always = send_every_sample(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
     return placed(always, network.with_intervals(None)) if len(links) == 1 else always
 
 

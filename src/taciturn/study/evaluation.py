@@ -322,7 +322,7 @@ def _verdict(found: Evaluation) -> list[str]:
     if _sends_every_sample(found):
         return []
     if base is None:
-        return ["none: for this loop, the cost of sending every sample is not known"]
+        return ["none: the cost of sending every sample is known for the loop of the design, and not for this loop"]
     if base <= 0:
         return ["none: sending every sample costs nothing, so no cost is a percentage of it"]
     if not found.settled:

@@ -206,9 +206,10 @@ def sharing_text(found: Sharing) -> str:
         sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
         text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
         lines.append(("no less than", text))
-    label = "best periodic" if found.clock_attained else "periodic, bound"
+    label, attained = "best periodic" if found.clock_attained else "periodic, bound", found.cost_periodic_attained
     lines += [
         (label, f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
+        *([] if found.clock_attained else [("periodic, found", f"{attained:.6g}{above(attained)}")]),
         ("consistent", {True: "yes", False: "no", None: "undecided within the standard errors"}[found.consistent]),
         ("load", f"{found.load} sends per step"),
     ]

@@ -14,7 +14,7 @@ from typing import Any
 
 from taciturn._display import Displayed
 from taciturn._progress import Progress
-from taciturn.design.kinds.excess import excess
+from taciturn.design.given import send_every_sample
 from taciturn.errors import TaciturnError
 from taciturn.loop import close
 from taciturn.model.controller import ContinuousController, Controller
@@ -115,10 +115,9 @@ def _every_sample(problem: Problem, kept: Kept) -> float | None:
         return None
     period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
     try:
-        return excess(
-            problem.plant, problem.cost, delta=0.0, period=period, controller=without_disturbance(kept)
-        ).cost_all_time
-    except TaciturnError:  # such as a kind whose plant excess does not support
+        plain = without_disturbance(kept)
+        return send_every_sample("this controller", problem.plant, problem.cost, period, plain).cost_all_time
+    except TaciturnError:  # such as a loop whose cost is infinite
         return None
 
 

@@ -79,7 +79,9 @@ def excess(
             (``"tcp"``), J_all is the cost of an attempt to send every sample, and the rate is that of attempts. Losses
             without acknowledgement are not taken into account.
         every: q, steps between packets of the base that δ refers to; J + δ·rate ≤ J_q + δ/q with the cost J_q of
-            packets at every q-th step, so at the rate 1/q the policy costs no more than J_q. Default: every sample.
+            packets at every q-th step, so at the rate 1/q the policy costs no more than J_q. Without a controller, the
+            gains are the optimal ones for these packets and for what the actuator applies between them. Default: every
+            sample.
         gains: without a controller, ``"lqg"``: the gains of LQG, as if no packet were dropped; ``"loss-optimal"``:
             those that cost least with the network's mean loss.
         retry: attempt again in the step after a missing acknowledgement. The bound holds, as it does for every policy
@@ -135,7 +137,11 @@ def excess(
     if controller is None:  # a model predicts the input that LQG with every sample would apply
         problem = discretise(plant, cost, period)
         lqg = lqg_observer("excess", problem, L=L)
-        kept = lqg if actuation == "model" or every == 1 else lqg_observer("excess", problem, every)
+        kept = (
+            lqg
+            if actuation == "model" or every == 1
+            else lqg_observer("excess", problem, every, zero=actuation == "zero")
+        )
     else:
         kept, lqg = controller_from(controller), None
     policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)

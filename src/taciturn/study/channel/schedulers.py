@@ -19,6 +19,7 @@ from taciturn.model.trigger import Form
 from taciturn.renewal.allocation import Allocation, LoopClass, allocate, allocate_slots
 from taciturn.simulation.statistics import mean
 from taciturn.study.channel.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
+from taciturn.study.channel.cycles import best_stretch
 from taciturn.study.channel.loop_classes import Kind
 from taciturn.study.channel.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
 from taciturn.study.channel.simulated import RULE_ERROR, Group, SharedChannel, Stretch
@@ -111,8 +112,15 @@ class Game:
 
     @cached_property
     def attained(self) -> float:
-        """Cost per step of the best periodic control in which each kind of loops has slots of its own, or infinity."""
-        return self.cost_all_time + allocate_slots(self.sharers, self.capacity)
+        """Cost per step of the best periodic schedule found, or infinity.
+
+        The schedules are slots of its own for each kind of loops, and repeated stretches of time division.
+        """
+        apart = allocate_slots(self.sharers, self.capacity)
+        if apart <= float(self.counts @ self.clocked.costs):  # no schedule costs less
+            return self.cost_all_time + apart
+        rates = self.clocked.rates / [kind.every for kind in self.kinds]
+        return self.cost_all_time + min(apart, best_stretch(self.sharers, time_division(self), rates, self.cycle))
 
     def play(self, plan: Plan, channels: int) -> SharedChannel:
         """Return channels on which a plan is simulated; all errors are initially 0."""
@@ -177,13 +185,18 @@ def _round_robin(game: Game) -> Plan:
     return Plan([ALWAYS] * len(game.kinds), lambda: RoundRobin(game.capacity, game.loops))
 
 
-def _tdma(game: Game) -> Plan:
+def time_division(game: Game) -> TimeDivision:
+    """Return the access rule in which each loop sends at its rate in the best periodic allocation."""
     kinds = game.kinds
     rates = np.concatenate(
         [np.full(kind.count, rate / kind.every) for kind, rate in zip(kinds, game.clocked.rates, strict=True)]
     )
     phases = np.concatenate([(np.arange(kind.count) + 0.5) / kind.count for kind in kinds])
-    return Plan([ALWAYS] * len(kinds), lambda: TimeDivision(game.capacity, rates, phases))
+    return TimeDivision(game.capacity, rates, phases)
+
+
+def _tdma(game: Game) -> Plan:
+    return Plan([ALWAYS] * len(game.kinds), lambda: time_division(game))
 
 
 def _random_access(game: Game) -> Plan:

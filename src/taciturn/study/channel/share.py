@@ -75,8 +75,9 @@ class Sharing(Tabular):
         price: price per send, common to all loops; only for schedulers with a price.
         cost_periodic: lower bound on the cost of all periodic allocations, by their mean load.
         cost_periodic_same_load: the same for those with no more sends than were measured.
-        cost_periodic_attained: cost of the best periodic allocation in which each problem has slots of its own;
-            infinite if there is none. If it is ``cost_periodic``, both are that of the best periodic allocation.
+        cost_periodic_attained: cost of the best periodic schedule found: slots of its own for each problem, or a
+            repeated stretch of time division. If it is ``cost_periodic``, both are that of the best periodic
+            allocation.
         ticks: number of measured steps, over all channels that were simulated together.
         reached: whether the requested standard error was reached.
         seed: seed of the random draws.
@@ -319,14 +320,10 @@ def share_channel(
         periodic = allocate(game.sharers, max(min(load.value, capacity), 1e-9))
         least = base + float(game.counts @ game.clocked.costs)
         known = game.attained <= least + SAME * abs(least)
-        slots = (
-            f"with slots of its own for each problem, it costs {game.attained:.6g}"
-            if isfinite(game.attained)
-            else "there are not enough slots to give each problem its own"
-        )
         bounded = (
             f"cost_periodic {least:.6g} is a lower bound by the mean load, which periodic control may not attain: "
-            f"sends of loops with different intervals meet in some steps; {slots}"
+            "sends of loops with different intervals meet in some steps; the best periodic schedule found costs "
+            f"{game.attained:.6g} (cost_periodic_attained)"
         )
         return Sharing(
             scheduler=scheduler,

@@ -18,6 +18,7 @@ from taciturn.study.units import cost_unit
 
 SETTLED = 5.0  # time constants at the start that an average omits
 FEWEST = 10  # least steps of a batch
+APART = 3.0  # least length of a batch in time constants of the loop, or six of the cost, which is a square
 
 
 def settled(loop: Loop) -> int:
@@ -25,22 +26,28 @@ def settled(loop: Loop) -> int:
     return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.theory.settling))
 
 
-def piece_of(loop: Loop) -> tuple[int, str]:
-    """Return the least number of steps of a batch for a valid standard error, and what it contains once on average.
+def piece_of(loop: Loop) -> tuple[float, float, str]:
+    """Return the least number of steps of a batch for a valid standard error, and what it contains, with its steps.
 
-    If changes of set-points or jumps are rare, they decide the cost. A record of a few of them contains as few
-    independent pieces, however many steps it has.
+    Batches are independent only if each lasts several time constants of the loop. If changes of set-points or jumps are
+    rare, they decide the cost. A record of a few of them contains as few independent pieces, however many steps it has.
     """
-    changes = loop.problem.plant.changes
-    found = [(0.0, "")]
+    changes, settling = loop.problem.plant.changes, loop.policy.theory.settling
+    found = [(float(FEWEST), 1.0, "steps"), (APART * settling, settling, "time constants of the loop")]
     if isinstance(changes, RandomSteps):
-        found.append((1 / changes.rate, "changes of set-points"))
+        found.append((1 / changes.rate, 1 / changes.rate, "changes of set-points"))
     if isinstance(changes, SampledChanges):
-        found.append((float(len(changes.table)), "repetitions of the timetable"))
+        table = float(len(changes.table))
+        found.append((table, table, "repetitions of the timetable"))
     if loop.problem.jumps is not None:
-        found.append((1 / (loop.problem.jumps.jumps.rate * loop.problem.jumps.period), "jumps"))
-    steps, why = max(found)
-    return (FEWEST, "") if steps <= FEWEST else (int(np.ceil(steps)), why)
+        jumps = 1 / (loop.problem.jumps.jumps.rate * loop.problem.jumps.period)
+        found.append((jumps, jumps, "jumps"))
+    return max(found)
+
+
+def least_steps(loop: Loop) -> int:
+    """Return the number of steps after the first ones, which are omitted, from which on a mean has an error."""
+    return int(np.ceil(piece_of(loop)[0])) * BATCHES
 
 
 def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
@@ -51,14 +58,14 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
         return Estimate(total, 0.0, "exact"), ("one finite-horizon run: its cost is one realisation, not a mean",)
     skipped = settled(loop)
     kept = costs[skipped:]
-    piece, why = piece_of(loop)
-    needed = skipped + piece * BATCHES
+    _, once, why = piece_of(loop)
+    needed = skipped + least_steps(loop)
     short = f"{len(costs)} steps are too few for a mean cost with its error; expected at least {needed}"
     if len(kept) < FEWEST * BATCHES:
         return None, (short,)
-    if len(kept) < piece * BATCHES:
-        once = _in_units(loop, Estimate(float(kept.mean()), 0.0, "exact"))
-        return once, (f"{short}: the cost is that of this run, with about {len(kept) / piece:.2g} {why}",)
+    if len(kept) < least_steps(loop):
+        mean = _in_units(loop, Estimate(float(kept.mean()), 0.0, "exact"))
+        return mean, (f"{short}: the cost is that of this run, with about {len(kept) / once:.2g} {why}",)
     found = batch_means(kept)
     notes = loop.problem.remarks
     notes += (f"means omit the first {skipped} steps, in which the loop settles",) if skipped else ()
@@ -73,7 +80,7 @@ def rate_of_ticks(loop: Loop, sends: Array) -> Estimate:
     in all these steps.
     """
     kept = sends[settled(loop) :]
-    if loop.horizon is not None or len(kept) < piece_of(loop)[0] * BATCHES:
+    if loop.horizon is not None or len(kept) < least_steps(loop):
         return Estimate(float(sends.mean()), 0.0, "exact")
     found = batch_means(kept)
     return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)

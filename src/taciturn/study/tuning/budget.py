@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 
 from taciturn._arrays import number
 from taciturn.design.kind import TradeoffParameter
@@ -30,11 +31,18 @@ def parse_budget(name: str, text: str) -> float | str:
     Raises:
         ProblemError: the text is neither a number nor a percentage.
     """
-    try:
-        return float(text)
-    except ValueError:
+    found = None
+    with suppress(ValueError):
+        found = float(text)
+    if found is None:
         _share(name, text)
         return text
+    if text.strip().startswith("+"):
+        raise ProblemError(
+            f"{name} is {text!r}, a number with a sign; expected {text.strip()[1:]} for a {name} of this size, or a "
+            f"percentage such as {EXAMPLES[name]}"
+        )
+    return found
 
 
 def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: object) -> float:
