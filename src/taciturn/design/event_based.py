@@ -6,9 +6,9 @@ interval. With the time t since the last packet, the controller then computes
     u = −(kp y + I + D),  D ← T/(T + t) D + kd/(T + t)(y − last y),  I ← I + ki a,
 
 where a is the area under the error that the variant assumes. The derivative is implicit, and so stable for every t. The
-filter of the given controller is explicit: with its time constant Tf and the step h, D⁺ = (1 − h/Tf) D + kd/Tf (y⁺ − y).
-Both are the same at t = h if T = Tf − h. With this T, the rule with a packet at every step is the given controller, with
-whose cost it is compared.
+filter of the given controller is explicit: with its time constant Tf and the step h, D⁺ = (1 − h/Tf) D +
+kd/Tf (y⁺ − y). Both are the same at t = h if T = Tf − h. With this T, the rule with a packet at every step is the given
+controller, with whose cost it is compared.
 """
 
 from __future__ import annotations
