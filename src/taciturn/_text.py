@@ -17,6 +17,7 @@ SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
 FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
 ROUNDED = 12  # digits of a percentage that are not affected by rounding errors
 GAP = "  "
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
 
@@ -144,6 +145,19 @@ def backslash_text(path: str, error: str = "") -> str:
         "; a backslash in double quotes is an escape in TOML: write C:/folder/file, or 'C:\\folder\\file' in single "
         "quotes"
     )
+
+
+def ordinal(number: int) -> str:
+    """Return the ordinal of a positive number: "third", "11th", "22nd".
+
+    Example:
+        >>> [ordinal(number) for number in (2, 10, 11, 12, 21, 112)]
+        ['second', 'tenth', '11th', '12th', '21st', '112th']
+    """
+    if number <= len(ORDINALS):
+        return ORDINALS[number - 1]
+    ending = "th" if number // 10 % 10 == 1 else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{ending}"
 
 
 def per_unit(unit: str) -> str:

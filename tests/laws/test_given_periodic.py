@@ -118,7 +118,7 @@ def test_the_base_of_lqg_with_few_packets_is_lqg() -> None:
         assert policy.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)
         assert policy.guarantee is not None
         assert policy.guarantee.cost > policy.cost_all_time
-        assert "the cost of LQG with a packet at every 4th step" in policy.guarantee.statement
+        assert "the cost of LQG with a packet at every fourth step" in policy.guarantee.statement
         assert not any("controller" in note for note in policy.notes)
     # between packets the model applies the input of LQG, but for the corrections by measurements since the last packet
     known, power, missed, costs = (

@@ -287,3 +287,19 @@ def test_a_belief_about_the_channel_survives_what_its_law_excludes() -> None:
     certain = np.array([0.0, 1.0, 0.0])  # that nothing is lost
     assert np.allclose(belief(certain, [1.0], [1.0]), [0.0, 0.0, 1.0])
     assert np.allclose(belief(certain, [1.0], [0.0]), turns.T @ start)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"network": INDEPENDENT}, {"network": BURSTS, "actuation": "zero"}, {"link": "sensor"}, {"every": 3},
+        {"actuation": "zero"},
+    ],
+)  # fmt: skip
+def test_gains_that_change_with_a_horizon_name_what_they_exclude(options: dict[str, object]) -> None:
+    """Losses, the sensor link, every or zero: the message names each, so that the reader knows which to omit."""
+    words = r"horizon is 30, .* actuator link that drops no packets \(no loss, no burst\), with actuation .* every = 1"
+    cost = Cost(WEIGHTS.Q, WEIGHTS.R, horizon=30)
+    assert design.excess(PLANT, cost, theta=0.1).guarantee is not None
+    with pytest.raises(ProblemError, match=words):
+        design.excess(PLANT, cost, theta=0.1, **options)  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from counts import few
-from scipy.linalg import expm
+from scipy.linalg import expm, sqrtm
 
 from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, average, close, design
 from taciturn.lqg.prediction import prediction_cost
@@ -123,6 +123,8 @@ def test_jumps_do_not_depend_on_the_order_of_the_states_or_their_units(distribut
         assert other == pytest.approx(G[np.ix_(order, order)], rel=1e-9, abs=1e-12)
         scaled = Jumps(1.0, units[:, None] * covariance * units, distribution).spread  # type: ignore[arg-type]
         assert scaled == pytest.approx(units[:, None] * G, rel=1e-9)
+        deviations = np.sqrt(np.diag(covariance))
+        assert pytest.approx(deviations[:, None] * sqrtm(covariance / np.outer(deviations, deviations)), rel=1e-8) == G
     one = Jumps(1.0, np.outer([2.0, -1.0], [2.0, -1.0]), distribution).spread  # type: ignore[arg-type]
     assert one.shape == (2, 1)
     apart = Jumps(1.0, np.diag([4.0, 0.0, 9.0]), distribution).spread  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ import pytest
 
 import taciturn
 from taciturn import Estimate
-from taciturn._text import percent, wrapped_text
+from taciturn._text import ordinal, percent, wrapped_text
 from taciturn.analyse.limits import LowerBound
 from taciturn.renewal.policy import EventPolicy
 from taciturn.study.clock import Timed
@@ -109,6 +109,40 @@ def test_the_error_of_the_rate_moves_the_bound_and_periodic_control() -> None:
     errors = dict(zip(frame["name"], frame["cost_standard_error"], strict=True))
     assert errors["periodic, same rate"] == periodic.standard_error
     assert errors["guarantee, this rate"] == bound.standard_error
+
+
+def test_periodic_control_that_fewer_packets_make_no_worse_has_the_rate_at_which_it_sends() -> None:
+    """A controller discretised for every second step may cost less than with every sample; one packet per step is not
+    what this costs.
+    """
+    plant = taciturn.Plant([[0.9]], [[0.1]], [[0.01]], [[1.0]], [[0.05]], 1.0)
+    pid = taciturn.PID(0.5, 0.02, 1.0, 1.5, taciturn.Disturbance(deviation=0.0))
+    cost, ideal = taciturn.Cost([[1.0]], [[0.1]]), taciturn.Network()
+    problem = taciturn.Problem(plant, cost, ideal, "event-pid", {"delta": 0.0}, controller=pid)
+    found = taciturn.evaluate(problem, steps=4096)
+    assert found.clock is not None
+    assert [point.cycle for point in found.clock.points] == [(2,)]
+    rates = {str(record["name"]): record["rate_sensor"] for record in evaluation_records(found)}
+    assert rates["periodic, same rate"] == Estimate(0.5, 0.0, "exact")
+    assert rates["this policy"] == found.rates["sensor"]
+    assert "every [2] steps, the best found; more packets do not lower its cost" in " ".join(str(found).split())
+    usual = {str(record["name"]): record["rate_actuator"] for record in evaluation_records(simulated())}
+    assert usual["periodic, same rate"] == usual["this policy"]
+    assert "more packets" not in str(simulated())
+
+
+def test_numbers_of_steps_are_ordinal_words() -> None:
+    """In messages and guarantees, by one function."""
+    assert [ordinal(number) for number in (1, 3, 10, 11, 13, 21, 22, 23, 111, 122)] == [
+        "first", "third", "tenth", "11th", "13th", "21st", "22nd", "23rd", "111th", "122nd",
+    ]  # fmt: skip
+    slow = taciturn.Plant([[0.9]], [[1.0]], [[0.01]])
+    kept = {"controller": np.array([[0.5]]), "delta": 0.1}
+    statement = taciturn.design.excess(slow, COST, every=3, **kept).guarantee
+    assert statement is not None
+    assert "every third step" in statement.statement
+    with pytest.raises(taciturn.UnstableError, match="the loop that sends at every 22nd step is not stable"):
+        taciturn.design.excess(SCALAR, COST, every=22, **kept)
 
 
 def test_the_cost_of_a_real_period_has_the_error_of_its_curve() -> None:

@@ -25,6 +25,19 @@ PROBLEM = taciturn.load("two-mass-lqg")
 LOOP = PROBLEM.close(PROBLEM.design())
 
 
+@pytest.mark.parametrize(
+    ("ending", "words"), [({"horizon": 5}, "finite-horizon run"), ({"discount": 0.9}, "run with discounted costs")]
+)
+def test_the_cost_of_one_run_says_what_kind_of_total_it_is(ending: dict[str, float], words: str) -> None:
+    """A discounted problem has no horizon."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]], **ending)  # type: ignore[arg-type]
+    loop = close(plant, design.excess(plant, cost, delta=0.1))
+    total, notes = cost_of_ticks(loop, np.ones(5), 0.0)
+    assert total is not None
+    assert total.value == pytest.approx(np.sum(ending.get("discount", 1.0) ** np.arange(5)))
+    assert notes == (f"one {words}: its cost is one realisation, not a mean",)
+
+
 def test_a_long_run_has_a_mean_with_its_error() -> None:
     """Over all loops, without the steps in which the loop settles."""
     skipped = settled(LOOP)

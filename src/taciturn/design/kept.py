@@ -97,8 +97,9 @@ def lqg_observer(
     """
     if problem.cost.horizon is not None:
         raise ProblemError(
-            f"cost.horizon is {problem.cost.horizon}, so the gains of LQG change with time; expected an average or "
-            "discounted cost with this link, or a controller"
+            f"cost.horizon is {problem.cost.horizon}, so the gains of LQG change with time; {kind} supports this only "
+            "over an actuator link that drops no packets (no loss, no burst), with actuation 'hold' or 'model', "
+            "every = 1, and gains and retry omitted; expected this, an average or discounted cost, or a controller"
         )
     plant = problem.plant
     if L is not None:

@@ -155,10 +155,17 @@ class Jumps(Displayed):
         covariance: covariance of a single jump, (n, n), positive semidefinite.
         distribution: ``"normal"``, ``"uniform"`` or ``"two-point"``; each is scaled to the covariance: a jump is G ξ
             with independent ξ_i of variance 1 and this distribution. If it is not normal, the distribution of a jump
-            depends on G and not only on its covariance G G'. So G is the symmetric one, ``spread``.
+            depends on G and not only on its covariance G G'. So G, ``spread``, is D S with the deviations D of the
+            entries and the symmetric root S of their correlation matrix, which depends neither on the order of the
+            states nor on their units. G itself is not symmetric, unless all deviations are equal.
 
     Raises:
         ProblemError: if the rate is not positive, or the covariance is not positive semidefinite.
+
+    Example:
+        >>> Jumps(1.0, [[100.0, 6.0], [6.0, 1.0]], "uniform").spread.round(3)
+        array([[9.487, 3.162],
+               [0.316, 0.949]])
     """
 
     rate: float
@@ -177,7 +184,7 @@ class Jumps(Displayed):
 
     @property
     def spread(self) -> Array:
-        """The matrix G of a jump Gξ, (n, ξ); the order of the states has no effect on jumps that are not normal."""
+        """The matrix G of a jump Gξ, (n, ξ); order and units of the states have no effect on jumps that are not normal."""
         return factor(self.covariance) if self.distribution == "normal" else symmetric_factor(self.covariance)
 
 

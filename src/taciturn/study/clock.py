@@ -76,6 +76,11 @@ class ClockMix(Displayed):
     words: ClockKind
     standard_error: float = 0.0
 
+    @property
+    def rate(self) -> float:
+        """Its sends per step or per second: less than was asked for if a lower rate costs no more."""
+        return sum(share * point.rate for share, point in zip(self.shares, self.points, strict=True))
+
     def document(self) -> dict[str, Any]:
         """Return a JSON document: the cost, and rate and intervals (in steps; null: any period) of each cycle."""
         return {

@@ -13,7 +13,7 @@ from taciturn.model.limits import Violations
 from taciturn.model.schedule import Schedule
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
-from taciturn.study.clock import ClockMix
+from taciturn.study.clock import SAME, ClockMix
 from taciturn.study.disturbed import AfterStep
 from taciturn.study.limited import WithoutLimits
 from taciturn.study.lines import (
@@ -245,7 +245,7 @@ def evaluation_records(found: Evaluation) -> list[dict[str, object]]:
             )
 
     add("this policy", found.cost, found.rates)
-    add("periodic, same rate", None if always else periodic_cost(found), same)
+    add("periodic, same rate", None if always else periodic_cost(found), _clock_rates(found))
     add("every sample", base, pace)
     add("guarantee", proved(found.cost_bound), {})
     add("guarantee, this rate", bound_at_rate(found), same)
@@ -284,7 +284,9 @@ def _details(found: Evaluation) -> Lines:
     if _sends_every_sample(found):
         lines.append(("periodic", "the same as this policy, which sends every sample"))
     elif found.clock is not None:
-        lines.append(("periodic", clock_text(found.clock)))
+        ((_, rate),) = _clock_rates(found).items()
+        fewer = "" if rate in found.rates.values() else "; more packets do not lower its cost"
+        lines.append(("periodic", clock_text(found.clock) + fewer))
     elif found.no_clock:
         lines.append(("periodic", f"none at this rate: {found.no_clock}"))
     if found.linearisation is not None:
@@ -415,6 +417,14 @@ def bound_at_rate(found: Evaluation) -> Estimate | None:
 def periodic_cost(found: Evaluation) -> Estimate | None:
     """Return the cost of periodic control at the measured rate, with the error due to that of the rate."""
     return None if found.clock is None else _moved(found.clock.cost, found.clock.standard_error)
+
+
+def _clock_rates(found: Evaluation) -> Mapping[str, Estimate]:
+    """Return the rates of periodic control: the measured ones, or a lower one at which it costs no more."""
+    (rate, *others), clock = found.rates.values(), found.clock
+    if clock is None or others or clock.rate >= rate.value * (1 - SAME):
+        return found.rates
+    return dict.fromkeys(found.rates, Estimate(clock.rate, 0.0, "exact"))
 
 
 def _moved(cost: float, error: float) -> Estimate:

@@ -1,4 +1,4 @@
-"""Cost of recorded steps: a mean with its standard error, or the total of one finite-horizon run."""
+"""Cost of recorded steps: a mean with its standard error, or the total of one run with a horizon or a discount."""
 
 from __future__ import annotations
 
@@ -51,11 +51,12 @@ def least_steps(loop: Loop) -> int:
 
 
 def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
-    """Return the mean cost of the steps in the units of the problem, or the total of one finite-horizon run."""
+    """Return the mean cost of the steps in the units of the problem, or the total of one run with a horizon or a discount."""
     if loop.horizon is not None:
         discount = loop.problem.cost.discount
         total = float(costs @ discount ** np.arange(len(costs))) + (final if len(costs) == loop.horizon else 0.0)
-        return Estimate(total, 0.0, "exact"), ("one finite-horizon run: its cost is one realisation, not a mean",)
+        run = "finite-horizon run" if discount == 1.0 else "run with discounted costs"
+        return Estimate(total, 0.0, "exact"), (f"one {run}: its cost is one realisation, not a mean",)
     skipped = settled(loop)
     kept = costs[skipped:]
     _, once, why = piece_of(loop)
