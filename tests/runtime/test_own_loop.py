@@ -285,3 +285,23 @@ def test_results_that_are_too_large_are_refused_and_leave_the_nodes_as_they_were
             with pytest.raises(ProblemError, match="hold the last input, or reset them"):
                 nodes.step([3.4e38])
         assert nodes.step([1.0]).tobytes() == alone.step([1.0]).tobytes()
+
+
+def test_nodes_of_a_problem_have_its_network() -> None:
+    """Rounded payloads of the file, which the design of the policy does not know; so has a loop, and not a policy."""
+    for name in ("two-mass-lqg", "pid-tank"):
+        problem = taciturn.load(name).changed({"network.payload": "int16", "network.actuator_range": 10.0})
+        loop = problem.close(problem.design())
+        path = taciturn.simulate(loop, TICKS, seed=3)
+        for one in (problem, loop):
+            nodes = Nodes(one, seed=3)
+            assert nodes.network.payload == "int16"
+            assert np.array_equal([nodes.step(y) for y in path.measurement], path.input)
+        if name == "pid-tank":  # excess is designed for numbers that are not rounded
+            alone = Nodes(problem.design(), seed=3)
+            assert alone.network.payload == "float64"
+            assert not np.array_equal([alone.step(y) for y in path.measurement], path.input)
+        with pytest.raises(ProblemError, match="network is given with a problem or a loop, which has its own"):
+            Nodes(problem, Network())
+    with pytest.raises(ProblemError, match="policy is 'lqg'; expected a Policy"):
+        Nodes("lqg")  # type: ignore[arg-type]

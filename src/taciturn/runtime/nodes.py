@@ -8,12 +8,13 @@ therefore a pure function: its result is the same if the step is repeated or exe
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import cast
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count, flag, instance, quoted
 from taciturn.errors import ProblemError
+from taciturn.loop import Loop
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.placement import with_intervals
@@ -96,14 +97,28 @@ class StepFunction:
         return self._turn(memory, [supplied[place] for place in self._read])
 
 
+@runtime_checkable
+class Closable(Protocol):
+    """A problem: it designs a policy, and closes the loop of a policy with its own plant, network and cost."""
+
+    def design(self) -> Policy:
+        """Return the policy."""
+        ...
+
+    def close(self, policy: Policy) -> Loop:
+        """Return the loop of a policy."""
+        ...
+
+
 class Nodes:
     """All nodes of a policy and their links, in memory: each step takes the measurement y and returns the input u.
 
     The results are bit-identical to those of separate nodes, and to the paths that ``simulate`` records.
 
     Args:
-        policy: policy of the nodes.
-        network: network between the nodes; default: the network of the design.
+        policy: policy of the nodes, or its loop or problem. A policy has the network of its design, which for many
+            kinds is ideal; a loop and a problem have their own, with its losses and its rounded payloads.
+        network: network between the nodes, only with a policy; default: the network of the design.
         seed: seed of packet drops and of the policy's random draws; the draws of a step depend only on seed and step.
         estimate: estimate of the state before the first measurement, with disturbances and set-points, (n,); default:
             the mean of the problem, at which predictions of other nodes start in any case.
@@ -118,7 +133,7 @@ class Nodes:
 
     Example:
         >>> from taciturn import load
-        >>> nodes = Nodes(load("two-mass").design())
+        >>> nodes = Nodes(load("two-mass"))
         >>> u = nodes.step([0.5, 0.4])
         >>> u.shape, nodes.sent, nodes.tick
         ((1,), {'actuator': True}, 1)
@@ -126,7 +141,7 @@ class Nodes:
 
     def __init__(
         self,
-        policy: Policy,
+        policy: Policy | Loop | Closable,
         network: Network | None = None,
         seed: int = 0,
         *,
@@ -134,6 +149,14 @@ class Nodes:
         start_input: ArrayLike | None = None,
     ) -> None:
         """Set the state before the first step."""
+        if not isinstance(policy, Policy) and isinstance(policy, Closable):
+            policy = policy.close(policy.design())
+        if isinstance(policy, Loop):
+            if network is not None:
+                raise ProblemError(
+                    "network is given with a problem or a loop, which has its own; expected network with a policy only"
+                )
+            policy, network = policy.policy, policy.network
         instance("policy", policy, Policy)
         self.network = policy.network if network is None else network
         instance("network", self.network, Network)

@@ -78,7 +78,7 @@ class ClockMix(Displayed):
 
     @property
     def rate(self) -> float:
-        """Its sends per step or per second: less than was asked for if a lower rate costs no more."""
+        """Its sends per step or per second: less than the requested rate if a lower one costs no more."""
         return sum(share * point.rate for share, point in zip(self.shares, self.points, strict=True))
 
     def document(self) -> dict[str, Any]:
