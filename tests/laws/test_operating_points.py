@@ -333,6 +333,25 @@ def test_the_simulated_plant_may_have_another_operating_point() -> None:
     assert (found.input[:, 0] - needed)[2000:].mean() == pytest.approx(0.0, abs=5e-3)
 
 
+def test_costs_count_from_the_point_of_the_design_also_if_another_plant_is_simulated() -> None:
+    """Moved to a set-point elsewhere with the matrices of the simulated plant; the input that it needs costs."""
+    plant = {"A": [[0.9]], "B": [[0.2]], "C": [[1.0]], "W": [[1e-4]], "V": [[1e-4]], "dt": 1.0}
+    actual = {**plant, "B": [[0.25]], "operating_point": {"x": [2.5], "u": [1.5]}}
+    tables: dict[str, Any] = {
+        "plant": {**plant, "operating_point": {"x": [2.0], "u": [1.0]}, "actual": actual},
+        "cost": {"Q": [[1.0]], "R": [[0.1]]},
+        "policy": {"kind": "excess", "delta": 0.0},
+        "disturbance": [{"enters": [1.0], "kind": "constant", "wander": 1e-6}],
+        "reference": {"value": [3.0]},
+    }
+    problem = taciturn.problem.parse(tables, "two points")
+    loop = problem.close(problem.design())
+    path, cost = taciturn.simulate(loop, 20_000, seed=1), taciturn.average(loop, steps=200_000).cost
+    x, d, u = path.state[2000:, 0], path.state[2000:, 1], path.input[2000:, 0]
+    stage = (x - 3.0) ** 2 + 0.1 * (u - (1.0 + 0.1 * (3.0 - 2.0) / 0.25) + d / 0.25) ** 2
+    assert stage.mean() == pytest.approx(cost.value, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
