@@ -184,7 +184,7 @@ class Jumps(Displayed):
 
     @property
     def spread(self) -> Array:
-        """The matrix G of a jump Gξ, (n, ξ); order and units of the states have no effect on jumps that are not normal."""
+        """The matrix G of a jump Gξ, (n, ξ), on which the distribution of jumps that are not normal depends."""
         return factor(self.covariance) if self.distribution == "normal" else symmetric_factor(self.covariance)
 
 
