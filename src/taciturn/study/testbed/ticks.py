@@ -51,7 +51,7 @@ def least_steps(loop: Loop) -> int:
 
 
 def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
-    """Return the mean cost of the steps in the units of the problem, or the total of a run with an end or a discount."""
+    """Return the mean cost of the steps in the units of the problem, or the total of a run with horizon or discount."""
     if loop.horizon is not None:
         discount = loop.problem.cost.discount
         total = float(costs @ discount ** np.arange(len(costs))) + (final if len(costs) == loop.horizon else 0.0)
