@@ -85,7 +85,13 @@ def in_units(policy: Policy) -> Policy:
         steps=tuple(found for step in policy.steps for found in _moved(step, moves)),
         model=about(policy.model, None),
         theory=Theory(
-            cost=theory.cost, cost_all_time=theory.cost_all_time, sums=sums, innovations=told, functions=functions
+            cost=theory.cost,
+            cost_all_time=theory.cost_all_time,
+            settling=theory.settling,
+            recovery=theory.recovery,
+            sums=sums,
+            innovations=told,
+            functions=functions,
         ),
         initial={**policy.initial, **initial},
     )
