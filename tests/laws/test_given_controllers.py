@@ -9,6 +9,8 @@ import control
 import numpy as np
 import pytest
 from catalogue import outputs
+from drawn import law
+from hypothesis import strategies as st
 from runtime.loops import differing_ticks, record
 
 import taciturn
@@ -153,6 +155,33 @@ def test_the_averages_after_a_step_obey_the_steps_that_are_given() -> None:
     always = after.cost_all_time
     assert always.value == pytest.approx(constant, abs=4.5 * always.standard_error)
     assert always.standard_error == pytest.approx(7e-6, rel=0.3)
+
+
+@law(
+    3,
+    60,
+    kp=st.floats(0.1, 1.5),
+    ki=st.floats(0.0, 0.2),
+    kd=st.floats(0.1, 1.0),
+    filter=st.floats(1.0, 8.0),
+    r=st.sampled_from([0.0, 2.0]),
+)
+def test_event_based_pids_with_every_packet_are_the_given_controller(
+    kp: float, ki: float, kd: float, filter: float, r: float
+) -> None:
+    """With Δ = 0, a packet comes at every step: the inputs, and so the costs, are those of the row "every sample"."""
+    pid = PID(kp, ki, kd, filter * STEP, NO_DISTURBANCE, setpoint=r if ki else 0.0)
+    try:
+        given = send_every_sample("pid", TANK, WEIGHTS, None, pid, link="sensor")
+    except UnstableError:
+        return
+    path = taciturn.simulate(taciturn.close(TANK, given), 100, seed=1)
+    for kind in (design.event_pid, design.event_pid_saturated):
+        policy = kind(TANK, WEIGHTS, delta=0.0, controller=pid)
+        assert policy.cost_all_time == pytest.approx(given.cost_all_time, rel=1e-12)
+        same = taciturn.simulate(taciturn.close(TANK, policy), 100, seed=1)
+        assert same.sends["sensor"].all()
+        assert same.input == pytest.approx(path.input, abs=1e-9 * np.abs(path.input).max())
 
 
 def test_an_integrator_brings_the_usual_disturbance() -> None:

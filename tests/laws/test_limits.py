@@ -22,6 +22,8 @@ from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, Refere
 from taciturn.errors import TaciturnError
 from taciturn.export.folder import print_folder
 from taciturn.lqg.kalman import filter_checked
+from taciturn.model.exosystem import ExternalDisturbance
+from taciturn.model.following import follow
 from taciturn.model.packets import fingerprint
 from taciturn.program.names import Entry
 from taciturn.runtime.nodes import Nodes
@@ -275,6 +277,17 @@ def test_an_evaluation_shows_the_loop_without_limits() -> None:
     assert bare.without_limits is not None
     assert bare.without_limits.cost is None
     assert 0 < bare.without_limits.share.value < 1
+
+
+def test_no_share_of_the_steps_at_a_limit_is_shown_if_disturbances_wander_beyond_it() -> None:
+    """The first steps seldom reach a limit, and in the end all do: neither is an average."""
+    push = ExternalDisturbance([0.5], 1e-4, "ramp")
+    plant = follow(Plant([[0.9]], [[0.5]], [[0.01]], [[1.0]], [[0.01]], 1.0, input_limit=[50.0]), disturbances=push)
+    found = taciturn.evaluate(design.excess(plant, Cost([[1.0]], [[0.2]]), delta=0.1), steps=20_000)
+    assert found.without_limits is not None
+    assert found.without_limits.share is None
+    assert found.document()["share_at_limit"] is None
+    assert "the share of the steps in which a limit binds has no average" in " ".join(str(found).split())
 
 
 @pytest.mark.evidence

@@ -15,8 +15,11 @@ from runtime.loops import differing_ticks, record
 from used import COST, KINDS, SEEN
 
 import taciturn
-from taciturn import Cost, Network, Plant, Policy, Problem, ProblemError, Reference, design, linearise
+from taciturn import PID, Cost, Network, Plant, Policy, Problem, ProblemError, Reference, design, linearise
 from taciturn.export.vector import record_loop
+from taciturn.lqg.discrete import discretise
+from taciturn.model.coordinates import about
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.equilibrium import equilibrium
 from taciturn.model.following import follow
 from taciturn.model.limits import Limits
@@ -390,3 +393,49 @@ def test_limits_of_states_are_in_the_units_of_the_plant() -> None:
         found.append(violations(moved.close(moved.design()), limits, seed=1, steps=200_000))
     assert found[1].total.per_step.value == pytest.approx(found[0].total.per_step.value, rel=1e-9)
     assert found[0].total.per_step.value > 0
+
+
+def beside(point: OperatingPoint, plant: Plant | ContinuousPlant) -> OperatingPoint:
+    """Return a point of a plant that may have a slow disturbance, which rests at 0."""
+    return OperatingPoint([*point.x, *np.zeros(plant.states - len(point.x))], point.u)
+
+
+@pytest.mark.parametrize("of", [Plant, ContinuousPlant])
+def test_limits_do_not_depend_on_the_points_between(of: Any) -> None:
+    """At a point, and in the units of the plant, limits have the same bits whatever way they were counted before.
+
+    (0.9 − u) + u is not 0.9 for most u, so that a plant compared with itself had another limit.
+    """
+    draws = np.random.default_rng(0)
+    for _ in range(20):
+        here, there = (OperatingPoint([x], [u]) for x, u in draws.uniform(-0.3, 0.9, (2, 2)))
+        limit = [[-0.3, 0.9]]
+        time = {"dt": 1.0} if of is Plant else {}
+        plant = of([[-0.1]], [[0.1]], [[1.0]], input_limit=limit, operating_point=here, **time)
+        slow = Disturbance(20.0, 0.1).completed(plant, 1.0)
+        for one in (plant, slow.added_to(plant), slow.stepped(plant)):
+            cost = Cost(np.eye(one.states), [[1.0]])
+            sampled = discretise(one, cost, 1.0).plant if of is ContinuousPlant else one
+            assert np.array_equal(about(sampled, None).input_limit, limit)
+            assert np.array_equal(
+                about(about(sampled, beside(there, one)), beside(here, one)).input_limit, plant.input_limit
+            )
+            assert sampled.linear.stated_limit is None
+
+
+@pytest.mark.parametrize("setpoint", few([0.1, 0.2, 0.3, 0.5, 0.7], 1, 2))
+def test_rounded_packets_take_nothing_else_away(setpoint: float) -> None:
+    """With rounded packets, a loop is in the units of the plant; rows and burn-in are those of the same design."""
+    plant = Plant([[0.9]], [[0.1]], [[0.001]], [[1.0]], [[0.01]], 1.0, input_limit=[[-0.3, 0.9]])
+    keep = PID(0.5, 0.05, setpoint=setpoint, disturbance=Disturbance(20.0, 0.1))
+    rounded, exact = (
+        Problem(plant, Cost([[1.0]], [[0.1]]), Network(payload=payload), "excess", {"delta": 0.001}, controller=keep)
+        for payload in ("float32", "float64")
+    )
+    policy = rounded.designed()
+    assert policy.in_units.theory.settling == policy.theory.settling > 0
+    assert policy.in_units.theory.recovers == policy.theory.recovers
+    found, other = (taciturn.evaluate(one, steps=1024).after_step for one in (rounded, exact))
+    assert found is not None
+    assert other is not None
+    assert found.cost.value == pytest.approx(other.cost.value, abs=4 * other.cost.standard_error)

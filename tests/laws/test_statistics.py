@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -273,6 +274,38 @@ def test_limited_inputs_do_not_hold_an_unstable_plant_for_ever() -> None:
 
     assert notes(1.3)[0].startswith("the plant is unstable and its inputs are limited: the noise eventually")
     assert notes(1.0) == ()
+
+
+TURNING = 1.05 * np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "limits", "lost"),
+    [
+        ([[1.1]], [[1.0]], {"input_limit": [[-np.inf, 3.0]]}, True),
+        ([[1.1]], [[1.0]], {"input_rate": [3.0]}, True),
+        ([[1.1]], [[1.0, 0.5]], {"input_limit": [3.0, [-3.0, np.inf]]}, True),
+        ([[1.1]], [[1.0, 0.5]], {"input_limit": [[-np.inf, 3.0], [-3.0, np.inf]]}, False),
+        ([[1.1]], [[1.0, -0.5]], {"input_limit": [[-np.inf, 3.0], [-3.0, np.inf]]}, True),
+        ([[1.1]], [[1.0, 0.5]], {"input_limit": [3.0, np.inf]}, False),
+        ([[1.1, 0.0], [0.0, 0.5]], [[1.0, 0.0], [0.0, 1.0]], {"input_limit": [3.0, np.inf]}, True),
+        ([[1.1, 0.0], [0.0, 0.5]], [[1.0, 0.0], [0.0, 1.0]], {"input_limit": [np.inf, 3.0]}, False),
+        (TURNING, [[1.0], [0.0]], {"input_limit": [[-np.inf, 3.0]]}, False),
+        (TURNING, [[1.0], [0.0]], {"input_limit": [3.0]}, True),
+    ],
+)
+def test_each_growing_mode_needs_inputs_without_limits(A: Any, B: Any, limits: dict[str, Any], lost: bool) -> None:
+    """A real one in both directions, one that turns in one; otherwise a note says that there is no average."""
+    n, m = np.shape(B)
+    plant, cost = Plant(A, B, 0.01 * np.eye(n), **limits), Cost(np.eye(n), np.eye(m))
+    loop = close(plant, design.all_time(plant, cost))
+    found = average(loop, steps=4096)
+    assert any("no average exists" in note for note in found.notes) == lost
+    beside = taciturn.evaluate(loop.policy, steps=4096).without_limits
+    assert beside is not None
+    assert (beside.share is None) == lost
+    assert (beside.document()["share_at_limit"] is None) == lost
+    assert ("has no average" in beside.text("step")) == lost
 
 
 def test_a_tail_without_a_variance_is_told_from_those_with_one() -> None:

@@ -5,7 +5,10 @@ interval. With the time t since the last packet, the controller then computes
 
     u = −(kp y + I + D),  D ← T/(T + t) D + kd/(T + t)(y − last y),  I ← I + ki a,
 
-where T is the time constant of the derivative's filter and a the area under the error that the variant assumes.
+where a is the area under the error that the variant assumes. The derivative is implicit, and so stable for every t. The
+filter of the given controller is explicit: with its time constant Tf and the step h, D⁺ = (1 − h/Tf) D +
+kd/Tf (y⁺ − y). Both are the same at t = h if T = Tf − h. With this T, the rule with a packet at every step is the given
+controller, with whose cost it is compared.
 """
 
 from __future__ import annotations
@@ -53,7 +56,8 @@ class EventPID(Displayed):
         self, heard: Any, fresh: Any, command: Any, integral: Any, derivative: Any, before: Any, elapsed: Any
     ) -> Any:
         """Return the command and the state of the controller; without a packet, only the elapsed steps change."""
-        pid, time, T = self.pid, elapsed * self.step, self.pid.filter or 0.0
+        pid, time = self.pid, elapsed * self.step
+        T = 0.0 if pid.filter is None else pid.filter - self.step
         slope = (T * derivative + pid.kd * (heard - before)) / (T + time)
         value = -(pid.kp * heard + integral + slope)
         area = integral + pid.ki * self.area(heard, time, self.step)

@@ -123,7 +123,7 @@ class Discrete(Displayed):
             p.input_limit, input_rate=p.input_rate,
         )  # fmt: skip
         point = p.operating_point
-        plant = counted_from(plant, None if point is None else OperatingPoint(point.x[states], point.u))
+        plant = counted_from(plant, None if point is None else OperatingPoint(point.x[states], point.u), p)
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states])
 
     @property
@@ -233,7 +233,7 @@ def discretise(
     point = plant.operating_point
     if point is not None and prediction is not None:  # the input is the state of the actuator's model
         point = OperatingPoint(point.x, point.x)
-    discrete = counted_from(discrete, point)
+    discrete = counted_from(discrete, point, plant)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return Discrete(
         discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction, plant

@@ -199,7 +199,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     )  # fmt: skip
     object.__setattr__(with_all, "changes", changes)
     if point is not None:
-        with_all = counted_from(with_all, OperatingPoint(np.concatenate([point.x, at_rest]), point.u))
+        with_all = counted_from(with_all, OperatingPoint(np.concatenate([point.x, at_rest]), point.u), plant)
     if isinstance(source, Plant):
         object.__setattr__(with_all, "alone", source)
     return replace(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from taciturn._arrays import Array, frozen
-from taciturn.model.operating_point import MovedDynamics, OperatingPoint
+from taciturn.model.operating_point import MovedDynamics, OperatingPoint, limits_at
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.steps import ONE, Apply, Assign, Decide, Evaluate, Received, Step, Terms, assigned, read
 from taciturn.model.theory import Theory
@@ -30,12 +30,19 @@ STILL = 1e-10  # drift that is a rounding error, relative to its terms
 ESTIMATE, HELD = "estimate", "held"  # names of signals of all designs
 
 
-def counted_from(plant: AnyPlant, point: OperatingPoint | None) -> AnyPlant:
-    """Return a plant whose states and inputs already are deviations from a point, with this point as theirs."""
+def counted_from(plant: AnyPlant, point: OperatingPoint | None, origin: Plant | ContinuousPlant) -> AnyPlant:
+    """Return a plant whose states and inputs already are deviations from a point, with this point as theirs.
+
+    Args:
+        plant: the plant.
+        point: the point, or None.
+        origin: the plant from which this one was made, with the same inputs and limits.
+    """
     if point is None:
         return plant
     found = copy(plant)
     object.__setattr__(found, "operating_point", point)
+    object.__setattr__(found, "stated_limit", origin.stated_limit)
     return found
 
 
@@ -50,13 +57,13 @@ def about(plant: Plant, point: OperatingPoint | None) -> Plant:
     zero = OperatingPoint(np.zeros(plant.states), np.zeros(plant.inputs))
     start, end = here or zero, point or zero
     x, u = end.x - start.x, end.u - start.u
-    found, terms = counted_from(plant, end), [plant.A @ x, plant.B @ u, -x]
+    found, terms = counted_from(plant, end, plant), [plant.A @ x, plant.B @ u, -x]
     drift = np.sum([*terms, *([] if plant.drift is None else [plant.drift])], axis=0)
     still = np.abs(drift).max() <= STILL * max(float(np.abs(term).max()) for term in terms)
-    limit, function = plant.input_limit, plant.function
+    function = plant.function
     moved: Mapping[str, object] = {
         "mean": frozen(plant.mean - x),
-        "input_limit": None if limit is None else frozen(limit - u[:, None]),
+        "input_limit": limits_at(plant, point),
         "drift": None if still or function is not None else frozen(drift),
         "function": None if function is None else MovedDynamics.of(function, x, u, x),
         "operating_point": point,

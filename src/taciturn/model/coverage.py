@@ -44,7 +44,8 @@ def names(owner: str, properties: str) -> frozenset[str]:
 
 # states and inputs are deviations from an operating point, so all that holds for a plant around 0 holds there
 POINT = names("operating_point", "x u") | {"plant.operating_point"}
-LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state") | POINT
+# stated_limit is input_limit in the units of the plant, so input_limit alone tells whether the inputs are limited
+LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit") | POINT
 DRIFT = frozenset({"plant.drift"})
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit", "plant.input_rate"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}

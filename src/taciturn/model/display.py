@@ -25,6 +25,8 @@ class DisplayedPlant(Displayed):
     """Base class of plants that print a summary before their matrices.
 
     A plant in continuous time replaces the description of its noise, a plant in discrete time that of its time base.
+    ``stated_limit`` are the limits of the inputs in the units of the plant, (m, 2), from which ``input_limit`` is
+    computed for each operating point, so that it does not depend on the points between.
     """
 
     A: Array
@@ -35,6 +37,7 @@ class DisplayedPlant(Displayed):
     mean: Array
     covariance: Array
     input_limit: Array | None
+    stated_limit: Array | None
     input_rate: Array | None
     full_state: bool
     operating_point: OperatingPoint | None
@@ -58,12 +61,12 @@ class DisplayedPlant(Displayed):
     @property
     def unlimited(self) -> Self:
         """The plant without limits of its inputs."""
-        return self._without("input_limit", "input_rate")
+        return self._without("input_limit", "stated_limit", "input_rate")
 
     @property
     def linear(self) -> Self:
         """The plant of the design: linear, and without limits of its inputs."""
-        return self._without("input_limit", "input_rate", "function")
+        return self._without("input_limit", "stated_limit", "input_rate", "function")
 
     def _without(self, *names: str) -> Self:
         found = copy(self)
@@ -76,12 +79,6 @@ class DisplayedPlant(Displayed):
     def stated_mean(self) -> Array:
         """The mean of the initial state in the units of the plant, (n,)."""
         return self.mean if self.operating_point is None else self.mean + self.operating_point.x
-
-    @property
-    def stated_limit(self) -> Array | None:
-        """The limits of the inputs in the units of the plant, (m, 2), or None."""
-        limit, point = self.input_limit, self.operating_point
-        return limit if limit is None or point is None else limit + point.u[:, None]
 
     @property
     def time(self) -> str:

@@ -130,7 +130,7 @@ class Disturbance(Displayed):
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
             plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate,
         )  # fmt: skip
-        return counted_from(alone, None if point is None else OperatingPoint(point.x[:n], point.u))
+        return counted_from(alone, None if point is None else OperatingPoint(point.x[:n], point.u), plant)
 
 
 def padded(cost: Cost, inputs: int) -> Cost:
@@ -165,10 +165,10 @@ def _with(
                 "disturbance"
             )
         found = ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate)
-        return counted_from(found, point)
+        return counted_from(found, point, plant)
     function = None if plant.function is None else _Disturbed(plant.function, n, kept)
     found = Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate)
-    return counted_from(found, point)
+    return counted_from(found, point, plant)
 
 
 @dataclass(frozen=True, repr=False)

@@ -128,7 +128,16 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
                 f"operating_point.u is {point.u[i]:g} for input {i + 1}, beyond its input_limit "
                 f"[{limit[i, 0]:g}, {limit[i, 1]:g}]; expected an input within the limits"
             )
-        object.__setattr__(plant, "input_limit", frozen(limit - point.u[:, None]))
+        object.__setattr__(plant, "input_limit", limits_at(plant, point))
+
+
+def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> Array | None:
+    """Return the limits of the inputs of a plant in deviations from a point, (m, 2), or None.
+
+    They are computed from the limits in the units of the plant: (limit − u) + u differs from the limit by rounding.
+    """
+    limit = plant.stated_limit
+    return limit if limit is None or point is None else frozen(limit - point.u[:, None])
 
 
 def dynamics_at(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:

@@ -319,6 +319,7 @@ def _set_linear(
     p = C.shape[0]
     if p == 0:
         raise ProblemError("C has no rows; expected at least one measured output (omit C to measure the full state)")
+    limit = None if input_limit is None else limits_from(input_limit, B.shape[1])
     values: dict[str, object] = {
         "A": A,
         "B": B,
@@ -328,7 +329,8 @@ def _set_linear(
         "covariance": frozen(np.zeros((n, n)))
         if covariance is None
         else semidefinite("initial.covariance", covariance, n, "(states, states)"),
-        "input_limit": None if input_limit is None else limits_from(input_limit, B.shape[1]),
+        "input_limit": limit,
+        "stated_limit": limit,
         "input_rate": None if input_rate is None else positive("input_rate", input_rate, B.shape[1]),
         "exosystem": exosystem,
     }

@@ -17,7 +17,9 @@ from taciturn.errors import UnstableError
 from taciturn.loop import Loop
 from taciturn.lqg.riccati import states_with_cost
 from taciturn.model.estimate import Estimate
+from taciturn.model.plant import Plant
 from taciturn.model.policy import Send
+from taciturn.model.saturation import Saturation
 from taciturn.model.set_points import SampledChanges
 
 LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
@@ -101,7 +103,34 @@ def find_doubts(
 def escapes(loop: Loop) -> bool:
     """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
     limits = loop.problem.plant.saturation
-    return limits is not None and limits.bounded and _fastest(loop) > 1 + NEARLY
+    return limits is not None and _fastest(loop) > 1 + NEARLY and _out_of_reach(loop.problem.plant, limits)
+
+
+def _out_of_reach(plant: Plant, limits: Saturation) -> bool:
+    """Return whether limits bound what the inputs can do against a growing mode that the noise excites.
+
+    A mode z⁺ = λ z + w'B u + noise with left eigenvector w grows without return from |z| > sup |w'B u|/(|λ| − 1). A
+    real mode needs inputs in both directions. A complex one turns, so one direction is enough. An input with a limited
+    change follows a mode that grows exponentially too late.
+    """
+    low, high = limits.low, limits.high
+    if limits.rate is not None:
+        late = np.isfinite(limits.rate)
+        low, high = np.where(late, 0.0, low), np.where(late, 0.0, high)
+    values, left = np.linalg.eig(plant.A.T)
+    for value, mode in zip(values, left.T, strict=True):
+        moved, pushed = np.abs(mode @ root(plant.W)), mode @ plant.B
+        if abs(value) <= 1 + NEARLY or not (moved > NEARLY * np.abs(plant.W).max() ** 0.5).any():
+            continue
+        acts = np.abs(pushed) > NEARLY * np.linalg.norm(plant.B, axis=0)
+        if abs(value.imag) > NEARLY:
+            if not (acts & (np.isinf(low) | np.isinf(high))).any():
+                return True
+            continue
+        up, down = np.where(pushed.real > 0, high, -low), np.where(pushed.real > 0, -low, high)
+        if not (acts & np.isinf(up)).any() or not (acts & np.isinf(down)).any():
+            return True
+    return False
 
 
 def wanders(loop: Loop) -> bool:

@@ -170,7 +170,7 @@ def _evaluated(
             measured = measure(loop, request, first)
     asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
     found, notes = measured.averages, measured.notes + without_effect(asked, measured.method) + forgotten_start(problem)
-    policy, lower = loop.policy, None
+    policy, lower = loop.deviations.policy, None
     per_tick, pace = found.rates[policy.scheduled[0]], base_rate(loop)
     with part_of_time(1.0 if most == 1.0 else COMPARED):
         fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))

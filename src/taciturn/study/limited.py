@@ -20,6 +20,7 @@ from taciturn.problem.bare import BareKind
 from taciturn.program.engine import prepare
 from taciturn.program.lower import APPLIED, first_input
 from taciturn.program.names import Entry
+from taciturn.simulation.reliability import escapes, wanders
 from taciturn.study.measure import Request, measure
 
 PATHS, TICKS = 64, 512  # over which the share of steps at a limit is counted, after the transient
@@ -32,13 +33,13 @@ class WithoutLimits(Displayed):
     """The loop without limits of its inputs, compared with the loop that has them.
 
     Args:
-        share: share of the steps in which a limit binds, in the loop with limits.
+        share: share of the steps in which a limit binds, in the loop with limits; None if it has no average.
         cost: cost of the loop without limits; None for a policy that is given without its problem.
         cost_bound: proven upper bound on this cost, or None.
         rates: sends per step or per second without limits, by scheduled link.
     """
 
-    share: Estimate
+    share: Estimate | None
     cost: Estimate | None
     cost_bound: float | None
     rates: Mapping[str, Estimate] = field(hash=False)
@@ -48,11 +49,14 @@ class WithoutLimits(Displayed):
         rates = {link: rate.document("value", "standard_error") for link, rate in self.rates.items()}
         cost = None if self.cost is None else self.cost.document("value", "standard_error")
         free = {"cost": cost, "cost_bound": self.cost_bound, "rates": rates}
-        return {"share_at_limit": self.share.document("value", "standard_error"), "without_limits": free}
+        share = None if self.share is None else self.share.document("value", "standard_error")
+        return {"share_at_limit": share, "without_limits": free}
 
     def text(self, unit: str) -> str:
         """Return the comparison as one sentence."""
-        bind = f"a limit binds in {self.share.scaled(100)} % of the steps"
+        bind = "the share of the steps in which a limit binds has no average"
+        if self.share is not None:
+            bind = f"a limit binds in {self.share.scaled(100)} % of the steps"
         bound = "" if self.cost_bound is None else f", guarantee {self.cost_bound:.6g}"
         if self.cost is None:
             return bind + bound.replace(", ", "; without limits: ", 1)
@@ -78,7 +82,8 @@ def compare_without_limits(
     limits = loop.problem.plant.saturation
     if limits is None:
         return None
-    share = share_at_limits(loop, limits, request.seed)
+    # it would be that of the first steps, before the noise or the disturbances have come near the limits
+    share = None if escapes(loop) or wanders(loop) else share_at_limits(loop, limits, request.seed)
     if isinstance(problem.own, BareKind):
         bound = loop.policy.guarantee
         return WithoutLimits(share, None, None if bound is None else bound.cost, {})

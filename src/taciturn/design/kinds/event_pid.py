@@ -22,7 +22,8 @@ def event_pid(
 ) -> Policy:
     """Design an event-based PID controller, which computes if the output has changed by more than Δ, or after a time.
 
-    At a packet, the time t since the last packet enters the derivative's filter, and the integral grows by ki t y.
+    At a packet, the time t since the last packet enters the derivative's filter, and the integral grows by ki t y. With a
+    packet at every step, it is the given controller.
 
     Args:
         plant: the plant, with one input and one output.
