@@ -101,9 +101,13 @@ def assert_finite_time(plant: Plant, cost: Cost, kept: Controller, link: str, ne
     loop = taciturn.close(far, policy)
     choose = actuator_base if link == "actuator" else sensor_base
     P = advantage(choose(discretise(plant, cost, None), kept), "", Attempts((True,), *network.chain(link))).P
-    seen = np.vstack([np.eye(plant.states), np.zeros((len(kept.A), plant.states)), plant.C])
-    moment = seen @ (covariance + np.outer(mean, mean)) @ seen.T
-    moment[-plant.outputs :, -plant.outputs :] += plant.V
+    n, k, p = plant.states, len(kept.A), plant.outputs
+    seen = np.zeros((len(P), n))  # of the state, in (state, controller, measurement, value of the receiver)
+    seen[:n], seen[n + k : n + k + p] = np.eye(n), plant.C
+    first = seen @ mean
+    first[n + k + p :] = plant.C @ mean if link == "sensor" else 0.0  # the value with which the receiver begins
+    moment = seen @ covariance @ seen.T + np.outer(first, first)
+    moment[n + k : n + k + p, n + k : n + k + p] += plant.V
     sums = prepare(loop.program())(loop.start(loop.program(), paths, seed), steps, None).sums
     silent = policy.guarantee.per_silence * (1 - sums[Sent(link)] / steps)
     room = np.sum(P * moment) / steps + policy.cost_all_time + silent - sums["cost"] / steps

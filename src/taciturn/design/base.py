@@ -115,7 +115,7 @@ class Advantage(Displayed):
     """The value of a base, and the cost of silence in each step of its pattern and each channel state.
 
     Args:
-        P: value z'P z at the start of the pattern, the mean over the channel states, (n, n).
+        P: value w'P w of w = (z, h) at the start of the pattern, the mean over the channel states, (n + c, n + c).
         H: quadratic weight of the deviation of the choice, (steps, s, c, c).
         slope: linear weight of this deviation, (steps, s, c, n).
         cost: cost per step; of a total, the part that the noise causes.
@@ -167,7 +167,7 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
         cost /= len(weights)
     elif attempts.terminal is None:
         cost /= 1 - alpha ** len(weights)
-    P = symmetrised(np.tensordot(start, value[:, :n, :n], 1))
+    P = symmetrised(np.tensordot(start, value, 1))
     fourth = None
     if not total and losses.any():
         fourth = _fixed_point.fourth(seen, _cycle(base, attempts), attempts.turns)

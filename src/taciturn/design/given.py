@@ -22,7 +22,7 @@ from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.routes import MEASURED, REGISTER, Actuation, actuator_base, nonempty, route_over
+from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, actuator_base, nonempty, route_over
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
@@ -100,7 +100,7 @@ def keep_controller(
     time = StepCounter.of(problem, every)
     attempts = _attempts(problem, route.base, network, link, time, lossy)
     found = advantage(route.base, loop.remedy, attempts)
-    base = _cost(problem, found)
+    base = _cost(problem, found, route)
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
@@ -133,7 +133,7 @@ def keep_controller(
     alone_always = route.base if lqg is None else actuator_base(problem, lqg)
     all_time = base
     if every > 1 and not lossy:
-        all_time = _cost(problem, _every_sample(problem, alone_always, loop.remedy))
+        all_time = _cost(problem, _every_sample(problem, alone_always, loop.remedy), route)
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
@@ -200,7 +200,7 @@ def send_every_sample(
         model=plant,
         theory=Theory(
             cost=problem.cost,
-            cost_all_time=problem.per_unit(_cost(problem, found)),
+            cost_all_time=problem.per_unit(_cost(problem, found, route)),
             noise_cost=problem.noise_cost,
             settling=found.settling,
             recovery=recovery(route.base, plant, loop.disturbance) if average else None,
@@ -228,20 +228,22 @@ def _attempts(problem: Discrete, base: Base, network: Network, link: str, time: 
     return Attempts(time.pattern, turns, losses, cost.discount, terminal, key)
 
 
-def _cost(problem: Discrete, found: Advantage) -> float:
-    """Return the cost of a base: per step, or in total with the mean of z'P z at the first step.
+def _cost(problem: Discrete, found: Advantage, route: Route) -> float:
+    """Return the cost of a base: per step, or in total with the mean of w'P w at the first step, w = (z, h).
 
-    At this step, the controller's state is zero.
+    There z contains the random state of the plant, the state with which the controller starts, and the first
+    measurement; h is the value with which the receiver starts. All are a mean plus what x − E x and the noise v add.
     """
     if not problem.cost.mission:
         return found.cost
-    plant, P = problem.plant, found.P
-    n, size = plant.states, len(P)
-    first = np.zeros((size, n))
-    first[:n], first[size - plant.outputs :] = np.eye(n), plant.C
-    moment = first @ (plant.covariance + np.outer(plant.mean, plant.mean)) @ first.T
-    moment[size - plant.outputs :, size - plant.outputs :] += plant.V
-    return found.cost + float(np.sum(P * moment))
+    plant = problem.plant
+    mean = np.concatenate([plant.mean, route.start, plant.C @ plant.mean, route.begun])
+    state, noise = np.zeros((len(mean), plant.states)), np.zeros((len(mean), plant.outputs))
+    place = plant.states + len(route.start)
+    measured = slice(place, place + plant.outputs)
+    state[: plant.states], state[measured], noise[measured] = np.eye(plant.states), plant.C, np.eye(plant.outputs)
+    moment = np.outer(mean, mean) + state @ plant.covariance @ state.T + noise @ plant.V @ noise.T
+    return found.cost + float(np.sum(found.P * moment))
 
 
 def _every_sample(problem: Discrete, base: Base, remedy: str) -> Advantage:
