@@ -224,8 +224,8 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
         limit = f"below {scale * attempts.losses[0]:.4g}" if states == 1 else f"below {scale:.4g} times as much"
         reason = f"a loss {limit}" if scale else f"a stable loop: {remedy}"
         raise UnstableError(
-            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send every sample grows; "
-            f"expected {reason}"
+            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send {attempts.often} "
+            f"grows; expected {reason}"
         )
     if len(attempts.pattern) > 1:
         raise UnstableError(

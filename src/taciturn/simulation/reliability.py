@@ -135,7 +135,9 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
             )
     found, known = outcomes(loop), loop.deviations.policy.theory.fourth
     if found is None and known is not None and known >= 1 and loop.deviations.nominal:
-        return (_infinite(known, " if every packet is sent"),)
+        every = loop.deviations.policy.theory.every
+        sent = " if every packet is sent" if every == 1 else f" if a packet is sent once in {every} steps"
+        return (_infinite(known, sent),)
     if found is None or (growth := found.growth(4)) < 1:
         return ()
     if found.decides and (square := found.growth(2)) >= 1:
