@@ -139,7 +139,7 @@ def test_the_base_of_lqg_with_few_packets_is_lqg() -> None:
 @pytest.mark.parametrize("seeds", [range(4), pytest.param(range(60), marks=pytest.mark.evidence)])
 def test_every_sample_over_a_lossy_link_costs_the_same_whatever_the_base(seeds: range) -> None:
     """J_all is that of an attempt in every step, for a given controller and LQG; the bound refers to the base, J_q."""
-    tried = 0
+    apart = []
     for seed in seeds:
         plant, cost, kept = random_loop(seed)
         link, total = ("actuator", "sensor")[seed % 2], ({}, {"horizon": 12}, {"discount": 0.9})[seed % 3]
@@ -155,12 +155,12 @@ def test_every_sample_over_a_lossy_link_costs_the_same_whatever_the_base(seeds: 
                     continue
                 always = design.excess(plant, cost, actuation=actuation, **options)
                 assert rare.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)
-                assert rare.theory.identity.constant != pytest.approx(rare.cost_all_time, rel=1e-3)
                 if rare.guarantee is not None and not total:
                     bound = rare.guarantee.base + 0.5 * rare.guarantee.per_silence
                     assert bound == pytest.approx(rare.theory.identity.constant, rel=1e-9)
-                tried += 1
-    assert tried > len(seeds) / 2
+                apart.append(abs(rare.theory.identity.constant / rare.cost_all_time - 1))
+    assert len(apart) > len(seeds) / 2
+    assert np.median(apart) > 0.01
 
 
 def test_growing_fourth_moments_are_named_as_those_of_the_base() -> None:
