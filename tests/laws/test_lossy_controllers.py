@@ -213,6 +213,23 @@ def test_a_guarantee_needs_finite_fourth_moments() -> None:
     assert policy.theory.fourth == pytest.approx(radius, rel=1e-6)
 
 
+def test_with_a_discount_the_fourth_moments_count_with_its_square() -> None:
+    """By Kronecker products; where they grow, no guarantee is stated, and the discounted average warns."""
+    plant = Plant([[0.9]], [[1.0]], [[0.01]], [[1.0]], [[0.01]], mean=[5.0])
+    for loss, finite in ((0.1, True), (0.5, False)):
+        network, cost = Network("tcp", actuator_loss=loss), Cost([[1.0]], [[0.1]], discount=0.9)
+        policy = design.excess(plant, cost, delta=0.1, network=network)
+        base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
+        arrives, silent = (np.kron(F, F) for F in (base.silent @ base.replaced, base.silent))
+        whole = (1 - loss) * np.kron(arrives, arrives) + loss * np.kron(silent, silent)
+        radius = float(np.abs(np.linalg.eigvals(whole)).max())
+        assert policy.theory.fourth == pytest.approx(0.81 * radius, rel=1e-6)
+        found = taciturn.evaluate(policy, steps=100_000)
+        assert (0.81 * radius < 1) == finite == (policy.guarantee is not None)
+        assert finite == ("the discounted squared cost grows by a factor of 1.228 per step" not in str(found.notes))
+        assert finite or not found.trusted
+
+
 def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:
     """With the slow disturbance of its integrator, whose slow mode the cost hardly sees."""
     tank = Plant([[1, 0.1], [0, 0.9]], [[0], [0.1]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=0.1)

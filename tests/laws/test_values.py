@@ -15,9 +15,11 @@ from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Network, Pl
 from taciturn.design.base import Attempts, Base, advantage, critical_scale
 from taciturn.design.certainty import design_certainty
 from taciturn.design.prediction import predict_continuously
+from taciturn.design.prices import price_control
 from taciturn.design.routes import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.names import Sent
 from taciturn.simulation.average import average
 
@@ -123,6 +125,42 @@ def test_a_total_cost_includes_what_the_receiver_uses_before_the_first_packet(
     )
     error = np.hypot(squares.standard_error, other.standard_error)
     assert squares.value == pytest.approx(other.value, abs=4.5 * error)
+
+
+WAYS = (
+    {"link": "sensor"}, {"link": "sensor", "actuation": "model"}, {"actuation": "zero"}, {"every": 2},
+    {"every": 2, "link": "sensor"}, {"network": Network("tcp", actuator_loss=0.1)},
+    {"network": Network("tcp", sensor_loss=0.2), "link": "sensor"},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_lqg_over_any_link_begins_with_the_mean_of_the_initial_state(way: dict[str, object]) -> None:
+    """By moments of state and estimate with the steady gain; about an operating point too; and in a simulation."""
+    free = Plant([[0.9]], [[1.0]], [[0.01]], [[1.0]], [[0.01]], mean=[5.0], covariance=[[0.5]])
+    cost = Cost([[1.0]], [[0.1]], discount=0.9)
+    policy, best = design.excess(free, cost, delta=0.1, **way), design.excess(free, cost, delta=0.1).cost_all_time
+    assert policy.initial["next register"] == pytest.approx([5.0])
+    if "network" not in way:
+        G, L = filter_checked(free.A, free.C, free.W, free.V).gain.item(), price_control(discretise(free, cost, None)).L
+        both = np.array([[1.0, 0.0], [G, 1 - G]])  # from (x, prior) to (x, estimate), plus G v
+        M, exact = np.full((2, 2), 25.0) + np.diag([0.5, 0.0]), 0.0
+        for k in range(300):
+            M = both @ M @ both.T + np.diag([0.0, 0.01 * G**2])
+            exact += 0.9**k * (M[0, 0] + 0.1 * L.item() ** 2 * M[1, 1])
+            moved = np.array([[0.9, L.item()], [0.0, 0.9 + L.item()]])
+            M = moved @ M @ moved.T + np.diag([0.01, 0.0])
+        assert policy.cost_all_time == pytest.approx(exact, rel=1e-9)
+        assert best < exact < 1.01 * best  # that of the gains of a filter from the start
+    point = OperatingPoint([2.0], [0.2])
+    moved = Plant(free.A, free.B, free.W, free.C, free.V, mean=[7.0], covariance=[[0.5]], operating_point=point)
+    assert design.excess(moved, cost, delta=0.1, **way).cost_all_time == pytest.approx(policy.cost_all_time, rel=1e-9)
+    plain = replace(policy, theory=replace(policy.theory, identity=None))
+    squares, other = (
+        average(taciturn.close(free, one, cost=cost), steps=100_000, seed=number).cost
+        for number, one in enumerate((policy, plain))
+    )
+    assert squares.value == pytest.approx(other.value, abs=4.5 * np.hypot(squares.standard_error, other.standard_error))
 
 
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(96), marks=pytest.mark.evidence)])

@@ -120,8 +120,9 @@ class Advantage(Displayed):
         slope: linear weight of this deviation, (steps, s, c, n).
         cost: cost per step; of a total, the part that the noise causes.
         settling: time constant in steps of the slowest mode that the cost depends on; 0 for a finite horizon.
-        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them;
-            at 1 or more, the variance of the cost is infinite. None without losses, and for a total.
+        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them,
+            with a discount α of α² times them; at 1 or more, the variance of the cost is infinite. None without losses,
+            and over a horizon.
     """
 
     P: Array
@@ -169,7 +170,7 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
         cost /= 1 - alpha ** len(weights)
     P = symmetrised(np.tensordot(start, value, 1))
     fourth = None
-    if not total and losses.any():
+    if attempts.terminal is None and losses.any():
         fourth = _fixed_point.fourth(seen, _cycle(base, attempts), attempts.turns)
     return Advantage(P, np.array(H), np.array(slope), float(cost), settling, fourth)
 
