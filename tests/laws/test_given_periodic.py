@@ -170,6 +170,10 @@ def test_growing_fourth_moments_are_named_as_those_of_the_base() -> None:
     options = {"delta": 0.0, "controller": kept, "network": Network("tcp", actuator_loss=0.1)}
     rare, always = (design.excess(plant, cost, every=every, **options) for every in (3, 1))
     assert always.theory.fourth < 1 < rare.theory.fourth
+    assert (
+        "with an attempt to send at every 2nd step"
+        in design.excess(plant, cost, every=2, **options).guarantee.statement
+    )
     found = taciturn.evaluate(rare, steps=20_000)
     assert "grows by a factor of 1.276 per step if a packet is sent once in 3 steps" in str(found.notes)
     assert found.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)

@@ -26,6 +26,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import mode_text, radius
 from taciturn._progress import check_time
+from taciturn._text import ordinal
 from taciturn.design import _fixed_point
 from taciturn.errors import UnstableError
 from taciturn.model.losses import stationary
@@ -230,7 +231,7 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
         )
     if len(attempts.pattern) > 1:
         raise UnstableError(
-            f"the loop that sends at every {len(attempts.pattern)}th step is not stable; expected a smaller every: "
+            f"the loop that sends at every {ordinal(len(attempts.pattern))} step is not stable; expected a smaller every: "
             f"{remedy}"
         )
     modes = np.linalg.eigvals(base.Phi + base.Gamma @ base.K)
