@@ -54,6 +54,17 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
     return "\n\n".join(_part([*range(names), *part], wrapped, columns, widths, names) for part in parts)
 
 
+def ordinal(number: int) -> str:
+    """Return a number as an ordinal.
+
+    Example:
+        >>> [ordinal(number) for number in (1, 2, 3, 4, 11, 22)]
+        ['1st', '2nd', '3rd', '4th', '11th', '22nd']
+    """
+    last = 0 if number // 10 % 10 == 1 else number % 10
+    return str(number) + {1: "st", 2: "nd", 3: "rd"}.get(last, "th")
+
+
 def wrapped_text(text: str, indent: str = "") -> str:
     """Return a text wrapped to at most 80 columns."""
     return "\n".join(_hanging(indent, text))

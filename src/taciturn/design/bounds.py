@@ -13,6 +13,7 @@ import numpy as np
 
 from taciturn._arrays import Array, number, quoted, symmetrised
 from taciturn._modes import least_eigenvalue
+from taciturn._text import ordinal
 from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
@@ -177,7 +178,7 @@ def bound_by_attempts(
         lqg: whether the base is LQG, and not a given controller.
     """
     cost, word = problem.cost, "an attempt to send" if lossy else "a packet"
-    name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {every}th step")
+    name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {ordinal(every)} step")
     base_of = f"{name} the cost of {'LQG' if lqg else 'this controller'} with {word} at {at}"
     if cost.discount < 1:
         power = "α" if every == 1 else f"α^{every}"
