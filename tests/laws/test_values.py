@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from taciturn.lqg.kalman import filter_checked
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.names import Sent
 from taciturn.simulation.average import average
+from taciturn.study.disturbed import sends_every_sample
 
 ACTUATIONS = ("hold", "model", "zero")
 
@@ -163,23 +166,29 @@ def test_lqg_over_any_link_begins_with_the_mean_of_the_initial_state(way: dict[s
     assert squares.value == pytest.approx(other.value, abs=4.5 * np.hypot(squares.standard_error, other.standard_error))
 
 
+def combination(seed: int) -> tuple[Plant, Cost, dict[str, Any]]:
+    """Return a random loop with a far start, and options: actuation, losses or bursts, attempts, controller or LQG."""
+    plant, cost, kept = random_loop(seed)
+    n = plant.states
+    plant = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=3 * np.ones(n), covariance=0.5 * np.eye(n))
+    total = ({}, {"horizon": 20, "terminal": 3 * np.eye(n)}, {}, {"discount": 0.9})[seed % 4]
+    cost, every = Cost(cost.Q, cost.R, cost.N, **total), 1 + seed // 4 % 2
+    actuation = ("hold", "zero")[seed % 2] if total else ACTUATIONS[seed // 2 % 3]
+    link = "actuator" if actuation == "zero" else ("actuator", "sensor")[seed // 8 % 2]
+    network = random_network(seed, link) if seed // 2 % 2 else Network()
+    controller = None if total.get("horizon") is None and seed % 3 == 0 else kept
+    options = {"link": link, "actuation": actuation, "every": every, "network": network, "controller": controller}
+    return plant, cost, options
+
+
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(96), marks=pytest.mark.evidence)])
 def test_identity_and_bound_hold_for_every_combination(seeds: range) -> None:
     """Actuation, losses or bursts, periodic attempts, horizon and discount; the plain average is the other estimate."""
     off = []
     for seed in seeds:
-        plant, cost, kept = random_loop(seed)
-        n = plant.states
-        plant = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=3 * np.ones(n), covariance=0.5 * np.eye(n))
-        total = ({}, {"horizon": 20, "terminal": 3 * np.eye(n)}, {}, {"discount": 0.9})[seed % 4]
-        cost, every = Cost(cost.Q, cost.R, cost.N, **total), 1 + seed // 4 % 2
-        actuation = ("hold", "zero")[seed % 2] if total else ACTUATIONS[seed // 2 % 3]
-        link = "actuator" if actuation == "zero" else ("actuator", "sensor")[seed // 8 % 2]
-        network = random_network(seed, link) if seed // 2 % 2 else Network()
-        options = {"link": link, "actuation": actuation, "every": every, "network": network}
-        controller = None if total.get("horizon") is None and seed % 3 == 0 else kept
+        plant, cost, options = combination(seed)
         try:
-            policy = design.excess(plant, cost, theta=0.3, controller=controller, **options)
+            policy = design.excess(plant, cost, theta=0.3, **options)
         except UnstableError:  # with so few packets, or such losses
             continue
         if policy.theory.fourth is not None and policy.theory.fourth > 0.9:  # no error of the mean
@@ -193,6 +202,30 @@ def test_identity_and_bound_hold_for_every_combination(seeds: range) -> None:
         )
         off.append((squares.value - other.value) / np.hypot(squares.standard_error, other.standard_error))
         assert squares.value < policy.guarantee.cost + 4 * squares.standard_error
+    assert len(off) > len(seeds) / 3
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1.2 + 6 / np.sqrt(len(off))
+
+
+@pytest.mark.parametrize("seeds", [(2, 3, 7), pytest.param(range(96), marks=pytest.mark.evidence)])
+def test_the_cost_of_every_sample_is_that_of_a_simulation_that_always_sends(seeds: Sequence[int]) -> None:
+    """Over the same link, with the same fates; LQG for rarer packets has the gains of LQG for every sample there."""
+    off = []
+    for seed in seeds:
+        plant, cost, options = combination(seed)
+        try:
+            policy = design.excess(plant, cost, theta=0.3, **options)
+            if options["controller"] is None:
+                always = sends_every_sample(design.excess(plant, cost, theta=0.3, **{**options, "every": 1}))
+            else:
+                always = sends_every_sample(policy)
+        except UnstableError:  # with so few packets, or such losses
+            continue
+        if policy.theory.fourth is not None and policy.theory.fourth > 0.8:  # no error of the mean
+            continue
+        always = replace(always, theory=replace(always.theory, identity=None))
+        found = average(taciturn.close(plant, always, options["network"]), steps=400_000, seed=seed).cost
+        off.append((found.value - policy.cost_all_time) / found.standard_error)
     assert len(off) > len(seeds) / 3
     assert np.abs(off).max() < 4.5
     assert np.mean(np.square(off)) < 1.2 + 6 / np.sqrt(len(off))
