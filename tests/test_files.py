@@ -26,7 +26,7 @@ from taciturn.study.sweeping.store import Store, save_whole
 from taciturn_twins.control import read_eye
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
-SEEN = 5  # seconds after which a test that waits for the other end of a pipe fails
+SEEN = 30  # seconds after which a test that waits for the other end of a pipe fails
 TABLES = {
     "plant": {"A": [[1.0]], "B": [[1.0]], "W": [[0.01]], "dt": 1.0},
     "cost": {"Q": [[1.0]], "R": [[1.0]]},

@@ -17,7 +17,6 @@ SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
 FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
 ROUNDED = 12  # digits of a percentage that are not affected by rounding errors
 GAP = "  "
-ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
 FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
 
@@ -53,6 +52,17 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
         parts[-1].append(i)
         used += widths[i] + len(GAP)
     return "\n\n".join(_part([*range(names), *part], wrapped, columns, widths, names) for part in parts)
+
+
+def ordinal(number: int) -> str:
+    """Return a number as an ordinal.
+
+    Example:
+        >>> [ordinal(number) for number in (1, 2, 3, 4, 11, 22)]
+        ['1st', '2nd', '3rd', '4th', '11th', '22nd']
+    """
+    last = 0 if number // 10 % 10 == 1 else number % 10
+    return str(number) + {1: "st", 2: "nd", 3: "rd"}.get(last, "th")
 
 
 def wrapped_text(text: str, indent: str = "") -> str:
@@ -145,19 +155,6 @@ def backslash_text(path: str, error: str = "") -> str:
         "; a backslash in double quotes is an escape in TOML: write C:/folder/file, or 'C:\\folder\\file' in single "
         "quotes"
     )
-
-
-def ordinal(number: int) -> str:
-    """Return the ordinal of a positive number: "third", "11th", "22nd".
-
-    Example:
-        >>> [ordinal(number) for number in (2, 10, 11, 12, 21, 112)]
-        ['second', 'tenth', '11th', '12th', '21st', '112th']
-    """
-    if number <= len(ORDINALS):
-        return ORDINALS[number - 1]
-    ending = "th" if number // 10 % 10 == 1 else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{ending}"
 
 
 def per_unit(unit: str) -> str:

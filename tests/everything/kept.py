@@ -240,6 +240,7 @@ class KeptPolicy:
     def __init__(
         self, model: Model, given: Given, *, link: str, silence: str, law: Law, rule: str, level: float,
         every: int = 1, retry: bool = False, always: bool = False, told: bool = True, base: Base | None = None,
+        watched: bool = True,
     ) -> None:  # fmt: skip
         """Keep everything.
 
@@ -250,6 +251,7 @@ class KeptPolicy:
             always: whether every sample is attempted.
             told: whether the sender learns what arrived; otherwise it assumes that everything does.
             base: the loop that always attempts.
+            watched: whether large innovations raise an alarm.
         """
         self.model, self.given, self.silence, self.law = model, given, silence, law
         self.side, self.link = link, link  # the link may have another name
@@ -273,7 +275,7 @@ class KeptPolicy:
             self.G = np.eye(n)
         else:
             self.G, prior = kalman(self.F, self.C, W, V)[:2]
-            if rule == "cost" and every == 1:
+            if rule == "cost" and every == 1 and watched:
                 self.precision = np.linalg.pinv(self.C @ prior @ self.C.T + V)
                 freedom = 99 * len(self.precision)  # the average of white squares has the moments of χ²/99
                 self.largest = chi2.ppf(1 - 1e-9, freedom) / 99
@@ -408,6 +410,8 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
         rule = "cost"
     keys: dict[str, Any] = {"link": link, "silence": silence, "law": law, "rule": rule, "every": every, "told": told}
     keys["retry"] = policy.get("retry", False)
+    plain = link == "actuator" and every == 1 and silence != "zero" and not (law.lossy and told)
+    keys["watched"] = "controller" in tables or not plain  # LQG alone needs no alarm
     own = KeptPolicy(model, given, level=level, base=base, **keys)
     twin = None
     if every == 1 and told:

@@ -244,7 +244,8 @@ def assert_finite_time(
     far = 5 * np.std(states[[one.name == "x" for one in program.states]], axis=1, keepdims=True)
     for name in ("x", "prior"):  # the error of the estimate stays
         states[[one.name == name for one in program.states]] += far
-    P = advantage(actuator_base(discretise(plant, loop.problem.cost, None), kept), REMEDY).P
+    base = actuator_base(discretise(plant, loop.problem.cost, None), kept)
+    P = advantage(base, REMEDY).P[: len(base.Phi), : len(base.Phi)]
     named = {name: states[[one.name == name for one in program.states]] for name in ("x", "next register")}
     z = np.vstack([named["x"], named["next register"], plant.C @ named["x"]])
     first = np.einsum("ip,ij,jp->p", z, P, z) + np.sum(P[-plant.outputs :, -plant.outputs :] * plant.V)

@@ -12,6 +12,7 @@ import taciturn
 from taciturn import (
     Controller,
     Cost,
+    Network,
     Plant,
     ProblemError,
     UnstableError,
@@ -118,7 +119,7 @@ def test_the_base_of_lqg_with_few_packets_is_lqg() -> None:
         assert policy.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)
         assert policy.guarantee is not None
         assert policy.guarantee.cost > policy.cost_all_time
-        assert "the cost of LQG with a packet at every fourth step" in policy.guarantee.statement
+        assert "the cost of LQG with a packet at every 4th step" in policy.guarantee.statement
         assert not any("controller" in note for note in policy.notes)
     # between packets the model applies the input of LQG, but for the corrections by measurements since the last packet
     known, power, missed, costs = (
@@ -133,6 +134,51 @@ def test_the_base_of_lqg_with_few_packets_is_lqg() -> None:
         power = TANK.A @ power
     found = policy.guarantee.base + policy.guarantee.per_silence * (1 - 1 / 4)
     assert found == pytest.approx(known.cost_all_time + np.mean(costs), rel=1e-7)
+
+
+@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(60), marks=pytest.mark.evidence)])
+def test_every_sample_over_a_lossy_link_costs_the_same_whatever_the_base(seeds: range) -> None:
+    """J_all is that of an attempt in every step, for a given controller and LQG; the bound refers to the base, J_q."""
+    apart = []
+    for seed in seeds:
+        plant, cost, kept = random_loop(seed)
+        link, total = ("actuator", "sensor")[seed % 2], ({}, {"horizon": 12}, {"discount": 0.9})[seed % 3]
+        plant = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=2 * np.ones(plant.states))
+        cost = Cost(cost.Q, cost.R, cost.N, **total)
+        network = Network("tcp", **{f"{link}_loss": 0.05})
+        for controller in (kept, None):
+            for actuation in ("hold",) if total or len(kept.A) + plant.states > 4 else ("hold", "model"):
+                options = {"theta": 0.1, "link": link, "controller": controller, "network": network}
+                try:
+                    rare = design.excess(plant, cost, every=2, actuation=actuation, **options)
+                except (UnstableError, ProblemError):  # with so few packets, or without gains over a horizon
+                    continue
+                always = design.excess(plant, cost, actuation=actuation, **options)
+                assert rare.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)
+                if rare.guarantee is not None and not total:
+                    bound = rare.guarantee.base + 0.5 * rare.guarantee.per_silence
+                    assert bound == pytest.approx(rare.theory.identity.constant, rel=1e-9)
+                apart.append(abs(rare.theory.identity.constant / rare.cost_all_time - 1))
+    assert len(apart) > len(seeds) / 2
+    assert np.median(apart) > 0.01
+
+
+def test_growing_fourth_moments_are_named_as_those_of_the_base() -> None:
+    """Of one attempt in three steps, which grow, while those of an attempt in every step do not."""
+    kept = Controller(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.5]], disturbance=NO_DISTURBANCE)
+    plant, cost = Plant([[1.1]], [[1.0]], [[0.01]], [[1.0]], [[0.01]]), Cost([[1.0]], [[0.1]])
+    options = {"delta": 0.0, "controller": kept, "network": Network("tcp", actuator_loss=0.1)}
+    rare, always = (design.excess(plant, cost, every=every, **options) for every in (3, 1))
+    assert always.theory.fourth < 1 < rare.theory.fourth
+    assert (
+        "with an attempt to send at every 2nd step"
+        in design.excess(plant, cost, every=2, **options).guarantee.statement
+    )
+    found = taciturn.evaluate(rare, steps=20_000)
+    assert "grows by a factor of 1.276 per step if a packet is sent once in 3 steps" in str(found.notes)
+    assert found.cost_all_time == pytest.approx(always.cost_all_time, rel=1e-9)
+    with pytest.raises(UnstableError, match="the loop that attempts to send once in 3 steps grows; expected a loss be"):
+        design.excess(plant, cost, every=3, **{**options, "network": Network("tcp", actuator_loss=0.3)})
 
 
 def test_at_its_own_rate_a_periodic_base_is_improved() -> None:

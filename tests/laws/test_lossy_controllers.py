@@ -101,9 +101,13 @@ def assert_finite_time(plant: Plant, cost: Cost, kept: Controller, link: str, ne
     loop = taciturn.close(far, policy)
     choose = actuator_base if link == "actuator" else sensor_base
     P = advantage(choose(discretise(plant, cost, None), kept), "", Attempts((True,), *network.chain(link))).P
-    seen = np.vstack([np.eye(plant.states), np.zeros((len(kept.A), plant.states)), plant.C])
-    moment = seen @ (covariance + np.outer(mean, mean)) @ seen.T
-    moment[-plant.outputs :, -plant.outputs :] += plant.V
+    n, k, p = plant.states, len(kept.A), plant.outputs
+    seen = np.zeros((len(P), n))  # of the state, in (state, controller, measurement, value of the receiver)
+    seen[:n], seen[n + k : n + k + p] = np.eye(n), plant.C
+    first = seen @ mean
+    first[n + k + p :] = plant.C @ mean if link == "sensor" else 0.0  # the value with which the receiver begins
+    moment = seen @ covariance @ seen.T + np.outer(first, first)
+    moment[n + k : n + k + p, n + k : n + k + p] += plant.V
     sums = prepare(loop.program())(loop.start(loop.program(), paths, seed), steps, None).sums
     silent = policy.guarantee.per_silence * (1 - sums[Sent(link)] / steps)
     room = np.sum(P * moment) / steps + policy.cost_all_time + silent - sums["cost"] / steps
@@ -207,6 +211,23 @@ def test_a_guarantee_needs_finite_fourth_moments() -> None:
     whole += 0.2 * np.kron(np.kron(silent, silent), np.kron(silent, silent))
     radius = float(np.abs(np.linalg.eigvals(whole)).max())
     assert policy.theory.fourth == pytest.approx(radius, rel=1e-6)
+
+
+def test_with_a_discount_the_fourth_moments_count_with_its_square() -> None:
+    """By Kronecker products; where they grow, no guarantee is stated, and the discounted average warns."""
+    plant = Plant([[0.9]], [[1.0]], [[0.01]], [[1.0]], [[0.01]], mean=[5.0])
+    for loss, finite in ((0.1, True), (0.5, False)):
+        network, cost = Network("tcp", actuator_loss=loss), Cost([[1.0]], [[0.1]], discount=0.9)
+        policy = design.excess(plant, cost, delta=0.1, network=network)
+        base = actuator_base(discretise(plant, cost, None), lqg_observer("excess", discretise(plant, cost, None)))
+        arrives, silent = (np.kron(F, F) for F in (base.silent @ base.replaced, base.silent))
+        whole = (1 - loss) * np.kron(arrives, arrives) + loss * np.kron(silent, silent)
+        radius = float(np.abs(np.linalg.eigvals(whole)).max())
+        assert policy.theory.fourth == pytest.approx(0.81 * radius, rel=1e-6)
+        found = taciturn.evaluate(policy, steps=100_000)
+        assert (0.81 * radius < 1) == finite == (policy.guarantee is not None)
+        assert finite == ("the discounted squared cost grows by a factor of 1.228 per step" not in str(found.notes))
+        assert finite or not found.trusted
 
 
 def test_a_pid_keeps_its_bound_over_a_lossy_link() -> None:

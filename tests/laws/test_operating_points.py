@@ -24,8 +24,10 @@ from taciturn.model.equilibrium import equilibrium
 from taciturn.model.following import follow
 from taciturn.model.limits import Limits
 from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.places import roles
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.set_points import RandomSteps, Timetable
+from taciturn.runtime.node import Node
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.simulation.violations import violations
 
@@ -76,6 +78,10 @@ def test_a_point_moves_what_is_seen_and_nothing_else(kind: str) -> None:
     for link, sent in one.sends.items():
         assert np.array_equal(other.sends[link], sent)
     if there.prediction is None:
+        for role in roles(there):  # after a fault, a node is degraded for as long as without a point
+            assert (
+                Node(there, role, network=moved.network).remembers == Node(usual, role, network=moved.network).remembers
+            )
         records, draws = record(loop, 60, 2)
         assert differing_ticks(loop, records, draws)[0] == []
 

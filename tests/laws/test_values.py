@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +13,18 @@ from laws.test_given_controllers import random_loop
 from laws.test_lossy_controllers import forward_cost, random_network
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, UnstableError, design
+from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
 from taciturn.design.base import Attempts, Base, advantage, critical_scale
 from taciturn.design.certainty import design_certainty
 from taciturn.design.prediction import predict_continuously
+from taciturn.design.prices import price_control
 from taciturn.design.routes import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import filter_checked
+from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.names import Sent
 from taciturn.simulation.average import average
+from taciturn.study.disturbed import sends_every_sample
 
 ACTUATIONS = ("hold", "model", "zero")
 
@@ -82,7 +87,98 @@ def test_the_value_of_a_total_is_that_of_its_moments(seed: int) -> None:
             X = silent @ used @ X @ used.T @ silent.T + noise
         if attempts.terminal is not None:
             total += float(np.sum(last * X[:n, :n]))
-        assert found.cost + 0.5 * np.trace(found.P) == pytest.approx(total, rel=1e-9)
+        assert found.cost + 0.5 * np.trace(found.P[:n, :n]) == pytest.approx(total, rel=1e-9)
+
+
+def moments_of_a_held_measurement(every: int, loss: float, discount: float, steps: int, terminal: float) -> float:
+    """Return the cost of u = −h/2 with the last measurement h that arrived, by the second moments of (x, h)."""
+    M, total, heard = np.outer([5.0, 5.0], [5.0, 5.0]), 0.0, np.array([[1.0, 0.0], [1.0, 0.0]])
+    M[0, 0] += 0.3  # the receiver begins with the mean
+    for k in range(steps):
+        if k % every == 0:
+            M = loss * M + (1 - loss) * (heard @ M @ heard.T + np.diag([0.0, 0.01]))
+        total += discount**k * float(M[0, 0] + 0.1 * 0.25 * M[1, 1])
+        moved = np.array([[0.9, -0.5], [0.0, 1.0]])
+        M = moved @ M @ moved.T + np.diag([0.01, 0.0])
+    return total + terminal * float(M[0, 0])
+
+
+@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("total", [{"horizon": 5, "terminal": [[2.0]]}, {"discount": 0.8}])
+def test_a_total_cost_includes_what_the_receiver_uses_before_the_first_packet(
+    total: dict[str, object], every: int
+) -> None:
+    """Where the first packet may be lost, the controller uses the mean with which it starts, and not zero."""
+    kept = Controller(
+        np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.5]], disturbance=Disturbance(deviation=0)
+    )
+    plant = Plant([[0.9]], [[1.0]], [[0.01]], [[1.0]], [[0.01]], mean=[5.0], covariance=[[0.3]])
+    cost, network = Cost([[1.0]], [[0.1]], **total), Network("tcp", sensor_loss=0.4)
+    policy = design.excess(plant, cost, delta=0.0, controller=kept, link="sensor", network=network, every=every)
+    steps, terminal = (5, 2.0) if "horizon" in total else (200, 0.0)
+    exact = moments_of_a_held_measurement(every, 0.4, float(cost.discount), steps, terminal)
+    assert policy.theory.identity is not None
+    assert policy.theory.identity.constant == pytest.approx(exact, rel=1e-9)
+    assert policy.guarantee is not None
+    assert policy.guarantee.cost == pytest.approx(exact, rel=1e-9)
+    plain = replace(policy, theory=replace(policy.theory, identity=None))
+    squares, other = (
+        average(taciturn.close(plant, one, cost=cost), steps=100_000, seed=number).cost
+        for number, one in enumerate((policy, plain))
+    )
+    error = np.hypot(squares.standard_error, other.standard_error)
+    assert squares.value == pytest.approx(other.value, abs=4.5 * error)
+
+
+WAYS = (
+    {"link": "sensor"}, {"link": "sensor", "actuation": "model"}, {"actuation": "zero"}, {"every": 2},
+    {"every": 2, "link": "sensor"}, {"network": Network("tcp", actuator_loss=0.1)},
+    {"network": Network("tcp", sensor_loss=0.2), "link": "sensor"},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_lqg_over_any_link_begins_with_the_mean_of_the_initial_state(way: dict[str, object]) -> None:
+    """By moments of state and estimate with the steady gain; about an operating point too; and in a simulation."""
+    free = Plant([[0.9]], [[1.0]], [[0.01]], [[1.0]], [[0.01]], mean=[5.0], covariance=[[0.5]])
+    cost = Cost([[1.0]], [[0.1]], discount=0.9)
+    policy, best = design.excess(free, cost, delta=0.1, **way), design.excess(free, cost, delta=0.1).cost_all_time
+    assert policy.initial["next register"] == pytest.approx([5.0])
+    if "network" not in way:
+        G, L = filter_checked(free.A, free.C, free.W, free.V).gain.item(), price_control(discretise(free, cost, None)).L
+        both = np.array([[1.0, 0.0], [G, 1 - G]])  # from (x, prior) to (x, estimate), plus G v
+        M, exact = np.full((2, 2), 25.0) + np.diag([0.5, 0.0]), 0.0
+        for k in range(300):
+            M = both @ M @ both.T + np.diag([0.0, 0.01 * G**2])
+            exact += 0.9**k * (M[0, 0] + 0.1 * L.item() ** 2 * M[1, 1])
+            moved = np.array([[0.9, L.item()], [0.0, 0.9 + L.item()]])
+            M = moved @ M @ moved.T + np.diag([0.01, 0.0])
+        assert policy.cost_all_time == pytest.approx(exact, rel=1e-9)
+        assert best < exact < 1.01 * best  # that of the gains of a filter from the start
+    point = OperatingPoint([2.0], [0.2])
+    moved = Plant(free.A, free.B, free.W, free.C, free.V, mean=[7.0], covariance=[[0.5]], operating_point=point)
+    assert design.excess(moved, cost, delta=0.1, **way).cost_all_time == pytest.approx(policy.cost_all_time, rel=1e-9)
+    plain = replace(policy, theory=replace(policy.theory, identity=None))
+    squares, other = (
+        average(taciturn.close(free, one, cost=cost), steps=100_000, seed=number).cost
+        for number, one in enumerate((policy, plain))
+    )
+    assert squares.value == pytest.approx(other.value, abs=4.5 * np.hypot(squares.standard_error, other.standard_error))
+
+
+def combination(seed: int) -> tuple[Plant, Cost, dict[str, Any]]:
+    """Return a random loop with a far start, and options: actuation, losses or bursts, attempts, controller or LQG."""
+    plant, cost, kept = random_loop(seed)
+    n = plant.states
+    plant = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=3 * np.ones(n), covariance=0.5 * np.eye(n))
+    total = ({}, {"horizon": 20, "terminal": 3 * np.eye(n)}, {}, {"discount": 0.9})[seed % 4]
+    cost, every = Cost(cost.Q, cost.R, cost.N, **total), 1 + seed // 4 % 2
+    actuation = ("hold", "zero")[seed % 2] if total else ACTUATIONS[seed // 2 % 3]
+    link = "actuator" if actuation == "zero" else ("actuator", "sensor")[seed // 8 % 2]
+    network = random_network(seed, link) if seed // 2 % 2 else Network()
+    controller = None if total.get("horizon") is None and seed % 3 == 0 else kept
+    options = {"link": link, "actuation": actuation, "every": every, "network": network, "controller": controller}
+    return plant, cost, options
 
 
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(96), marks=pytest.mark.evidence)])
@@ -90,18 +186,9 @@ def test_identity_and_bound_hold_for_every_combination(seeds: range) -> None:
     """Actuation, losses or bursts, periodic attempts, horizon and discount; the plain average is the other estimate."""
     off = []
     for seed in seeds:
-        plant, cost, kept = random_loop(seed)
-        n = plant.states
-        plant = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=np.ones(n), covariance=0.5 * np.eye(n))
-        total = ({}, {"horizon": 20, "terminal": 3 * np.eye(n)}, {}, {"discount": 0.9})[seed % 4]
-        cost, every = Cost(cost.Q, cost.R, cost.N, **total), 1 + seed // 4 % 2
-        actuation = ("hold", "zero")[seed % 2] if total else ACTUATIONS[seed // 2 % 3]
-        link = "actuator" if actuation == "zero" else ("actuator", "sensor")[seed // 8 % 2]
-        network = random_network(seed, link) if seed // 2 % 2 else Network()
-        options = {"link": link, "actuation": actuation, "every": every, "network": network}
-        controller = None if total.get("horizon") is None and seed % 3 == 0 else kept
+        plant, cost, options = combination(seed)
         try:
-            policy = design.excess(plant, cost, theta=0.3, controller=controller, **options)
+            policy = design.excess(plant, cost, theta=0.3, **options)
         except UnstableError:  # with so few packets, or such losses
             continue
         if policy.theory.fourth is not None and policy.theory.fourth > 0.9:  # no error of the mean
@@ -115,6 +202,30 @@ def test_identity_and_bound_hold_for_every_combination(seeds: range) -> None:
         )
         off.append((squares.value - other.value) / np.hypot(squares.standard_error, other.standard_error))
         assert squares.value < policy.guarantee.cost + 4 * squares.standard_error
+    assert len(off) > len(seeds) / 3
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) < 1.2 + 6 / np.sqrt(len(off))
+
+
+@pytest.mark.parametrize("seeds", [(2, 3, 7), pytest.param(range(96), marks=pytest.mark.evidence)])
+def test_the_cost_of_every_sample_is_that_of_a_simulation_that_always_sends(seeds: Sequence[int]) -> None:
+    """Over the same link, with the same fates; LQG for rarer packets has the gains of LQG for every sample there."""
+    off = []
+    for seed in seeds:
+        plant, cost, options = combination(seed)
+        try:
+            policy = design.excess(plant, cost, theta=0.3, **options)
+            if options["controller"] is None:
+                always = sends_every_sample(design.excess(plant, cost, theta=0.3, **{**options, "every": 1}))
+            else:
+                always = sends_every_sample(policy)
+        except UnstableError:  # with so few packets, or such losses
+            continue
+        if policy.theory.fourth is not None and policy.theory.fourth > 0.8:  # no error of the mean
+            continue
+        always = replace(always, theory=replace(always.theory, identity=None))
+        found = average(taciturn.close(plant, always, options["network"]), steps=400_000, seed=seed).cost
+        off.append((found.value - policy.cost_all_time) / found.standard_error)
     assert len(off) > len(seeds) / 3
     assert np.abs(off).max() < 4.5
     assert np.mean(np.square(off)) < 1.2 + 6 / np.sqrt(len(off))
@@ -169,7 +280,10 @@ def test_the_kinds_are_instances_of_a_base(seed: int) -> None:
     periodic = certainty.held.solve((3,))
     found = advantage(replace(base, K=periodic.gains[0]), "", Attempts((True, False, False)))
     assert found.cost == pytest.approx(periodic.cost + certainty.estimation_cost, rel=1e-8)
-    assert pytest.approx(periodic.values[0], rel=1e-6, abs=1e-8 * np.abs(found.P).max()) == found.P
+    assert (
+        pytest.approx(periodic.values[0], rel=1e-6, abs=1e-8 * np.abs(found.P).max())
+        == found.P[: len(base.Phi), : len(base.Phi)]
+    )
     draws = np.random.default_rng(seed)
     driven = ContinuousPlant(draws.normal(size=(2, 2)), draws.normal(size=(2, 1)), np.eye(2))
     predicted = predict_continuously("consistent", driven, Cost(np.eye(2), [[1.0]]), 0.4)

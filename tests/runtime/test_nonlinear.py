@@ -50,7 +50,9 @@ def test_a_simulated_plant_that_gives_no_number_says_which() -> None:
         problem.design()
     ))  # fmt: skip
     simulated.move([0.0, 7.0, 0.0])
-    with pytest.raises(ProblemError, match=r"^the loop drives .* nan as state 2 at step 2, from x = \[0.0, 1"):
+    with pytest.raises(
+        ProblemError, match=r"^the loop drives .* no finite number as state 2 at step 2, from x = \[0.0, 1"
+    ):
         simulated.move([0.0, 0.0, 0.0])
 
 

@@ -61,8 +61,8 @@ def shown() -> dict[str, Any]:
             {"a": problem}, copies=4, capacity=2, scheduler="round-robin", ticks=200, confidence=0
         ),
         "estimate": taciturn.Estimate(0.7441801, 0.0000312, "simulation"),
-        "optimal policy": taciturn.load("double-integrator")
-        .changed({"kind": "optimal", "period": 0.25, "price": 1.0})
+        "optimal policy": taciturn.load("wiener-double-integrator")
+        .changed({"kind": "optimal", "theta": None, "period": 0.25, "price": 1.0})
         .designed(),
         "reproduction": Reproduction("one", (BOTH,), {}, {"two-mass-lqg": problem}),
         "table": BOTH,

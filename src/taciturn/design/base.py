@@ -116,13 +116,14 @@ class Advantage(Displayed):
     """The value of a base, and the cost of silence in each step of its pattern and each channel state.
 
     Args:
-        P: value z'P z at the start of the pattern, the mean over the channel states, (n, n).
+        P: value w'P w of w = (z, h) at the start of the pattern, the mean over the channel states, (n + c, n + c).
         H: quadratic weight of the deviation of the choice, (steps, s, c, c).
         slope: linear weight of this deviation, (steps, s, c, n).
         cost: cost per step; of a total, the part that the noise causes.
         settling: time constant in steps of the slowest mode that the cost depends on; 0 for a finite horizon.
-        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them;
-            at 1 or more, the variance of the cost is infinite. None without losses, and for a total.
+        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them,
+            with a discount α of α² times them; at 1 or more, the variance of the cost is infinite. None without losses,
+            and over a horizon.
     """
 
     P: Array
@@ -168,9 +169,9 @@ def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Adv
         cost /= len(weights)
     elif attempts.terminal is None:
         cost /= 1 - alpha ** len(weights)
-    P = symmetrised(np.tensordot(start, value[:, :n, :n], 1))
+    P = symmetrised(np.tensordot(start, value, 1))
     fourth = None
-    if not total and losses.any():
+    if attempts.terminal is None and losses.any():
         fourth = _fixed_point.fourth(seen, _cycle(base, attempts), attempts.turns)
     return Advantage(P, np.array(H), np.array(slope), float(cost), settling, fourth)
 
@@ -225,8 +226,8 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
         limit = f"below {scale * attempts.losses[0]:.4g}" if states == 1 else f"below {scale:.4g} times as much"
         reason = f"a loss {limit}" if scale else f"a stable loop: {remedy}"
         raise UnstableError(
-            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send every sample grows; "
-            f"expected {reason}"
+            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send {attempts.often} "
+            f"grows; expected {reason}"
         )
     if len(attempts.pattern) > 1:
         raise UnstableError(

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import choice
+from taciturn._arrays import Array, choice
 from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
@@ -22,7 +22,7 @@ from taciturn.design.certainty import SEND
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.routes import MEASURED, REGISTER, Actuation, actuator_base, nonempty, route_over
+from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over
 from taciturn.design.same_control import SameControl
 from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
@@ -73,7 +73,7 @@ def keep_controller(
         every: q, the number of steps between packets of the base.
         retry: whether the node that decides attempts again in the step after a missing acknowledgement.
         lqg: LQG with every sample as a controller, whose cost is J_all, if ``kept`` is LQG for these packets; default:
-            J_all is the cost of ``kept`` with every sample.
+            J_all is the cost of ``kept`` with every sample. Over a link that drops packets, both attempt every sample.
 
     Raises:
         ProblemError: the controller does not suit the plant, or the options do not suit each other.
@@ -95,12 +95,18 @@ def keep_controller(
     if retry and (not lossy or every > 1):
         why = f"every is {every}" if lossy else "no packet is acknowledged and dropped"
         raise ProblemError(f"retry is true, and {why}; expected an acknowledged link that drops packets, and every = 1")
-    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, loop.point.start)
+    start = loop.point.start
+    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, start)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
-    time = StepCounter.of(problem, every)
-    attempts = _attempts(problem, route.base, network, link, time, lossy)
+    time, chain = StepCounter.of(problem, every), network.chain(link) if lossy else None
+    attempts = _attempts(problem, route.base, time.pattern, chain, network.lost(link))
     found = advantage(route.base, loop.remedy, attempts)
-    base = _cost(problem, found)
+    base = all_time = _cost(problem, found, route)
+    if every > 1:
+        used = controller if lqg is None else lqg
+        known = steady if copied and lossy else None  # without losses, no prediction is ever used
+        always = route_over(link, problem, used, actuation, lossy, known, start)
+        all_time = _cost(problem, _every_sample(problem, always.base, loop.remedy, chain, network.lost(link)), always)
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
@@ -130,10 +136,6 @@ def keep_controller(
     )
     alike = average and every == 1 and not lossy  # the base is the linear loop with every sample
     finite = found.fourth is None or found.fourth < 1
-    alone_always = route.base if lqg is None else actuator_base(problem, lqg)
-    all_time = base
-    if every > 1 and not lossy:
-        all_time = _cost(problem, _every_sample(problem, alone_always, loop.remedy))
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
@@ -148,6 +150,7 @@ def keep_controller(
         functions=frozenset({BELIEF, BEYOND}),
         fourth=found.fourth,
         periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,
+        every=every,
     )
     policy = Policy(
         kind=kind,
@@ -200,7 +203,7 @@ def send_every_sample(
         model=plant,
         theory=Theory(
             cost=problem.cost,
-            cost_all_time=problem.per_unit(_cost(problem, found)),
+            cost_all_time=problem.per_unit(_cost(problem, found, route)),
             noise_cost=problem.noise_cost,
             settling=found.settling,
             recovery=recovery(route.base, plant, loop.disturbance) if average else None,
@@ -218,36 +221,45 @@ def drops(network: Network, link: str) -> bool:
     return network.acknowledges(link) and network.loss(link) > 0
 
 
-def _attempts(problem: Discrete, base: Base, network: Network, link: str, time: StepCounter, lossy: bool) -> Attempts:
-    """Return the attempts of the base, with the weight of the final state over a horizon."""
-    turns, losses = network.chain(link) if lossy else (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses)
-    key = network.lost(link)
+def _attempts(
+    problem: Discrete,
+    base: Base,
+    pattern: tuple[bool, ...],
+    chain: tuple[Array, Array] | None = None,
+    key: str = "loss",
+) -> Attempts:
+    """Return the attempts of the base over a link with the law ``chain``, with the weight of the final state."""
+    turns, losses = (EVERY_SAMPLE.turns, EVERY_SAMPLE.losses) if chain is None else chain
     cost, terminal = problem.cost, None
     if cost.terminal is not None:
         terminal = np.pad(cost.terminal, (0, len(base.Phi) - len(cost.terminal)))
-    return Attempts(time.pattern, turns, losses, cost.discount, terminal, key)
+    return Attempts(pattern, turns, losses, cost.discount, terminal, key)
 
 
-def _cost(problem: Discrete, found: Advantage) -> float:
-    """Return the cost of a base: per step, or in total with the mean of z'P z at the first step.
+def _cost(problem: Discrete, found: Advantage, route: Route) -> float:
+    """Return the cost of a base: per step, or in total with the mean of w'P w at the first step, w = (z, h).
 
-    At this step, the controller's state is zero.
+    There z contains the random state of the plant, the state with which the controller starts, and the first
+    measurement; h is the value with which the receiver starts. All are a mean plus what x − E x and the noise v add.
     """
     if not problem.cost.mission:
         return found.cost
-    plant, P = problem.plant, found.P
-    n, size = plant.states, len(P)
-    first = np.zeros((size, n))
-    first[:n], first[size - plant.outputs :] = np.eye(n), plant.C
-    moment = first @ (plant.covariance + np.outer(plant.mean, plant.mean)) @ first.T
-    moment[size - plant.outputs :, size - plant.outputs :] += plant.V
-    return found.cost + float(np.sum(P * moment))
+    plant = problem.plant
+    mean = np.concatenate([plant.mean, route.start, plant.C @ plant.mean, route.begun])
+    state, noise = np.zeros((len(mean), plant.states)), np.zeros((len(mean), plant.outputs))
+    place = plant.states + len(route.start)
+    measured = slice(place, place + plant.outputs)
+    state[: plant.states], state[measured], noise[measured] = np.eye(plant.states), plant.C, np.eye(plant.outputs)
+    moment = np.outer(mean, mean) + state @ plant.covariance @ state.T + noise @ plant.V @ noise.T
+    return found.cost + float(np.sum(found.P * moment))
 
 
-def _every_sample(problem: Discrete, base: Base, remedy: str) -> Advantage:
-    """Return the value of a base with every sample."""
-    always = StepCounter((True,) * (problem.cost.horizon or 1), (0,))
-    return advantage(base, remedy, _attempts(problem, base, Network(), "actuator", always, False))
+def _every_sample(
+    problem: Discrete, base: Base, remedy: str, chain: tuple[Array, Array] | None = None, key: str = "loss"
+) -> Advantage:
+    """Return the value of a base that attempts to send every sample."""
+    pattern = (True,) * (problem.cost.horizon or 1)
+    return advantage(base, remedy, _attempts(problem, base, pattern, chain, key))
 
 
 def _unless(decision: str, before: tuple[Step, ...], silent: Form, forbidden: float) -> tuple[tuple[Step, ...], Form]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from taciturn._arrays import Array
@@ -40,7 +40,8 @@ class KeptLoop(Displayed):
         problem: the discrete-time problem of the deviations, with the slow disturbance.
         point: the point at which the loop rests.
         disturbance: the slow disturbance, or None.
-        lqg: whether the controller is LQG with the weights of the cost, and not one that a user has.
+        lqg: whether the controller is LQG with the weights of the cost, and not one that a user has; its observer then
+            starts with the mean of the plant's initial state.
     """
 
     kept: Kept
@@ -66,6 +67,8 @@ class KeptLoop(Displayed):
         kept = relative_to(kept, plant)
         problem, controller, disturbance = disturbed(plant, cost, period, kept)
         point = rest_of(problem, controller)
+        if lqg and len(controller.A):  # its state predicts that of the plant
+            point = replace(point, start=problem.plant.mean)
         return KeptLoop(kept, controller, point.deviations(problem), point, disturbance, lqg)
 
     def carried_out(self, policy: Policy) -> Policy:

@@ -42,7 +42,9 @@ class Route(Displayed):
         before: policy steps that compute choice and candidate.
         after: policy steps that send, receive, and store the input and the controller's next state.
         initial: initial values of the memories.
-        registers: number of states of the controller.
+        start: state of the controller in the base at the start, (k,).
+        begun: the value that the receiver of the base uses before the first packet, (c,).
+        registers: number of states of the controller that the node follows.
     """
 
     base: Base
@@ -52,6 +54,8 @@ class Route(Displayed):
     before: tuple[Step, ...]
     after: tuple[Step, ...]
     initial: dict[str, Array]
+    start: Array
+    begun: Array
     registers: int
 
     @property
@@ -150,6 +154,8 @@ def _over_actuator_link(
         command,
         (*sent, *((Assign(at, NEXT, moved),) if k else ())),
         {**({NEXT: start} if k else {}), **(copies.initial if copies else {})},
+        start,
+        copies.initial["prediction"] if copies and copied is not None else np.zeros(m),
         k,
     )
 
@@ -188,7 +194,8 @@ def _over_sensor_link(
         *((Assign(at, NEXT, {REGISTER: c.A, "known": c.B, HELD: c.E}),) if k else ()),
     )
     base, error = sensor_base(problem, controller), {CANDIDATE: unit, MEASURED: -unit}
-    used, begun = (("prediction", "forecast"), plant.mean) if model else (("known", "used"), plant.C @ plant.mean)
+    begun = plant.C @ plant.mean
+    first = {"prediction": plant.mean, "forecast": plant.mean} if model else {"known": begun, "used": begun}
     if model:
         followed = ({"forecast": state}, {ESTIMATE: state})
         receiver += (
@@ -202,7 +209,7 @@ def _over_sensor_link(
         if copied is not None:
             above, below = np.eye(p + plant.states, p), np.eye(p + plant.states)[:, p:]
             error = {CANDIDATE: above, MEASURED: -above, "prediction": below, ESTIMATE: -below}
-            base = predicting_controller(problem, controller, copied)
+            base, begun = predicting_controller(problem, controller, copied), np.concatenate([begun, plant.mean])
     return Route(
         base,
         at,
@@ -210,8 +217,9 @@ def _over_sensor_link(
         error,
         (Assign(at, CANDIDATE, {"prediction": plant.C} if model else {"known": unit}),),
         (Send(at, "sensor", tuple(packet), SEND), *receiver, *copy),
-        dict.fromkeys((*((NEXT,) if k else ()), *(("state",) if len(start) else ())), start)
-        | dict.fromkeys(used, begun),
+        dict.fromkeys((*((NEXT,) if k else ()), *(("state",) if len(start) else ())), start) | first,
+        start,
+        begun,
         k,
     )
 

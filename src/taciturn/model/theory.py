@@ -231,10 +231,12 @@ class Theory(Displayed):
         covers: names of the properties that the theory takes into account (``taciturn.model.coverage``); any other
             property that is given makes the theory inapplicable; default: a linear loop with Gaussian noise.
         functions: signals that the policy computes by a function and that the theory takes into account.
-        fourth: growth per step of the fourth moments with a packet in every step; at 1 or more, the variance of the
-            cost is infinite, and no guarantee is stated. None: not computed by the design.
+        fourth: growth per step of the fourth moments with a packet at every q-th step, q = ``every``; at 1 or more, the
+            variance of the cost is infinite, and no guarantee is stated. With a discount α, of α² times these moments.
+            None: not computed by the design.
         periodic: function of the steps between packets that returns the exact cost of the same control at periodic
             sends, per step and without ``noise_cost``; it raises an error if this is unstable. None: LQG is compared.
+        every: q, steps between packets of the base, the loop to which identity and guarantee refer.
     """
 
     cost: Cost | None = None
@@ -255,6 +257,7 @@ class Theory(Displayed):
     sums: Mapping[str, Terms] = field(default_factory=lambda: {})
     recovery: float | None = None
     cost_lqg: float | None = None
+    every: int = 1
 
     @property
     def recovers(self) -> float:

@@ -80,6 +80,12 @@ class NodeServer:
     ) -> None:
         """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
+        if not (first.measures or first.listens):
+            raise ProblemError(
+                f"the {first.role} of this {first.policy.kind} neither measures nor uses what others send, so nothing "
+                "tells it when a step begins; expected a policy that uses the measurements, such as another weight of "
+                "the queries of a sensor"
+            )
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
         check_plant(f"node {first.role}", plant, first.measures or first.actuates)
         peers = peers_by_link(f"node {first.role}", peer, [*first.program.sends, *first.acknowledges])

@@ -356,14 +356,13 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     found, loop = replace(found, estimator=used), parts[0].loop
     if len(parts) > 1:
         return found
-    if loop.horizon is not None:
-        notes = doubt_tail(found.tail)
-        return replace(found, notes=notes + doubt_errors(found.cost, found.steps), trusted=not notes)
     # completed squares are bounded if they are those of a decision and not of the input that is applied
     identity, lossy = loop.identity, any(loop.network.loss(link) > 0 for link in loop.network.links)
     unbounded = parts[0].estimator.sum == COST or (identity is not None and identity.on is None and lossy)
     notes = doubt_moments(loop) if unbounded or (loop.policy.theory.fourth or 0.0) >= 1 else ()
     notes = notes or doubt_tail(found.tail)
+    if loop.horizon is not None:
+        return replace(found, notes=notes + doubt_errors(found.cost, found.steps), trusted=not notes)
     if drifts_of(loop):
         found = replace(found, settled=False, reached=False)
     more = find_doubts(loop, found.cost, found.rates, found.steps, found.settled)

@@ -154,32 +154,41 @@ def wandering_noise(loop: Loop) -> Array:
 
 
 def doubt_moments(loop: Loop) -> tuple[str, ...]:
-    """Return a warning if link outages make the variance of the stage cost infinite."""
+    """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum.
+
+    The squared cost of a step counts α²ᵏ times after k steps with the discount α. Over a horizon, all moments are finite.
+    """
+    cost = loop.problem.cost
+    if cost.horizon is not None:
+        return ()
+    alpha, discounted = cost.discount, "discounted " if cost.discount < 1 else ""
     for link, outage, growth in _outages(loop):
-        if outage * growth**4 >= 1:
+        if outage * alpha**2 * growth**4 >= 1:
             return (
                 f"the variance of the cost is infinite: an outage of the {link} link lasts another step with "
-                f"probability {outage:.4g}, and in this step the squared cost grows by a factor of {growth**4:.4g}. So "
-                "the standard error is meaningless, and the average is probably too small",
+                f"probability {outage:.4g}, and in this step the {discounted}squared cost grows by a factor of "
+                f"{alpha**2 * growth**4:.4g}. So the standard error is meaningless, and the average is probably too "
+                "small",
             )
     found, known = outcomes(loop), loop.deviations.policy.theory.fourth
     if found is None and known is not None and known >= 1 and loop.deviations.nominal:
-        return (_infinite(known, " if every packet is sent"),)
-    if found is None or (growth := found.growth(4)) < 1:
+        every = loop.deviations.policy.theory.every
+        sent = " if every packet is sent" if every == 1 else f" if a packet is sent once in {every} steps"
+        return (_infinite(known, sent, discounted),)
+    if found is None or (growth := alpha**2 * found.growth(4)) < 1:
         return ()
-    if found.decides and (square := found.growth(2)) >= 1:
+    if found.decides and (square := alpha * found.growth(2)) >= 1:
         return (
-            f"with these losses the mean square would grow by a factor of {square:.4g} per step if every packet were "
-            "sent: the cost is probably infinite, and this average depends on the simulated time",
+            f"with these losses the {discounted}mean square would grow by a factor of {square:.4g} per step if every "
+            "packet were sent: the cost is probably infinite, and this average depends on the simulated time",
         )
-    sent = " if every packet is sent" if found.decides else ""
-    return (_infinite(growth, sent),)
+    return (_infinite(growth, " if every packet is sent" if found.decides else "", discounted),)
 
 
-def _infinite(growth: float, sent: str) -> str:
+def _infinite(growth: float, sent: str, discounted: str) -> str:
     return (
-        f"the variance of the cost is infinite: with these losses the squared cost grows by a factor of {growth:.4g} "
-        f"per step{sent}. So the standard error is meaningless, and the average is probably too small"
+        f"the variance of the cost is infinite: with these losses the {discounted}squared cost grows by a factor of "
+        f"{growth:.4g} per step{sent}. So the standard error is meaningless, and the average is probably too small"
     )
 
 

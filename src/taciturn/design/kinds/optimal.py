@@ -73,8 +73,8 @@ KIND = Kind(
     follows=(),
     proved="the least cost of all schedules",
     refused=(
-        "a price as for `near-optimal`; jumps; nonlinear plants; errors of more than three dimensions, or with a direction that the "
-        "noise between two checks does not excite"
+        "a price as for `near-optimal`; jumps; nonlinear plants; errors of more than three dimensions, or with a "
+        "direction that the noise between two checks does not excite"
     ),
     data=(
         "an `OptimalPolicy`: a price, and a policy with the same nodes that defines the loop; its free "

@@ -89,4 +89,5 @@ class Logs:
                 if line[f"sent_{link}"]:
                     self._sent[link].append(line["tick"])
             for link in hears:
-                self._arrived[link].extend(line[f"arrived_{link}"])
+                # a node does not listen to a sensor that is never queried
+                self._arrived[link].extend(line.get(f"arrived_{link}", ()))
