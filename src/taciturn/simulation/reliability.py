@@ -156,7 +156,8 @@ def wandering_noise(loop: Loop) -> Array:
 def doubt_moments(loop: Loop) -> tuple[str, ...]:
     """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum.
 
-    The squared cost of a step counts α²ᵏ times after k steps with the discount α. Over a horizon, all moments are finite.
+    With the discount α, the squared cost of a step counts α²ᵏ times after k steps. Over a horizon, all moments are
+    finite.
     """
     cost = loop.problem.cost
     if cost.horizon is not None:
