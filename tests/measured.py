@@ -33,6 +33,11 @@ def longer() -> Iterator[None]:
         _longer.reset(token)
 
 
+def times() -> int:
+    """Return by how much a simulation of a test's own is longer: 1, or within ``longer`` 16."""
+    return TIMES if _longer.get() else 1
+
+
 def average(loop: Loop, estimator: Estimator | None = None, *, seed: int = 0, **options: Any) -> Averages:
     """Return ``taciturn.average``; within ``longer`` that of other draws over 16 times the steps."""
     if _longer.get():

@@ -229,7 +229,7 @@ def test_where_looks_meet_the_largest_loss_goes_first() -> None:
     for found in (price, largest, turns):
         assert found.cost.value > found.cost_periodic
         assert found.consistent is None
-        assert any("steps there are fewer checks than slots" in note for note in found.notes)
+        assert any("which periodic control may not attain" in note for note in found.notes)
 
 
 def test_loops_without_noise_send_at_no_price() -> None:

@@ -288,7 +288,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     builder = Builder(program.precision)
     for i in states:  # declared first, so that their order does not depend on the order of reading
         builder.state(program.states[i])
-    new = [0] * len(program.ops)
+    new, chosen = [0] * len(program.ops), False
     known, ops = builder.known, builder.ops
     for index in live:
         op = program.ops[index]
@@ -299,14 +299,16 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
         else:  # the common case: as ``emit``, which takes twice as long
             moved = tuple([new[argument] for argument in arguments])
             if name == "select" and moved[1] == moved[2]:  # of states that have been merged
-                new[index] = moved[1]
+                new[index], chosen = moved[1], True
                 continue
             new[index] = found = known.setdefault((name, moved), len(ops))
             if found == len(ops):
                 ops.append(op if moved == arguments else Op(name, moved))
     following = [new[program.following[i]] for i in states]
     sums = {name: new[index] for name, index in program.sums.items()}
-    return builder.collect(following, sums, {name: new[index] for name, index in program.outputs.items()})
+    found = builder.collect(following, sums, {name: new[index] for name, index in program.outputs.items()})
+    # without the truth value of the choice, if nothing else needs it
+    return rebuild(found, lambda builder, op: None, range(len(states))) if chosen else found
 
 
 def merge_states(program: Program) -> Program:
