@@ -31,7 +31,7 @@ class Answer(NamedTuple):
 
 
 def run(*words: str) -> Answer:
-    """Run ``taciturn`` with arguments; what is no refusal but a crash is raised."""
+    """Run ``taciturn`` with arguments; a crash is raised again, and a refusal is an answer."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     with (
         patch.object(typer.main, "get_command", command_of),

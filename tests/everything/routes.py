@@ -1,4 +1,4 @@
-"""The ways in which a problem is used. What one of them refuses is refused by all, but for the reasons that stand here.
+"""The ways in which a problem is used. All refuse what one of them refuses; ALONE lists exceptions.
 
 A refusal is one sentence, and a command that refuses ends with exit code 2 and prints nothing else. ``evaluate``
 refuses a problem at one of three stages. A file that cannot be read, and a policy that cannot be designed, are refused

@@ -103,7 +103,7 @@ def _rows(text: str) -> Array:
     """Return the numbers of a text with commas between columns, (rows, columns).
 
     Raises:
-        ValueError: an entry is no finite number, or the numbers of columns differ; the message names the line of the
+        ValueError: an entry is not a finite number, or the numbers of columns differ; the message names the line of the
             file, as an editor counts, and the column, both from 1 on.
     """
     rows, first = list[list[float]](), 0
