@@ -28,7 +28,7 @@ COMMANDS: dict[str, tuple[float, list[str]]] = {  # seconds until the signal, an
     "compare": (3.0, ["compare", "two-mass", "two-mass-lqg", "--rate", "0.3", *LONG]),
     "sweep": (3.0, ["sweep", "two-mass", *GRID, *LONG, "--store", "cells", "--workers", "1"]),
     "sweep with workers": (6.0, ["sweep", "two-mass", *GRID, *LONG, "--store", "cells", "--workers", "2"]),
-    "certify": (2.0, ["certify", "two-mass"]),
+    "certify": (1.0, ["certify", "two-mass"]),
     "channel": (3.0, ["channel", "wiener-double-integrator", "--copies", "500", "--capacity", "60", *LONG]),
     "channel with workers": (
         3.0, ["channel", "wiener-double-integrator", "inverted-pendulum", "--copies", "500", "--capacity", "60",
@@ -44,7 +44,7 @@ COMMANDS: dict[str, tuple[float, list[str]]] = {  # seconds until the signal, an
     "twin": (4.0, ["twin", "rover"]),
     "twin, live": (4.0, ["twin", "rover", "--live", "--bind", "127.0.0.1:0"]),
     "reproduce": (3.0, ["reproduce", "--out", "pictures"]),
-    "bench": (3.0, ["bench"]),
+    "bench": (3.0, ["bench", "--rounds", "100"]),
     "new": (1.5, ["new", "mine.toml"]),
     "show": (0.2, ["show", "two-mass"]),
 }  # fmt: skip
