@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from export.test_folders import AGREES, compile_check, run_check, write
 
-from taciturn import Nodes, Plant, ProblemError, load, run_network, to_control
+from taciturn import Nodes, Plant, UnstableError, load, run_network, to_control
 from taciturn.export.folder import print_folder
 from taciturn.runtime.plant import SimulatedPlant
 
@@ -51,7 +51,7 @@ def test_a_simulated_plant_that_gives_no_number_says_which() -> None:
     ))  # fmt: skip
     simulated.move([0.0, 7.0, 0.0])
     with pytest.raises(
-        ProblemError, match=r"^the loop drives .* no finite number as state 2 at step 2, from x = \[0.0, 1"
+        UnstableError, match=r"^the loop drives .* no finite number as state 2 at step 2, from x = \[0.0, 1"
     ):
         simulated.move([0.0, 0.0, 0.0])
 

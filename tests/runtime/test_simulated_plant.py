@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from taciturn import Cost, Plant, close, design
+from taciturn import Cost, Plant, ProblemError, UnstableError, close, design
 from taciturn.runtime.plant import SimulatedPlant
 
 
@@ -21,3 +22,13 @@ def test_a_plant_whose_register_is_measured_has_all_its_states() -> None:
         assert np.allclose(simulated.measurement, C @ x)
         simulated.move([u])
         x = A @ x + B @ [u]
+
+
+def test_a_plant_out_of_range_is_told_from_a_wrong_input() -> None:
+    """A world of faults starts an unstable plant again that is cut off, and nothing else."""
+    plant = Plant([[2.0]], [[1.0]], [[1.0]])
+    simulated = SimulatedPlant(close(plant, design.all_time(plant, Cost([[1.0]], [[1.0]]))), seed=1)
+    with pytest.raises(ProblemError, match="the input has 2 entries; expected 1"):
+        simulated.move([0.0, 0.0])
+    with pytest.raises(UnstableError, match="exceeds the range of numbers"):
+        sum(simulated.move([0.0]) for _ in range(3000))

@@ -11,7 +11,7 @@ import numpy as np
 
 from taciturn._arrays import Array, count, instance
 from taciturn._modes import factor
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import REFERENCE
@@ -87,7 +87,8 @@ class SimulatedPlant:
             inputs: input u, (m,).
 
         Raises:
-            ProblemError: the number of inputs is wrong, or the state exceeds the range of floating-point numbers.
+            ProblemError: the number of inputs is wrong.
+            UnstableError: the state exceeds the range of floating-point numbers, or that of the plant's function.
         """
         if len(inputs) != self.inputs:
             raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}, as for the plant")
@@ -98,13 +99,13 @@ class SimulatedPlant:
         self.tick += 1
         lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
         if lost and all(map(isfinite, u)):
-            raise ProblemError(
+            raise UnstableError(
                 "the loop drives the plant to a point where its function gives no finite number as state "
                 f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
                 "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
         if not (isfinite(outputs[self._cost]) and fits(self.measurement)):
-            raise ProblemError(
+            raise UnstableError(
                 f"the state of the plant exceeds the range of numbers at step {self.tick}: the loop is unstable; "
                 "expected a policy that stabilises the plant over this network"
             )

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
@@ -91,7 +91,7 @@ class _ProtectedPlant(SimulatedPlant):
     def move(self, inputs: Sequence[float]) -> float:
         try:
             return super().move(inputs)
-        except ProblemError:
+        except UnstableError:
             self.restart()
             self.trips += 1
             return 0.0
