@@ -74,23 +74,35 @@ def averages_after_step(
     assumed = policy.disturbance
     if assumed is None or assumed.deviation is None:
         return None
-    plant, cost, told = problem.actual or problem.plant, problem.cost, Stages(progress)
+    plant, told = problem.actual or problem.plant, Stages(progress)
     if isinstance(plant, Plant) and plant.states == policy.model.states:  # a policy without a problem: its own model
         plant = assumed.removed_from(plant)
     plant = assumed.stepped(plant)
-    target = max(ACCURACY * policy.cost_all_time, request.standard_error or 0.0)
-
-    def averaged(policy: Policy, progress: Progress) -> Averages:
-        policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
-        network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
-        network = network.with_intervals(policy.network)
-        loop, error = close(plant, policy, network, cost), None if request.steps else target
-        return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
-
-    found = averaged(policy, told.stage(0.0, 0.5))
-    always = averaged(_with_every_sample(problem, policy), told.stage(0.5, 1.0))
+    precise = precisely(request, policy)
+    found = averages_on(plant, problem, policy, precise, told.stage(0.0, 0.5))
+    always = averages_on(plant, problem, _with_every_sample(problem, policy), precise, told.stage(0.5, 1.0))
     size = tuple(float(value) for value in np.atleast_1d(assumed.deviation))
     return AfterStep(size, found.cost, always.cost, found.rates, found.settled and always.settled)
+
+
+def precisely(request: Request, policy: Policy) -> Request:
+    """Return the request with a standard error of 0.1 % of the cost of every sample, unless it wants a larger one."""
+    return replace(request, standard_error=max(ACCURACY * policy.cost_all_time, request.standard_error or 0.0))
+
+
+def averages_on(
+    plant: Plant | ContinuousPlant, problem: Problem, policy: Policy, request: Request, progress: Progress | None
+) -> Averages:
+    """Return the averages of a policy on a plant with another disturbance than that of its design.
+
+    The loop recovers from such a disturbance as slowly as from a fault, so this time constant decides how many steps
+    are dropped.
+    """
+    policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
+    network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
+    loop = close(plant, policy, network.with_intervals(policy.network), problem.cost)
+    error = None if request.steps else request.standard_error
+    return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
 
 
 def _with_every_sample(problem: Problem, policy: Policy) -> Policy:

@@ -16,7 +16,6 @@ from taciturn._display import Displayed
 from taciturn._progress import Progress
 from taciturn.design.given import send_every_sample
 from taciturn.errors import TaciturnError
-from taciturn.loop import close
 from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.estimate import Estimate
@@ -26,11 +25,9 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.problem.bare import BareKind
-from taciturn.simulation.average import average
+from taciturn.study.disturbed import averages_on, precisely
 from taciturn.study.lines import percent_above
 from taciturn.study.measure import Request
-
-ACCURACY = 1e-3  # standard error relative to the cost of sending every sample
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,12 +97,7 @@ def plant_as_written(
         return None
     plain = Disturbance(added.time_constant, 0.0 * (0.0 if added.deviation is None else added.deviation))
     plant = plain.added_to(problem.actual or problem.plant)
-    network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
-    bare = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
-    loop = close(plant, bare, network.with_intervals(policy.network), problem.cost)
-    target = max(ACCURACY * policy.cost_all_time, request.standard_error or 0.0)
-    error = None if request.steps else target
-    found = average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
+    found = averages_on(plant, problem, policy, precisely(request, policy), progress)
     return AsWritten(added.text(), found.cost, _every_sample(problem, kept), found.rates, found.settled)
 
 
