@@ -55,6 +55,7 @@ class AsWritten(Displayed):
             "cost": self.cost.document("value", "standard_error"),
             "cost_all_time": self.cost_all_time,
             "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
+            "settled": self.settled,
         }
 
     def extra(self) -> str:
