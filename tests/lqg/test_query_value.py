@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
 from taciturn import Cost, Plant, UnstableError, design
+from taciturn._arrays import block_diagonal
 from taciturn._modes import radius
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.queries import Predictor, QueryValue, Weights
+from taciturn.lqg.queries import Predictor, QueryValue, Weights, schedule_queries
 
 times = pytest.mark.parametrize("time", TIMES, ids=str)
 KINDS = ["output", "full state", "singular W", "some outputs without noise"]
@@ -146,6 +147,47 @@ def test_a_start_that_stays_where_it_is_has_no_closed_form_and_the_right_value()
     stable = Plant([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
     found = QueryValue(Predictor(plant), Weights(np.eye(2)))(np.diag([0.0, 2.0]))
     assert found == pytest.approx(QueryValue(Predictor(stable), Weights(np.eye(1)))(2 * np.eye(1)), rel=1e-9)
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.99])
+def test_a_known_state_that_does_not_decay_changes_no_value(discount: float) -> None:
+    """A set-point costs, and has no error: a query is worth the same without it, over the slow filter of a bias too."""
+    known = (
+        block_diagonal(BIASED.A, np.eye(1)),
+        np.vstack([BIASED.B, [[0.0]]]),
+        block_diagonal(BIASED.W, np.zeros((1, 1))),
+    )
+    plant = Plant(*known, np.hstack([BIASED.C, np.zeros((2, 1))]), BIASED.V)
+    row = np.array([[1.0, 0.3, 0.2, -2.0]])
+    P = row.T @ row
+    Sigma = steady_filter(BIASED.A, BIASED.C, BIASED.W, BIASED.V).prior
+    found = QueryValue(Predictor(plant), Weights(P, discount))(block_diagonal(Sigma, np.zeros((1, 1))))
+    assert found == pytest.approx(QueryValue(Predictor(BIASED), Weights(P[:3, :3], discount))(Sigma), rel=1e-8)
+
+
+@times
+def test_a_known_state_changes_no_schedule(time: dict) -> None:
+    """For an average, a discounted sum and a horizon; the covariances have a row of zeros more."""
+    plant = Plant([[0.9, 0.1], [0.0, 1.0]], [[0.2], [0.0]], np.diag([0.01, 1e-3]), [[1.0, 0.0]], [[0.02]])
+    more = Plant(
+        block_diagonal(plant.A, np.eye(1)), np.vstack([plant.B, [[0.0]]]), block_diagonal(plant.W, np.zeros((1, 1))),
+        np.hstack([plant.C, [[0.0]]]), plant.V,
+    )  # fmt: skip
+    P, first = np.array([[1.0, 0.5, -2.0], [0.5, 1.0, -1.0], [-2.0, -1.0, 9.0]]), np.diag([0.02, 0.01])
+    each = [P[:2, :2], P]
+    if "horizon" in time:
+        each = [np.array([one] * time["horizon"]) for one in each]
+    short, long = (
+        schedule_queries(one, Weights(weight, time.get("discount", 1.0)), 0.01, start)
+        for one, weight, start in zip(
+            (plant, more), each, (first, block_diagonal(first, np.zeros((1, 1)))), strict=True
+        )
+    )
+    assert time.get("horizon") == 1 or 0 < short.queries.sum() < len(short.queries)
+    assert np.array_equal(long.queries, short.queries)
+    assert np.allclose(long.value, short.value, rtol=1e-9)
+    assert np.array_equal(long.covariance[:, :2, :2], short.covariance)
+    assert not long.covariance[:, 2].any()
 
 
 def test_an_error_that_no_later_query_removes_is_refused() -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taciturn._arrays import Array, frozen, is_definite, symmetrised
+from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import radius, summed
 from taciturn._progress import check_time
@@ -17,6 +17,7 @@ from taciturn.lqg import _dare
 from taciturn.lqg._cache import kept
 from taciturn.lqg._flow import Flow, riccati_flow
 from taciturn.lqg._repetition import Repetition
+from taciturn.lqg._worth import closure
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
@@ -149,6 +150,10 @@ class QueryValue:
         self._predictor, self._weights, self._done = predictor, weights, 0.0
         self._flow = riccati_flow(predictor.plant, weights.discount, weights.horizon)
         if self._flow is not None and weights.horizon is None:
+            # a weight of a mode that does not decay, such as a set-point's, has no sum over all later steps
+            if np.sqrt(weights.discount) * radius(self._flow.step) >= 1 - APART:
+                self._flow = None
+                return
             expected = [self._flow.steady, *self._starts(self._flow)]
             self._weighed, self._observed = self._flow.thinned(weights.P, weights.discount, np.array(expected))
 
@@ -229,11 +234,13 @@ class QueryValue:
                 continue
             if max(float(predictor.change(*pair)) for pair in zip(before, both, strict=True)) > CONVERGED:
                 continue
+            # of a state that is known, the difference is and remains 0, whether its mode decays or not
+            at = np.ix_(*2 * (closure(D.diagonal() > 0, np.asarray((F != 0) | (G != 0), dtype=np.bool_)),))
             if np.abs(F - G).max() <= CONVERGED * max(1.0, float(np.abs(F).max())):
-                shrinking = np.sqrt(alpha) * F
+                shrinking = np.sqrt(alpha) * F[at]
                 if radius(shrinking) < 1:
-                    return total + factor * float((P * summed(shrinking, D)).sum())
-            elif alpha * radius(F) * radius(G) >= 1 - APART:  # both covariances have converged, to different limits
+                    return total + factor * float((P[at] * summed(shrinking, D[at])).sum())
+            elif alpha * radius(F[at]) * radius(G[at]) >= 1 - APART:  # the covariances have different limits
                 break
         if horizon is not None:
             return total
@@ -246,7 +253,9 @@ class QueryValue:
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
     """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ.
 
-    It begins with the covariance Σ_0 and ends when it repeats or the horizon ends.
+    It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever, such
+    as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state would
+    not decay.
 
     Args:
         plant: plant with A, C, W and V.
@@ -262,7 +271,20 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
 
     Source: khashooei2017
     """
-    return _scheduled(plant.A, plant.B, plant.W, plant.C, plant.V, weights.P, weights.discount, price, initial)
+    unknown = _unknown_states(plant, initial)
+    block = np.ix_(unknown, unknown)
+    A, W, C, first = plant.A[block], plant.W[block], plant.C[:, unknown], initial[block]
+    found = _scheduled(A, plant.B[unknown], W, C, plant.V, weights.P[..., *block], weights.discount, price, first)
+    covariance = np.zeros((len(found.covariance), plant.states, plant.states))
+    covariance[:, *block] = found.covariance
+    return replace(found, covariance=frozen(covariance))
+
+
+def _unknown_states(plant: Plant, initial: Array) -> Bits:
+    """Return a mask of the states that noise or the initial covariance makes uncertain at some step; all if none is."""
+    uncertain = (plant.W.diagonal() > 0) | (initial.diagonal() > 0)
+    found = closure(uncertain, np.asarray(plant.A != 0, dtype=np.bool_))
+    return found if found.any() else ~found
 
 
 @kept
