@@ -19,8 +19,10 @@ class Remote:
     def __init__(self, tables: Tables, model: Model, nodes: Nodes) -> None:
         """Design gains, and the schedule as far as it is needed."""
         policy = tables["policy"]
-        if model.q + model.s:
-            raise NotModelledError("remote-lqg with set-points")
+        if model.q + model.s and not model.average:
+            raise NotModelledError("disturbances or set-points of remote-lqg in a total")
+        if model.changes.levels is not None or model.changes.root is not None:
+            raise NotModelledError("remote-lqg with changing set-points")
         if model.limited:
             raise NotModelledError("limits of the inputs")
         self.model, self.exact = model, None
@@ -31,23 +33,27 @@ class Remote:
             raise NotModelledError("intervals of remote-lqg")
         p = len(model.C)
         self.V = np.zeros((p, p)) if model.V is None else model.V
-        alpha = model.discount
+        alpha, n = model.discount, model.n
+        A, B = model.A[:n, :n], model.B[:n]
         if model.horizon is not None:
             K, self.K = model.terminal, [model.terminal]
             for _ in range(model.horizon):
-                K = riccati(model.A, model.B, model.Q, model.R, model.N, K)[0]
+                K = riccati(A, B, model.Q, model.R, model.N, K)[0]
                 self.K.insert(0, K)
         else:
-            self.K = [regulator(model.A, model.B, model.Q, model.R, model.N, alpha)[0]]
+            self.K = [regulator(A, B, model.Q, model.R, model.N, alpha)[0]]
+        self.T = np.hstack([np.eye(n), -model.X])  # of z = (x, d, r): what x is off
         self.L, self.H = [], []
         for after in self.K[1:] or self.K:
-            _, H, L = riccati(model.A, model.B, model.Q, model.R, model.N, after, alpha)
-            self.L.append(L)
+            _, H, L = riccati(A, B, model.Q, model.R, model.N, after, alpha)
+            self.L.append(np.hstack([L, model.U - L @ model.X]))
             self.H.append(H)
         self.P = [L.T @ H @ L for L, H in zip(self.L, self.H, strict=True)]
         self.Sigma0 = model.covariance
-        if model.average:
-            self.Sigma0 = kalman(model.A, model.C, model.W, self.V)[1]
+        if model.average:  # set-points are known
+            self.Sigma0 = np.zeros_like(model.A)
+            free = np.ix_(*2 * (np.arange(model.known.start),))
+            self.Sigma0[free] = kalman(model.A[free], model.C[:, : model.known.start], model.W[free], self.V)[1]
         self.queried: dict[bytes, bool] = {}
 
     def at(self, values: list[Array], k: int) -> Array:
@@ -82,9 +88,10 @@ class Remote:
     def start(self, paths: int, rng: np.random.Generator) -> None:
         """Begin."""
         model = self.model
-        self.estimate, self.held = np.zeros((paths, model.n)), np.zeros((paths, model.m))
+        self.estimate, self.held = np.zeros((paths, len(model.A))), np.zeros((paths, model.m))
         if not model.average:
             self.estimate += model.mean
+        self.estimate[:, model.known] = model.value
         self.S = self.Sigma0
 
     def step(self, k: int, y: Array, r: Array) -> tuple[Array, dict[str, Array]]:
@@ -95,14 +102,11 @@ class Remote:
         if self.place == "actuator":
             u = command
         else:
-            e, x = self.held - command, self.estimate
-            share = (
-                quadratic(x, model.Q)
-                + quadratic(self.held, model.R)
-                + 2 * np.einsum("pi,ij,pj->p", x, model.N, self.held)
-            )
+            e, x = self.held - command, self.estimate @ self.T.T
+            u = self.held - self.estimate[:, model.n :] @ model.U.T
+            share = quadratic(x, model.Q) + quadratic(u, model.R) + 2 * np.einsum("pi,ij,pj->p", x, model.N, u)
             trigger = (1 + self.theta) * quadratic(e, H) - self.theta * share
-            sends = trigger > self.theta * np.trace(model.Q @ self.S)
+            sends = trigger > self.theta * np.trace(self.T.T @ model.Q @ self.T @ self.S)
             u = np.where(sends[:, None], command, self.held)
             flags["actuator"] = sends.astype(float)
         query = True
