@@ -43,6 +43,8 @@ class Remote:
         else:
             self.K = [regulator(A, B, model.Q, model.R, model.N, alpha)[0]]
         self.T = np.hstack([np.eye(n), -model.X])  # of z = (x, d, r): what x is off
+        off = np.vstack([self.T, np.hstack([np.zeros((model.m, n)), -model.U])])  # and u, if it is 0
+        self.doubted = off.T @ np.block([[model.Q, model.N], [model.N.T, model.R]]) @ off
         self.L, self.H = [], []
         for after in self.K[1:] or self.K:
             _, H, L = riccati(A, B, model.Q, model.R, model.N, after, alpha)
@@ -106,7 +108,7 @@ class Remote:
             u = self.held - self.estimate[:, model.n :] @ model.U.T
             share = quadratic(x, model.Q) + quadratic(u, model.R) + 2 * np.einsum("pi,ij,pj->p", x, model.N, u)
             trigger = (1 + self.theta) * quadratic(e, H) - self.theta * share
-            sends = trigger > self.theta * np.trace(self.T.T @ model.Q @ self.T @ self.S)
+            sends = trigger > self.theta * np.trace(self.doubted @ self.S)
             u = np.where(sends[:, None], command, self.held)
             flags["actuator"] = sends.astype(float)
         query = True
