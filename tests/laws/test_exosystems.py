@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -192,9 +193,10 @@ def test_a_held_input_that_cannot_follow_a_disturbance_is_noted(
     assert (last > first + 0.1) == noted
 
 
-def policies() -> dict[str, Policy]:
-    """Return a policy of each kind that takes a disturbance, for the plant of the reference."""
-    plant = plant_with(PUSH)
+@cache
+def policies(*value: float) -> dict[str, Policy]:
+    """Return a policy of each kind that takes a disturbance, for the plant of the reference at set-points."""
+    plant = plant_with(PUSH, value=value)
     return {
         "all-time": design.all_time(plant, COST),
         "periodic": design.periodic(plant, COST, every=2),
@@ -207,17 +209,35 @@ def policies() -> dict[str, Policy]:
         "absolute": design.absolute(plant, COST, threshold=0.5),
         "variance": design.variance(plant, COST, threshold=0.2),
         "stochastic": design.stochastic(plant, COST),
+        "remote-lqg": design.remote_lqg(plant, COST, theta=0.2, zeta=0.05),
     }
 
 
-@pytest.mark.parametrize("kind", policies())
+KINDS = list(policies(1.0, -2.0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_constant_set_point_changes_no_number_of_the_theory(kind: str) -> None:
+    """It is known, so it moves the point of rest, and neither costs, bounds, exact rates nor queries."""
+    at_rest, moved = policies(0.0, 0.0)[kind], policies(1.0, -2.0)[kind]
+    one, two = at_rest.theory, moved.theory
+    assert two.cost_all_time == pytest.approx(one.cost_all_time, rel=1e-9)
+    assert (two.guarantee is None) == (one.guarantee is None)
+    if one.guarantee is not None and two.guarantee is not None:
+        assert two.guarantee.cost == pytest.approx(one.guarantee.cost, rel=1e-8)
+    assert two.fixed_rates == one.fixed_rates
+    if one.closed_form is not None and two.closed_form is not None:
+        assert two.closed_form.cost == pytest.approx(one.closed_form.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_no_kind_leaves_an_offset(kind: str) -> None:
     """Under a constant disturbance of three units, the mean of the outputs is at the set-points within its error."""
     e = plant_with(PUSH).exosystem
     assert e is not None
     still = Exosystem(e.S, e.E, e.G, 0.0 * e.W, np.array([3.0, 1.0, -2.0]), e.outputs, e.F)  # it does not move
     plant = Plant(A, B, 0.02 * np.eye(3), C, 0.05 * np.eye(2), exosystem=still)
-    path = simulate(close(plant, policies()[kind]), ticks=40_000, seed=3)
+    path = simulate(close(plant, policies(1.0, -2.0)[kind]), ticks=40_000, seed=3)
     outputs = path.state[500:, :3] @ C.T
     means = outputs[: len(outputs) // 50 * 50].reshape(50, -1, 2).mean(axis=1)
     error = means.std(axis=0, ddof=1) / np.sqrt(50)

@@ -20,6 +20,7 @@ from taciturn.design.certainty import (
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Draw, Policy
@@ -56,7 +57,8 @@ def stochastic(
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ J_all + 2μ/(e s), where μ is the smallest number with L'HL ⪯ μW, since t exp(−t/2) ≤ 2/e.
+        The policy, with J ≤ J_all + 2μ/(e s), where μ is the smallest number with L'HL ⪯ μW for the states that may
+        have an error, since t exp(−t/2) ≤ 2/e.
         With a model and Gaussian noise, the policy has its exact cost and rate.
 
     Raises:
@@ -90,7 +92,9 @@ def stochastic(
         rule,
         before=(Draw("controller", LUCK),),
     )
-    mu, guarantee = largest_ratio(certainty.square, W), None
+    # the error of a state that is known for ever, such as a set-point, is 0
+    moving, guarantee = np.ix_(*2 * (~resting_states(problem.plant),)), None
+    mu = largest_ratio(certainty.square[moving], W[moving])
     if mu is not None:
         bound = problem.per_unit(certainty.cost_all_time + 2 * mu / np.e)
         statement = "J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW; mean-square stable"
