@@ -164,7 +164,10 @@ def test_keys_are_read_from_files_and_from_the_environment(tmp_path: Path, monke
         wire(b"abc")
 
 
-@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 3 * WIDTH)), max_size=60))
+NEAR = [number for end in range(0, 3 * WIDTH, WIDTH) for number in range(max(0, end - 2), end + 3)]  # ends of a window
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 3 * WIDTH) | st.sampled_from(NEAR)), max_size=60))
 def test_a_window_admits_each_packet_once(packets: list[tuple[int, int]]) -> None:
     """Against a set that remembers everything: none is new twice, and what is near the newest is not replayed."""
     window, seen = Window(), set()
