@@ -18,7 +18,7 @@ from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, design
 from taciturn.lqg.periodic import Held
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
-from taciturn.study.clock import Clock, ClockPoint, Ticked, beside, lower_hull
+from taciturn.study.clock import Clock, ClockPoint, Either, Ticked, beside, lower_hull
 from taciturn.study.fair import clock_of, sampling_clock
 
 TANK = ContinuousPlant(
@@ -64,6 +64,20 @@ def test_the_clocks_of_the_two_masses_are_those_of_their_policies() -> None:
         assert found is not None
         assert exact is not None
         assert found.cost <= exact.cost * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("actuation", ["hold", "model"])
+def test_a_cycle_of_a_sampled_plant_costs_what_its_policy_costs(actuation: str) -> None:
+    """With the noise between samples counted once; periods in between, which may cost less, are not asked here."""
+    found = fair(Problem(TANK, WEIGHTS, Network(), "excess", {"theta": 0.2, "period": 10.0, "actuation": actuation}))
+    assert isinstance(found, Either)
+    for every in (1, 2, 4):
+        around, policy = found.ticked.around(1 / (10 * every)), design.periodic
+        closed = policy(TANK, WEIGHTS, every=every, period=10.0, actuation=actuation).theory.closed_form
+        assert around is not None
+        assert closed is not None
+        assert around[0].cycle == (every,)
+        assert around[0].cost == pytest.approx(closed.cost, rel=1e-9)
 
 
 def test_rates_at_which_sampling_loses_a_mode_are_passed_over() -> None:
