@@ -48,7 +48,9 @@ def list_violations(problem: Discrete, policy: Policy, network: Network, missing
         "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
         "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
         "the plant does not rest at the operating point of the design": lacks(DRIFT),
-        "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
+        # set-points count from the operating point, so another one starts them elsewhere
+        "the initial state is not the one of the design": started
+        and (cost.mission or (resting_states(plant).any() and not lacks(DRIFT))),
         "inputs are clipped (input_limit)": "plant.input_limit" in missing,
         "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
         "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),

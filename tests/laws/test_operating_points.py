@@ -219,6 +219,8 @@ def test_a_simulated_plant_elsewhere_takes_the_claims_away() -> None:
     found = tank.changed({"plant.actual": actual})
     loop = found.close(found.design())
     assert loop.violated_assumptions == ("the plant does not rest at the operating point of the design",)
+    told = found.changed({"reference.value": [13.0, 13.0], "reference.outputs": [[1, 0, 0, 0], [0, 1, 0, 0]]})
+    assert "initial" not in " ".join(told.close(told.design()).violated_assumptions)  # set-points count from a point
     path = taciturn.simulate(loop, 1_500, seed=1)
     assert path.measurement[300:].mean(axis=0) == pytest.approx([12.4, 12.7], abs=0.15)
     same = tank.changed({"plant.actual": {key: rows for key, rows in actual.items() if key != "operating_point"}})

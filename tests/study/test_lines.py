@@ -13,11 +13,12 @@ import taciturn
 from taciturn import Estimate
 from taciturn._text import ordinal, percent, wrapped_text
 from taciturn.analyse.limits import LowerBound
+from taciturn.model.schedule import Schedule
 from taciturn.renewal.policy import EventPolicy
 from taciturn.study.clock import Timed
 from taciturn.study.evaluation import Evaluation, bound_at_rate, evaluation_records, periodic_cost
 from taciturn.study.fair import fair_clock
-from taciturn.study.lines import percent_above, rounded
+from taciturn.study.lines import percent_above, queries_text, rounded
 from taciturn.study.lower import contradicted
 
 SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
@@ -29,6 +30,15 @@ PROBLEM = taciturn.Problem(SCALAR, COST, taciturn.Network(), "excess", {"theta":
 def simulated() -> Evaluation:
     """Return a short simulation, whose rate has a standard error."""
     return taciturn.evaluate(PROBLEM, steps=20_000)
+
+
+def test_queries_before_the_repeating_part_are_counted() -> None:
+    """A schedule that ends with a query at every step, after one without, has not one at every step."""
+    once = {"value": np.zeros(3), "covariance": np.zeros((3, 1, 1)), "price": 0.0}
+    assert queries_text(Schedule(np.array([True, True, True]), **once, start=2)) == "at every step"
+    assert queries_text(Schedule(np.array([False, False, False]), **once, start=2)) == "never"
+    told = queries_text(Schedule(np.array([True, False, True]), **once, start=2))
+    assert told == "1 of the first 2 steps (0), then every step"
 
 
 def verdict(found: Evaluation) -> str:

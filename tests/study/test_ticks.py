@@ -83,14 +83,17 @@ def test_a_rate_has_an_error_only_by_batch_means() -> None:
     for loop, steps in ((mission.close(mission.design()), 1000), (LOOP, short)):
         rate = rate_of_ticks(loop, runs[:steps])
         assert measured(rate) == {"value": runs[:steps].mean(), "standard_error": None, "method": "simulation"}
-        assert remark_on_rates([rate], steps) == (
+        assert remark_on_rates(loop, [rate], steps) == (
             f"the rates are those of this run of {steps} steps, without standard errors",
         )
     rate = rate_of_ticks(LOOP, runs)
     independent = np.sqrt(0.3 * 0.7 / len(runs))
     assert rate.standard_error == pytest.approx(np.sqrt(10) * independent, rel=0.5)
     assert rate.standard_error > 1.5 * independent
-    assert remark_on_rates([rate], len(runs)) == ()
+    assert remark_on_rates(LOOP, [rate], len(runs)) == ()
+    discounted = PROBLEM.changed({"cost.discount": 0.9, "policy.kind": "excess"})
+    (remark,) = remark_on_rates(discounted.close(discounted.design()), [Estimate(0.3, 0.0, "exact")], 100)
+    assert remark.endswith("without standard errors, and later sends are not discounted")
 
 
 SEEN = Plant([[0.9]], [[1.0]], [[0.1]], [[1.0]], [[0.1]])

@@ -55,6 +55,7 @@ def evaluate(
     """
     import taciturn
     from taciturn._progress import answered_within
+    from taciturn.simulation.sampling import MOST_OPERATIONS
     from taciturn.study.lower import choose_confidence
     from taciturn.study.record import origin
 
@@ -86,10 +87,13 @@ def evaluate(
         )
     if not found.settled:
         why = "a note states why there is no average, or " if found.notes else ""
-        longer = ", or a longer period" if found.unit == "second" else ""  # else the plant has no period
+        remedies = [] if found.steps >= MOST_OPERATIONS else ["more --steps"]
+        if found.unit == "second":  # else the plant has no period
+            remedies.append("a longer period")
+        given = f"; give {' or '.join(remedies)}" if remedies else ""
         refuse(
             f"the loop has not settled within {found.steps} steps: {why}its time constants, or the intervals between "
-            f"sends, take too many steps; give more --steps{longer}"
+            f"sends, take too many steps{given}"
         )
     if not found.reached:
         wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"

@@ -118,7 +118,7 @@ class Link(Displayed):
             return "at every step"
         if self.when == "decision":
             return f"{self._condition}, by {', '.join(self.reads)}"
-        return f"{self._condition}, by the step counter: {_pattern_text(self.pattern, self.repeats_from)}"
+        return f"{self._condition}, by the step counter: {pattern_text(self.pattern, self.repeats_from)}"
 
     @property
     def _condition(self) -> str:
@@ -277,7 +277,7 @@ def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]
     return tuple(pattern), visited[tuple(here.values())]
 
 
-def _pattern_text(pattern: Sequence[bool], start: int) -> str:
+def pattern_text(pattern: Sequence[bool], start: int) -> str:
     """Return a description of the steps at which a schedule sends."""
     if all(pattern) or not any(pattern):
         return "every step" if any(pattern) else "never"

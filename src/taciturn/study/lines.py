@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from taciturn._text import LARGE, magnitude, number_text, percent
+from taciturn.model.diagram import pattern_text
 from taciturn.model.estimate import Estimate
 from taciturn.model.schedule import Schedule
 from taciturn.study.clock import ClockMix
@@ -78,8 +79,9 @@ def clock_text(clock: ClockMix) -> str:
 def queries_text(schedule: Schedule) -> str:
     """Return a text that states when the sensor is queried."""
     ticks = schedule.ticks
-    if schedule.period == 1:
-        return "at every step" if ticks else "never"
+    if schedule.start is not None and schedule.period == 1:
+        found = pattern_text(schedule.queries.tolist(), schedule.start)
+        return f"at {found}" if found == "every step" else found
     listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
     if schedule.start is None:
         return f"{len(ticks)} of {len(schedule.queries)} steps" + (f": {listed}" if ticks else "")

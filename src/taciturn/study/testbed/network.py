@@ -265,7 +265,7 @@ def run_network(
         nominal=not differences,
         seconds=time.monotonic() - began,
         notes=notes
-        + remark_on_rates(rates.values(), len(costs))
+        + remark_on_rates(loop, rates.values(), len(costs))
         + _unheard(loop, datagrams)
         + _unforeseen(datagrams)
         + tuple(f"{text}: no guarantee holds" for text in differences),

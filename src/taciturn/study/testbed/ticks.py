@@ -87,11 +87,12 @@ def rate_of_ticks(loop: Loop, sends: Array) -> Estimate:
     return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
 
 
-def remark_on_rates(rates: Iterable[Estimate], steps: int) -> tuple[str, ...]:
+def remark_on_rates(loop: Loop, rates: Iterable[Estimate], steps: int) -> tuple[str, ...]:
     """Return a remark if rates were measured only once."""
     if all(rate.method != "exact" for rate in rates):
         return ()
-    return (f"the rates are those of this run of {steps} steps, without standard errors",)
+    counted = ", and later sends are not discounted" if loop.problem.cost.discount < 1 else ""
+    return (f"the rates are those of this run of {steps} steps, without standard errors{counted}",)
 
 
 def _in_units(loop: Loop, found: Estimate) -> Estimate:
