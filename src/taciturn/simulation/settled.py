@@ -63,14 +63,14 @@ class History:
 
     def drift(self) -> int:
         """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
-        ends = np.cumsum([length for length, _ in self.windows])
+        ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
         for j in range(len(self.windows) - 1, 0, -1):
-            later = _joined(self.windows[j:])
+            later = _joined(self.windows[j:], rows)
             for i in range(j - 1, -1, -1):
                 begins = int(ends[i - 1]) if i else 0
                 if i < j - 1 and begins * REACH < ends[j - 1]:
                     break
-                if self._differ(_joined(self.windows[i:j]), later):
+                if self._differ(_joined(self.windows[i:j], rows), later):
                     return int(ends[j - 1])
         return 0
 
@@ -86,13 +86,12 @@ class History:
 
     def _differ(self, before: Window, after: Window) -> bool:
         """Return whether the mean of a sum differs between two ranges of windows."""
-        rows = len(self.counted)
         (steps, sums), (others, late) = before, after
-        earlier = sums[:rows] / steps
-        change = late[:rows] / others - earlier
+        earlier = sums / steps
+        change = late / others - earlier
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         # paths that send at the same steps: a window may end just before a send
-        same = self.counted & (sums[:rows].std(axis=1) < IN_PHASE) & (late[:rows].std(axis=1) < IN_PHASE)
+        same = self.counted & (sums.std(axis=1) < IN_PHASE) & (late.std(axis=1) < IN_PHASE)
         early = same * (1 / steps + 1 / others)
         least = DIFFERENT * spread + early + ROUNDING * np.abs(earlier.mean(axis=1))
         return bool((np.abs(change.mean(axis=1)) > least).any())
@@ -152,7 +151,10 @@ def shared_end(windows: Sequence[Window]) -> float:
     return float(np.sqrt((1 - rate**2) / 12)) / steps
 
 
-def _joined(windows: list[Window]) -> Window:
-    """Return the steps and sums of several windows."""
-    rows = min(len(sums) for _, sums in windows)
-    return sum(length for length, _ in windows), np.sum([sums[:rows] for _, sums in windows], axis=0)
+def _joined(windows: Sequence[Window], rows: int) -> Window:
+    """Return the steps and the first sums of several windows, which are added in turn: a stack takes much memory."""
+    (_, first), *later = windows
+    total = first[:rows].copy()
+    for _, sums in later:
+        total += sums[:rows]
+    return sum(length for length, _ in windows), total
