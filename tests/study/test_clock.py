@@ -80,6 +80,23 @@ def test_a_cycle_of_a_sampled_plant_costs_what_its_policy_costs(actuation: str) 
         assert around[0].cost == pytest.approx(closed.cost, rel=1e-9)
 
 
+def test_unequal_intervals_are_found_under_a_disturbance_too() -> None:
+    """A bias that wanders and a set-point stay for ever; what a cycle costs because of them is not paid at its end."""
+    plant = Plant([[1.0, 0.1], [0.0, 0.8]], [[0.0], [0.3]], 1e-3 * np.eye(2), [[1.0, 0.0]], [[4e-3]])
+    plant = follow(plant, [[1.0, 0.0]], [1.0], [ExternalDisturbance([0.0, 0.3], 1e-4)])
+    problem = Problem(plant, Cost(np.diag([1.0, 0.0]), [[0.3]]), Network(), "excess", {"theta": 0.2})
+    clock = fair(problem)
+    for cycle in ((3, 2, 2), (3, 2), (4, 3, 3)):
+        closed, found = (
+            design.periodic(plant, problem.cost, every=cycle).theory.closed_form,
+            clock.at(len(cycle) / sum(cycle)),
+        )
+        assert closed is not None
+        assert found is not None
+        assert found.cost <= closed.cost * (1 + 1e-4)
+    assert [point.cycle for point in found.points] == [(4, 3, 3)]
+
+
 def test_rates_at_which_sampling_loses_a_mode_are_passed_over() -> None:
     """Every five steps is half a period of the undamped spring: an input that is held so long does not move it."""
     with pytest.raises(taciturn.UnstableError, match="holding the input for 5 steps"):

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._display import Displayed
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._dare import price
 from taciturn.lqg._doubling import double
@@ -129,6 +130,18 @@ class Held:
         """Store the problem of one step."""
         self._tick, self._factor, self._known = (A, B, Q, R, N, corrections), factor, dict[int, Sampled]()
 
+    @cached_property
+    def _last(self) -> Array | None:
+        """Cost-to-go with a send at every step; None if no input stabilises the plant.
+
+        As the weight of the final state of a screened cycle, it does not count where a disturbance or a set-point keeps
+        the state away from zero: another weight would be paid for ever, and most by cycles of many sends.
+        """
+        try:
+            return _at_the_start([self.lifted(1)])
+        except TaciturnError:
+            return None
+
     def lifted(self, ticks: int) -> Sampled:
         """Return the LQ problem in which the input is held for a number of steps, or changes by the factor."""
         if ticks not in self._known:
@@ -148,7 +161,7 @@ class Held:
         )
         noise = np.array([part.noise_cost for part in parts])[chosen].sum(axis=1)
         with np.errstate(all="ignore"):
-            K = _roughly(*_stacked(A, B, Q, R, N))
+            K = _roughly(*_stacked(A, B, Q, R, N), self._last)
             for stage in reversed(range(len(A))):
                 noise = noise + (K * W[stage]).sum(axis=(1, 2))
                 turned = B[stage].swapaxes(1, 2) @ K
@@ -211,9 +224,10 @@ def _stacked(A: Array, B: Array, Q: Array, R: Array, N: Array) -> tuple[Array, A
     return reach[:, :, :n], reach[:, :, n:], M[:, :n, :n], M[:, n:, n:], M[:, :n, n:]
 
 
-def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array:
+def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array, last: Array | None) -> Array:
     """Return the costs-to-go of a stack of problems by the doubling algorithm, without an error check."""
-    last = Q + np.trace(Q, axis1=1, axis2=2)[:, None, None] / len(Q[0]) * np.eye(len(Q[0]))
+    given = Q + np.trace(Q, axis1=1, axis2=2)[:, None, None] / len(Q[0]) * np.eye(len(Q[0])) if last is None else last
+    last = np.broadcast_to(given, Q.shape)
     H = symmetrised(R + B.swapaxes(1, 2) @ last @ B)
     return double(A, B, Q, N, last, H, _inverse(H))
 
