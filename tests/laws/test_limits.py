@@ -25,6 +25,7 @@ from taciturn.lqg.kalman import filter_checked
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.packets import fingerprint
+from taciturn.model.set_points import Timetable
 from taciturn.program.names import Entry
 from taciturn.runtime.nodes import Nodes
 from taciturn.runtime.plant import SimulatedPlant
@@ -288,6 +289,23 @@ def test_no_share_of_the_steps_at_a_limit_is_shown_if_disturbances_wander_beyond
     assert found.without_limits.share is None
     assert found.document()["share_at_limit"] is None
     assert "the share of the steps in which a limit binds has no average" in " ".join(str(found).split())
+
+
+def test_the_share_of_the_steps_at_a_limit_is_that_of_all_parts_of_a_timetable() -> None:
+    """One level of two needs nearly all of the input; each lasts longer than the steps that are counted."""
+    levels = Timetable([0, 1000, 2000], [[0.0], [1.0], [0.0]])
+    plant = Plant(
+        [[0.9, 0.0], [0.1, 0.9]], [[0.2], [0.0]], 1e-3 * np.eye(2), [[0.0, 1.0]], [[4e-3]], input_limit=[[-0.45, 0.55]]
+    )
+    policy = design.excess(follow(plant, changes=levels), Cost(np.diag([0.0, 1.0]), [[0.2]]), delta=0.004)
+    found = taciturn.evaluate(policy, steps=20_000).without_limits
+    assert found is not None
+    assert found.share is not None
+    path = taciturn.simulate(policy, 20_000, seed=1).input[:, 0]
+    at = ((path <= -0.45) | (path >= 0.55)).reshape(10, 2000).mean(axis=1)
+    error = np.hypot(at.std(ddof=1) / np.sqrt(10), found.share.standard_error)
+    assert at.mean() > 0.1
+    assert abs(found.share.value - at.mean()) < 4 * error
 
 
 @pytest.mark.evidence

@@ -23,7 +23,8 @@ from taciturn.program.names import Entry
 from taciturn.simulation.reliability import escapes, wanders
 from taciturn.study.measure import Request, measure
 
-PATHS, TICKS = 64, 512  # over which the share of steps at a limit is counted, after the transient
+PATHS, TICKS = 512, 512  # over which the share of steps at a limit is counted, after the transient
+FEWEST, NUMBERS = 64, 20_000_000  # paths at least, and most inputs that are recorded with more
 CONSTANTS, LONGEST = 12, 4096  # length of the transient in time constants, and its most steps
 NEAR = 1e-9  # relative distance at which an input is at its limit: the rounding of set-points
 
@@ -98,16 +99,22 @@ def compare_without_limits(
 
 
 def share_at_limits(loop: Loop, limits: Saturation, seed: int) -> Estimate:
-    """Return the share of the steps of a loop in which an input, or its change, is at a limit."""
-    inputs, horizon = loop.problem.plant.inputs, loop.horizon
+    """Return the share of the steps of a loop in which an input, or its change, is at a limit.
+
+    The paths begin at random steps of a timetable, which may last longer than they do, and end with a cycle of the
+    policy.
+    """
+    inputs, horizon, cycle = loop.problem.plant.inputs, loop.horizon, loop.policy.cycle
     burn = 0 if horizon is not None else min(int(CONSTANTS * loop.policy.theory.settling) + 1, LONGEST)
     program = loop.program().keep(outputs={Entry(APPLIED, i) for i in range(inputs)})
-    ticks = burn + TICKS if horizon is None else horizon
-    outputs = prepare(program)(loop.start(program, PATHS, seed), ticks, None).outputs
+    ticks = burn + -(-TICKS // cycle) * cycle if horizon is None else horizon
+    paths = max(FEWEST, min(PATHS, NUMBERS // (ticks * inputs)))
+    start = loop.start(program, paths, seed, stationary=horizon is None)
+    outputs = prepare(program)(start, ticks, None).outputs
     applied = np.stack([outputs[Entry(APPLIED, i)] for i in range(inputs)], axis=-1)
     first = np.broadcast_to(first_input(loop.policy, loop.problem.plant), (1, *applied.shape[1:]))
     at = _at_limits(limits, applied, np.concatenate([first, applied[:-1]]))[burn:].mean(axis=0)
-    return Estimate(float(at.mean()), float(at.std(ddof=1) / np.sqrt(PATHS)), "simulation")
+    return Estimate(float(at.mean()), float(at.std(ddof=1) / np.sqrt(paths)), "simulation")
 
 
 def _at_limits(limits: Saturation, applied: Array, before: Array) -> Array:
