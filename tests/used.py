@@ -15,6 +15,7 @@ from unittest.mock import patch
 import numpy as np
 
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, Policy, Problem, close
+from taciturn._modes import root
 from taciturn.analyse.limits import resets
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
@@ -123,8 +124,10 @@ def in_cost(**changes: Any) -> Callable[[Problem], Problem]:
 
 
 def crossed(problem: Problem) -> Problem:
-    """Return the problem with a cross weight."""
-    return in_cost(N=0.1 * np.ones((problem.plant.states, problem.plant.inputs)))(problem)
+    """Return the problem with a cross weight, with which the cost remains convex whatever Q and R are."""
+    of_states, of_inputs = root(problem.cost.Q), root(problem.cost.R)
+    N = of_states @ np.full((of_states.shape[1], of_inputs.shape[1]), 0.1) @ of_inputs.T
+    return in_cost(N=N)(problem)
 
 
 def followed(problem: Problem) -> Problem:

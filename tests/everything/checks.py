@@ -209,7 +209,7 @@ def finite(report: Report, problem: Problem, found: Evaluation, tables: Tables, 
 
 
 def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int) -> None:
-    """J ≤ its bounds, up to standard errors."""
+    """J ≤ its bounds, up to standard errors; no periodic policy costs less than the best that is found at its rate."""
     cost, error = found.cost.value, found.cost.standard_error + found.cost.error
     slack = DOUBT * error + 1e-9 * abs(cost)
     for name, bound in (("bound", found.cost_bound), ("bound at the rate", found.cost_bound_at_rate)):
@@ -221,6 +221,9 @@ def ordered(report: Report, problem: Problem, found: Evaluation, tables: Tables,
         over = again.cost.value - SURE * (again.cost.standard_error + again.bound_error + again.cost.error) - other
         if over > 1e-9 * abs(other):
             report.faults.append(Fault(f"ordered: {name}", f"cost {again.cost}, {name} {other:.8g}"))
+    best = found.cost_periodic_same_rate
+    if best is not None and problem.kind in ("periodic", "periodic-schedule") and best > (1 + 1e-6) * cost + slack:
+        report.faults.append(Fault("ordered: periodic", f"cost {found.cost}, periodic at the same rate {best:.8g}"))
     for link, rate in found.rates.items():
         top = (found.base_rate or math.inf) * (1 + 1e-9)
         if not -1e-12 <= rate.value <= top:

@@ -10,7 +10,9 @@ TURNS = 40  # 2^40 steps
 SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
 
 
-def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, inverse: Array) -> Array:
+def double(
+    A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, inverse: Array, crumb: Array | float = 0.0
+) -> Array:
     """Return the stabilising solution of a discrete-time Riccati equation; its entries are not finite if none exists.
 
     A stack of equations can be solved together.
@@ -29,6 +31,8 @@ def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, invers
         last: X, the terminal weight, (…, n, n).
         H: R + B'XB, (…, m, m).
         inverse: inverse of H; with a pseudo-inverse, inputs without cost are 0.
+        crumb: change of each diagonal entry that counts as none, (…, n). The rounding error of an entry that is 0, of a
+            state that does not decay, doubles in each iteration, so it never settles relative to itself.
 
     Source: anderson1978
     """
@@ -43,7 +47,7 @@ def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, invers
             turned = F.swapaxes(-1, -2)
             more = turned @ K @ solved[..., :n]
             K = symmetrised(K + more)
-            settled = (np.abs(_diagonal(more)) <= SETTLED * np.abs(worth + _diagonal(K))).all(axis=-1)
+            settled = (np.abs(_diagonal(more)) <= SETTLED * np.abs(worth + _diagonal(K)) + crumb).all(axis=-1)
             if (settled | ~np.isfinite(K.sum(axis=(-1, -2)))).all():
                 break
             G = G + F @ solved[..., n:] @ turned

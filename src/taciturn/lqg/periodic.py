@@ -25,6 +25,8 @@ from taciturn.lqg.riccati import regulate
 
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
+CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
+
 
 def lift(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int, factor: float = 1.0
@@ -229,7 +231,8 @@ def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array, last: Array | Non
     given = Q + np.trace(Q, axis1=1, axis2=2)[:, None, None] / len(Q[0]) * np.eye(len(Q[0])) if last is None else last
     last = np.broadcast_to(given, Q.shape)
     H = symmetrised(R + B.swapaxes(1, 2) @ last @ B)
-    return double(A, B, Q, N, last, H, _inverse(H))
+    parts = np.abs(A).swapaxes(1, 2) @ np.abs(last) @ np.abs(A) + np.abs(Q) + np.abs(last)
+    return double(A, B, Q, N, last, H, _inverse(H), CRUMB * np.diagonal(parts, axis1=1, axis2=2))
 
 
 def _inverse(H: Array) -> Array:
