@@ -75,8 +75,8 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
     state, steady, rest = np.zeros(n), np.zeros(m), np.zeros(len(controller.A))
     if problem.cost.mission and (r.any() or controller.start_input is not None):
         raise ProblemError(
-            "a set-point or start_input is given, and the cost is a total over a horizon or with a discount; expected an "
-            "average cost"
+            "a set-point or start_input is given, and the cost is a total over a horizon or with a discount; expected "
+            "an average cost"
         )
     if r.any():
         moving = np.block([[plant.A - np.eye(n), plant.B], [plant.C, np.zeros((p, m))]])
