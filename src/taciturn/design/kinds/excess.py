@@ -66,8 +66,8 @@ def excess(
             and which is 0 for a discrete plant.
         period: seconds between steps; only with a continuous plant.
         actuation: in silence, ``"hold"`` keeps the last input, ``"model"`` simulates plant and controller, for LQG
-            x̃⁺ = (A + BL) x̃, from the last sent estimate, and ``"zero"`` applies 0, or the input at rest if
-            there is a set-point or an operating point.
+            x̃⁺ = (A + BL) x̃, from the last sent estimate, and ``"zero"`` applies 0, or the input at rest of
+            an operating point or of the controller's set-point.
         controller: a linear controller to keep, or an object that ``controller_from`` converts; default: LQG.
         link: ``"actuator"``: the controller is at the sensor's site and sends inputs. ``"sensor"``: the sensor decides
             and sends measurements to a controller at the actuator's site. In silence, the controller uses the last
