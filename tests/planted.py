@@ -22,7 +22,8 @@ from pathlib import Path
 from imports import ROOT, distances
 
 DAYS = 3
-LOOKS = "tests/test_selection.py::test_defects_can_be_planted"  # it reads the text of the source, so it finds each
+# it compares the text of the source with that of the defects, so it fails for every one
+READS_SOURCE = "tests/test_selection.py::test_defects_can_be_planted"
 KEPT = ("src", "tests", "docs", "examples", "benchmarks", ".ci", "pyproject.toml", "README.md", "CHANGELOG.md",
         "CONTRIBUTING.md", "CITATION.cff", "LICENSE", "THIRD_PARTY.md", ".gitignore", ".editorconfig")  # fmt: skip
 
@@ -140,7 +141,7 @@ def found_by(defect: Planted, day: date) -> str | None:
         shortened = [["-m", "evidence", "--shortened", "--day", str(day + timedelta(k))] for k in range(DAYS)]
         for run, options in zip(("quick", *range(1, DAYS + 1)), ([], *shortened), strict=True):
             command = [sys.executable, "-m", "pytest", "-x", "-n", "2", "--dist", "load", "--maxschedchunk", "4",
-                       "--deselect", LOOKS]  # fmt: skip
+                       "--deselect", READS_SOURCE]  # fmt: skip
             done = subprocess.run(
                 [*command, *options, *nearest(defect)], cwd=folder, capture_output=True, text=True, check=False,
                 env={**os.environ, "PYTHONPATH": str(folder / "src")},

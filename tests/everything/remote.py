@@ -42,7 +42,7 @@ class Remote:
                 self.K.insert(0, K)
         else:
             self.K = [regulator(A, B, model.Q, model.R, model.N, alpha)[0]]
-        self.T = np.hstack([np.eye(n), -model.X])  # of z = (x, d, r): what x is off
+        self.T = np.hstack([np.eye(n), -model.X])  # maps z = (x, d, r) to the deviation x − X (d, r)
         off = np.vstack([self.T, np.hstack([np.zeros((model.m, n)), -model.U])])  # and u, if it is 0
         self.doubted = off.T @ np.block([[model.Q, model.N], [model.N.T, model.R]]) @ off
         self.L, self.H = [], []

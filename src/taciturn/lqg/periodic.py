@@ -231,6 +231,7 @@ def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array, last: Array | Non
     given = Q + np.trace(Q, axis1=1, axis2=2)[:, None, None] / len(Q[0]) * np.eye(len(Q[0])) if last is None else last
     last = np.broadcast_to(given, Q.shape)
     H = symmetrised(R + B.swapaxes(1, 2) @ last @ B)
+    # where a disturbance lasts, an entry of the cost-to-go may be exactly 0, and only its rounding error remains
     parts = np.abs(A).swapaxes(1, 2) @ np.abs(last) @ np.abs(A) + np.abs(Q) + np.abs(last)
     return double(A, B, Q, N, last, H, _inverse(H), CRUMB * np.diagonal(parts, axis1=1, axis2=2))
 
