@@ -168,7 +168,10 @@ def test_units_of_registers_decide_no_mode(draw, seed, inputs, outputs):
 
 @law(3, 200, seed=seeds, inputs=st.integers(0, 15), outputs=st.integers(0, 15))
 def test_the_cost_of_registers_is_that_of_their_stationary_second_moments(draw, seed, inputs, outputs):
-    """tr(KW) is tr(MX), M the stage cost of the closed loop and X = Σ F^k W F'^k, nilpotent parts included."""
+    """tr(KW) is tr(MX), M the stage cost of the closed loop and X = Σ F^k W F'^k, nilpotent parts included.
+
+    Where the powers of F first grow too much for sixteen digits, the sum is refused, and its examples do not count.
+    """
     A, B, _, n = delayed(draw, seed, inputs, outputs)
     assume(len(A) <= 60)
     c = draw(seed)
@@ -177,7 +180,11 @@ def test_the_cost_of_registers_is_that_of_their_stationary_second_moments(draw, 
     N = np.zeros(B.shape)
     N[:n] = c.N
     found = regulate(A, B, Q, c.R, N)
-    X = accumulate(A + B @ found.L, W)
+    try:
+        X = accumulate(A + B @ found.L, W)
+    except UnstableError as refused:
+        assume("has a relative error of up to" not in str(refused))
+        raise
     stage = Q + N @ found.L + found.L.T @ N.T + found.L.T @ c.R @ found.L
     doubt = np.sum(found.error * W) / np.sum(found.K * W)
     assert np.sum(stage * X) == pytest.approx(np.sum(found.K * W), rel=1e-9 + 10 * doubt)
