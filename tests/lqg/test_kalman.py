@@ -37,12 +37,20 @@ def test_the_steady_filter_satisfies_its_equations(draw, seed):
 
 @law(8, 100, seed=seeds)
 def test_the_steady_filter_exists_for_noise_of_any_rank(draw, seed):
-    """Process and measurement noise of random ranks, zero included, away from the unit circle."""
+    """Process and measurement noise of random ranks, zero included, away from the unit circle.
+
+    Where rounding hides the rank, the filter is refused, and its example does not count.
+    """
     c = draw(seed)
     n, p = c.A.shape[0], c.C.shape[0]
     G = c.rng.normal(size=(n, c.rng.integers(0, n + 1)))
     D = c.rng.normal(size=(p, c.rng.integers(0, p + 1)))
-    assert_consistent(steady_filter(c.A, c.C, G @ G.T, D @ D.T), c.A, c.C, G @ G.T, D @ D.T)
+    try:
+        found = steady_filter(c.A, c.C, G @ G.T, D @ D.T)
+    except UnstableError as refused:
+        assume("too badly conditioned" not in str(refused))
+        raise
+    assert_consistent(found, c.A, c.C, G @ G.T, D @ D.T)
 
 
 @law(8, 100, seed=seeds)

@@ -32,6 +32,14 @@ def test_the_value_of_a_query_is_the_sum_of_what_every_later_error_costs_less(ki
     assert found >= 0
 
 
+def test_a_query_is_worth_the_same_where_no_noise_renews_the_error():
+    """A slow state without noise, whose steady covariance is zero: no block of many steps stands for its sum."""
+    plant = Plant([[0.88138602]], [[1.0]], [[0.0]], [[-0.72926391]], [[0.82023861]])
+    Sigma, P = np.array([[0.51660156]]), np.array([[0.00390625]])
+    found = QueryValue(Predictor(plant), Weights(P))(Sigma)
+    assert found == pytest.approx(sixty_digits(plant, Sigma, P), rel=1e-12)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @law(2, 8, seed=SEEDS)
 def test_of_a_mission_only_the_errors_until_its_end_count(kind, seed):

@@ -119,6 +119,13 @@ def test_merging_twice_is_merging_once(seed: int) -> None:
     assert merge_states(once) == once
 
 
+def test_what_merging_simplifies_is_merged_again() -> None:
+    """Two states that are equal only once the operations of others have been simplified."""
+    once = merge_states(random_program(133563636, 2))
+    assert len(once.states) == 2
+    assert merge_states(once) == once
+
+
 def test_states_that_start_apart_stay_apart() -> None:
     """Equal equations do not make equal states."""
     b = Builder()

@@ -317,8 +317,16 @@ def merge_states(program: Program) -> Program:
     A partition of the states is refined as in the minimisation of automata. States with equal start values begin in
     one class. A class is split if the next values of its states differ while each state is read from its class leader.
     At the fixed point, the states of a class are equal at the start, and equal at step k + 1 if they are equal at step
-    k; so they are always equal.
+    k; so they are always equal. A program that became smaller is merged again: its operations may have been simplified.
     """
+    found = _merged_once(program)
+    while (len(found.states), len(found.ops)) != (len(program.states), len(program.ops)):
+        program, found = found, _merged_once(found)
+    return found
+
+
+def _merged_once(program: Program) -> Program:
+    """Return a program without the states that are redundant as its operations are written."""
     starts: dict[object, int] = {}
     leader = [starts.setdefault((state.start, state.word), i) for i, state in enumerate(program.states)]
     live = sorted(needed(program.ops, program.following))
