@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from drawn import law
+from drawn import law, left_out
 from hypothesis import assume
 from hypothesis import strategies as st
 
@@ -20,9 +20,11 @@ seeds = st.integers(0, 2**32 - 1)
 def assert_consistent(found, A, C, W, V):
     """Check every equation of a steady filter."""
     size = np.abs(found.prior).max() + np.abs(W).max() + 1e-6 * np.abs(V).max() + 1e-300
-    close = {"rel": 1e-7, "abs": 1e-7 * size}
+    close = {"rel": 1e-7, "abs": 1e-8 * size}
     assert A @ found.posterior @ A.T + W == pytest.approx(found.prior, **close)
     assert riccati_step(A, C, W, V, found.prior) == pytest.approx(found.prior, **close)
+    # a gain of outputs that are known in advance is not small, and multiplies the rounding of their variance twice
+    close["abs"] += 1e-15 * np.abs(found.innovation).max() * np.abs(found.gain).max() ** 2
     assert found.gain @ found.innovation @ found.gain.T == pytest.approx(found.prior - found.posterior, **close)
     assert C @ found.prior @ C.T + V == pytest.approx(found.innovation, rel=1e-9, abs=1e-9 * size)
     assert radius(A - A @ found.gain @ C) < 1
@@ -45,11 +47,8 @@ def test_the_steady_filter_exists_for_noise_of_any_rank(draw, seed):
     n, p = c.A.shape[0], c.C.shape[0]
     G = c.rng.normal(size=(n, c.rng.integers(0, n + 1)))
     D = c.rng.normal(size=(p, c.rng.integers(0, p + 1)))
-    try:
+    with left_out("too badly conditioned"):
         found = steady_filter(c.A, c.C, G @ G.T, D @ D.T)
-    except UnstableError as refused:
-        assume("too badly conditioned" not in str(refused))
-        raise
     assert_consistent(found, c.A, c.C, G @ G.T, D @ D.T)
 
 

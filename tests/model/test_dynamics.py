@@ -34,7 +34,7 @@ def plant_of(function: Callable[..., Any], A: float = 1.2, B: float = 1.0, W: fl
 def test_a_linearisation_is_that_of_calculus(seed: int, scale: float) -> None:
     """Of sines, exponentials, products and quotients of random matrices, anywhere, to ten digits of the largest.
 
-    The largest entry of A and B: rounding of f, in the units of the states, hides a small B beside a large A.
+    The rounding errors of f are relative to its values, so that a small B next to a large A has fewer digits.
     """
     draws = np.random.default_rng(seed)
     n, m = int(draws.integers(1, 5)), int(draws.integers(1, 3))
@@ -48,10 +48,10 @@ def test_a_linearisation_is_that_of_calculus(seed: int, scale: float) -> None:
     expected = P * np.cos(x) + np.diag(np.exp(x / 4) / 4 * (D @ u))
     expected += scale * np.diag(x[0] * np.sin(x) / (2.0 + np.cos(x)) ** 2)
     expected[:, 0] += scale / (2.0 + np.cos(x))
-    pushed = np.exp(x / 4)[:, None] * D
-    largest = max(float(np.abs(expected).max()), float(np.abs(pushed).max()))
-    np.testing.assert_allclose(A, expected, rtol=0, atol=1e-10 * largest)
-    np.testing.assert_allclose(B, pushed, rtol=0, atol=1e-10 * largest)
+    size = float(np.abs(expected).max())
+    np.testing.assert_allclose(A, expected, rtol=0, atol=1e-10 * size)
+    largest = max(size, float(np.abs(D).max() * np.exp(1.0)))
+    np.testing.assert_allclose(B, np.exp(x / 4)[:, None] * D, rtol=0, atol=1e-10 * largest)
 
 
 def test_a_linearisation_does_not_look_beyond_where_a_function_is_defined() -> None:

@@ -164,6 +164,7 @@ class Held:
         noise = np.array([part.noise_cost for part in parts])[chosen].sum(axis=1)
         with np.errstate(all="ignore"):
             K = _roughly(*_stacked(A, B, Q, R, N), self._last)
+            # backwards: the noise of an interval costs what the state at its end, the next send, costs from there on
             for stage in reversed(range(len(A))):
                 noise = noise + (K * W[stage]).sum(axis=(1, 2))
                 turned = B[stage].swapaxes(1, 2) @ K

@@ -154,7 +154,9 @@ class QueryValue:
             if np.sqrt(weights.discount) * radius(self._flow.step) >= 1 - APART:
                 self._flow = None
                 return
-            if not (self._flow.steady.diagonal() > 0).all():  # of a known state, no covariance is to be expected
+            if not (self._flow.steady.diagonal() > 0).all():
+                # Blocks are judged at covariances near the steady one. If that is 0, an error that is left from the
+                # start is far from all of them, so every step counts by itself.
                 self._weighed, self._observed = self._flow.weighed(weights.P, weights.discount), self._flow.observed
                 return
             expected = [self._flow.steady, *self._starts(self._flow)]
