@@ -54,6 +54,13 @@ def test_a_linearisation_is_that_of_calculus(seed: int, scale: float) -> None:
     np.testing.assert_allclose(B, np.exp(x / 4)[:, None] * D, rtol=0, atol=1e-10 * largest)
 
 
+def test_rounding_that_agrees_by_chance_is_no_derivative() -> None:
+    """Next to a value of 300, the quotients of the shortest steps agree exactly, on digits that are rounding."""
+    for slope in 0.3 + np.arange(40) / 7:
+        _, B = linearise(lambda x, u, w, slope=slope: x + 300.0 + slope * u, 1, 1)
+        assert abs(B.item() - slope) <= 1e-13 * 300.0
+
+
 def test_a_linearisation_does_not_look_beyond_where_a_function_is_defined() -> None:
     """Steps become shorter until the numbers are finite, and until a clip is not seen any more."""
     A, _ = linearise(lambda x, u, w: np.log1p(1e4 * x) + u, 1, 1)
