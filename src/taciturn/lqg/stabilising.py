@@ -1,0 +1,277 @@
+"""The stabilising solution of a Riccati equation, with a proof of its error.
+
+The problem is to minimise the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu with A + BL stable. Its solution is found in
+two parts.
+
+**A candidate** K, L, by structured doubling from a small definite terminal weight, in double precision or in balls. The
+small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
+Newton's method corrects it.
+
+**A proof**, with enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k for
+a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
+
+    εP − (M + F'KF − K) ≻ 0,                       so that the gain L costs at most K + εX, and
+
+    [ εP + (M + F'KF − K)   g' − εF'XB ]
+    [ g − εB'XF             R + B'(K − εX)B ] ≻ 0,   g = RL + N' + B'KF,
+
+then H = K − εX satisfies H ≺ Ric(H), so that no stabilising gain costs less. Hence the stabilising solution exists, and it
+lies between K − εX and K + εX. Whatever the method that found K and L, this holds for the matrices as they were given:
+each is an enclosure of the exact one, such as the matrix of a sampled plant.
+
+The precision grows until the error is as small as it is asked to be. In continuous time, the midpoint rule
+x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has the same stabilising solution for every
+step h (Cayley's transform), so its proof is the proof of the continuous-time equation.
+
+Source: anderson1978 (doubling), lancaster1995 (comparison of solutions)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, Protocol
+
+import numpy as np
+
+from taciturn._arrays import NO_VARIANCE, Array, symmetrised
+from taciturn._display import Displayed
+from taciturn._modes import radius, summed
+from taciturn._progress import check_time
+from taciturn.lqg._doubling import double
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, precision, solve
+
+FEW = 10  # most states for which balls are faster than doubles with bounds
+ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
+CRUMB = 1e-12  # cost-to-go relative to the terms of its sum from which on it has a size of its own
+LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
+TURNS = 100  # doublings
+CORRECTIONS = 2  # steps of Newton's method
+SMOOTH = 1e9  # growth of a sum along the loop up to which double precision suffices
+FADED = 1e-6  # last term of such a sum, relative to it
+
+
+class Equation(NamedTuple, Generic[E]):
+    """Enclosures of the matrices of a problem: dynamics (A, B) and weights [[Q, N], [N', R]]."""
+
+    A: E
+    B: E
+    Q: E
+    R: E
+    N: E
+
+    def under(self, L: E) -> tuple[E, E]:
+        """Return the closed loop A + BL, and the weight of the state in its stage cost."""
+        pushed = self.N @ L
+        return self.A + self.B @ L, (self.Q + pushed + pushed.T + L.T @ self.R @ L).symmetric()
+
+
+class Recipe(Protocol):
+    """The matrices of a problem in any arithmetic, such as those of a plant that is sampled in this arithmetic."""
+
+    def __call__(self, arithmetic: type[E], /) -> Equation[E]:
+        """Return enclosures of the matrices."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Displayed):
+    """The stabilising solution of a Riccati equation, with a proved bound on its error.
+
+    Args:
+        K: cost-to-go, (n, n).
+        L: gain, u = L x, (m, n).
+        H: weight R + B'KB of a deviation from the optimal input, (m, m).
+        error: (n, n) with −error ⪯ K − exact ⪯ error.
+        slowest: modulus of the slowest mode of A + BL.
+    """
+
+    K: Array
+    L: Array
+    H: Array
+    error: Array
+    slowest: float
+
+
+def stabilise(recipe: Recipe, states: int, asked: float = ASKED) -> Solution:
+    """Return the stabilising solution of a problem.
+
+    Args:
+        recipe: the matrices of the problem in any arithmetic.
+        states: number of states.
+        asked: relative error of the cost-to-go of each state.
+
+    Raises:
+        UnprovedError: no stabilising solution was proved at any precision.
+    """
+    reason = UnprovedError("no attempt was made")
+    if states > FEW:
+        try:
+            return _from_doubles(Doubles, recipe(Doubles), asked)
+        except UnprovedError as error:
+            reason = error
+    for bits in PRECISIONS:
+        check_time()
+        with precision(bits):
+            try:
+                given = recipe(Balls)
+                if bits == PRECISIONS[0]:
+                    try:
+                        return _from_doubles(Balls, given, asked)
+                    except UnprovedError:
+                        pass
+                return _proved(Balls, given, _doubled(given, bits), asked)
+            except UnprovedError as error:
+                reason = error
+    raise reason
+
+
+def _from_doubles(arithmetic: type[E], given: Equation[E], asked: float) -> Solution:
+    """Return the proved solution whose candidate is computed in double precision, and corrected with the enclosures."""
+    A, B, Q, R, N = (part.middle for part in given)
+    state, unit = _units(A, B, Q, R)
+    with np.errstate(all="ignore"):
+        A, B, Q = A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None]
+        R, N = R * unit * unit[:, None], N * unit * state[:, None]
+        last = _last(B, Q, R) * np.eye(len(A))
+        H = symmetrised(R + B.T @ last @ B)
+        try:
+            K = (
+                double(A, B, Q, N, last, H, np.asarray(np.linalg.inv(H), dtype=np.float64))
+                if len(B.T)
+                else summed(A.T, Q)
+            )
+        except np.linalg.LinAlgError as error:
+            raise UnprovedError("an input costs nothing") from error
+        K = symmetrised(K / state / state[:, None])
+    if not np.isfinite(K).all():
+        raise UnprovedError("the cost-to-go grows without bound")
+    found = arithmetic.exact(K)
+    for _ in range(CORRECTIONS):
+        L = _gain(given, found)
+        F, stage = given.under(L)
+        missed = (stage + F.T @ found @ F - found).symmetric().middle
+        with np.errstate(all="ignore"):
+            more = summed(F.middle.T, missed)
+        if not np.isfinite(more).all():
+            raise UnprovedError("the closed loop is not stable")
+        found = (found + arithmetic.exact(more)).centre()
+    return _proved(arithmetic, given, found, asked)
+
+
+def _doubled(given: Equation[Balls], bits: int) -> Balls:
+    """Return the cost-to-go by doubling in balls, whose radii are dropped: the proof follows."""
+    A, B, Q, R, N = (part.centre() for part in given)
+    n = len(B.middle)
+    last = Balls.exact(_last(B.middle, Q.middle, R.middle) * np.eye(n))
+    H, off = R + B.T @ last @ B, B.T @ last @ A + N.T
+    L, pushed = H.solve(off).times(-1.0), H.solve(B.T)
+    F, G = (A + B @ L).centre(), (B @ pushed).symmetric().centre()
+    K = (Q - last + A.T @ last @ A + off.T @ L).symmetric().centre()
+    one, settled = Balls.exact(np.eye(n)), 2.0 ** (-bits / 2)
+    for _ in range(TURNS):
+        solved = (one + G @ K).solve(block([[F, G]])).centre()
+        moved, spread = solved.part(slice(n), slice(n)), solved.part(slice(n), slice(n, None))
+        more = (F.T @ K @ moved).symmetric()
+        K, G = (K + more).centre(), (G + F @ spread @ F.T).symmetric().centre()
+        F = (F @ moved).centre()
+        change, size = np.abs(np.diag(more.middle)), np.abs(np.diag((last + K).middle))
+        if not np.isfinite(size).all():
+            raise UnprovedError("the cost-to-go grows without bound")
+        if (change <= settled * size).all():
+            break
+    return (last + K).centre()
+
+
+def _proved(arithmetic: type[E], given: Equation[E], K: E, asked: float) -> Solution:
+    """Return a solution after the proof of its error."""
+    n = len(K.middle)
+    L = _gain(given, K)
+    F, stage = given.under(L)
+    size = _sizes(given, K)
+    X = _worth(arithmetic, F, size)
+    falls = (X - F.T @ X @ F).symmetric()
+    if not (X.definite() and falls.definite()):
+        raise UnprovedError("the closed loop is not proved stable")
+    missed = (stage + F.T @ K @ F - K).symmetric()
+    weight = given.B.T @ K
+    H = (given.R + weight @ given.B).symmetric()
+    off = given.R @ L + given.N.T + weight @ F
+    slack = 4 * _slack(missed, off, H, size)
+    pushed = given.B.T @ X
+    upper = falls.times(slack) - missed
+    turned = off - (pushed @ F).times(slack)
+    price = H - (pushed @ given.B).symmetric().times(slack)
+    lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
+    if not (upper.definite() and lower.definite()):
+        raise UnprovedError("the error of the cost-to-go is not proved")
+    middle = symmetrised(K.middle)
+    rounding = 2 * UNIT * n * np.abs(np.diag(middle)) + K.radius.sum(axis=1)
+    error = slack * (symmetrised(X.middle) + np.diag(X.radius.sum(axis=1))) * (1 + 1e-9) + np.diag(rounding)
+    if not (np.diag(error) <= asked * np.maximum(np.diag(middle), size)).all():
+        raise UnprovedError("the error of the cost-to-go is too large")
+    return Solution(middle, L.middle, symmetrised(H.middle), error, radius(F.middle))
+
+
+def _gain(given: Equation[E], K: E) -> E:
+    """Return the gain −(R + B'KB)⁻¹(B'KA + N') without its radii: the proof holds for any gain near it."""
+    weight = given.B.T @ K
+    H, off = (given.R + weight @ given.B).symmetric(), weight @ given.A + given.N.T
+    return solve(H.centre(), off.centre()).times(-1.0).centre()
+
+
+def _worth(arithmetic: type[E], F: E, size: Array) -> E:
+    """Return the sum of F'^k D F^k without radii, in double precision if this suffices."""
+    with np.errstate(all="ignore"):
+        rough = summed(F.middle.T, np.diag(size))
+    if arithmetic is Doubles or (np.diag(rough) < SMOOTH * size).all():
+        if not np.isfinite(rough).all():
+            raise UnprovedError("the closed loop is not stable")
+        return arithmetic.exact(rough)
+    found, power = arithmetic.exact(np.diag(size)), F.centre()
+    for _ in range(TURNS):
+        more = (power.T @ found @ power).symmetric()
+        found = (found + more).centre()
+        if not np.isfinite(found.middle).all():
+            raise UnprovedError("the closed loop is not stable")
+        if (np.abs(np.diag(more.middle)) <= FADED * np.abs(np.diag(found.middle))).all():
+            break
+        power = (power @ power).centre()
+    return found
+
+
+def _sizes(given: Equation[E], K: E) -> Array:
+    """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
+    diagonal, A = np.diag(K.middle), given.A.middle
+    terms = np.abs(np.diag(given.Q.middle)) + (A * A).T @ np.abs(diagonal)
+    size = np.maximum(diagonal, CRUMB * terms)
+    return np.where(size > NO_VARIANCE, size, 1.0)
+
+
+def _slack(missed: E, off: E, H: E, size: Array) -> float:
+    """Return an estimate of the least ε of the proof: the size of the residuals in units of the cost-to-go."""
+    unit = 1 / np.sqrt(size)
+    first = float((missed.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0))
+    price = np.sqrt(np.maximum(np.diag(H.middle), NO_VARIANCE))
+    second = float(((off.most * unit / price[:, None]) ** 2).sum())
+    return max(first, second, 1e-200)
+
+
+def _last(B: Array, Q: Array, R: Array) -> float:
+    """Return a terminal weight that is small beside the cost of moving a state."""
+    worth, reached = float(np.trace(R) + np.sum(B * (Q @ B))), float(np.sum(B * B))
+    return LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
+
+
+def _units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """Return powers of two as units of states and inputs in which their weights are about 1."""
+    natural = np.maximum(np.diag(Q), 0.0)
+    for _ in range(len(natural)):
+        if (natural > 0).all():
+            break
+        natural = np.where(natural > 0, natural, np.max(A.T**2 * natural, axis=1, initial=0.0))
+    pushed = np.diag(R) + natural @ B**2
+    return _power(natural), _power(pushed)
+
+
+def _power(sizes: Array) -> Array:
+    return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)) / 2))
