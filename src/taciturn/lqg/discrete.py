@@ -13,11 +13,10 @@ from taciturn._arrays import Array, Bits, instance, number
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
-from taciturn.lqg import _dare
-from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._followed import Followed, followed
-from taciturn.lqg._worth import closure
+from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.sampling import sample, sample_prediction
+from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -98,7 +97,7 @@ class Discrete(Displayed):
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
-        return _dare.worth(*self.quadratic).resting if self.followed is None else self.followed.states
+        return worth_of(self.quadratic).resting if self.followed is None else self.followed.states
 
     @property
     def quadratic(self) -> Quadratic:

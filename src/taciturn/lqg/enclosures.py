@@ -22,7 +22,7 @@ from threading import RLock
 from typing import Self, TypeAlias, TypeVar, cast
 
 import numpy as np
-from flint import arb, arb_mat, ctx
+from flint import arb, arb_mat, ctx, fmpq_mat
 
 from taciturn._arrays import Array, Bits, symmetrised
 
@@ -78,6 +78,17 @@ class Balls(Enclosure):
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
         return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()))
+
+    @classmethod
+    def rational(cls, values: fmpq_mat) -> Self:
+        """Return an enclosure of a matrix of rational numbers."""
+        return cls(arb_mat(values))
+
+    @classmethod
+    def root(cls, value: float, size: int) -> Self:
+        """Return the square root of a number times the unit matrix."""
+        one, none = arb(value).sqrt(), arb(0)
+        return cls.of([[one if i == j else none for j in range(size)] for i in range(size)], size)
 
     @classmethod
     def of(cls, table: list[list[arb]], columns: int) -> Self:
@@ -214,6 +225,19 @@ class Doubles(Enclosure):
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
         return cls(values, np.zeros(values.shape))
+
+    @classmethod
+    def rational(cls, values: fmpq_mat) -> Self:
+        """Return an enclosure of a matrix of rational numbers."""
+        nearest = [int(one.p) / int(one.q) for one in values.entries()]
+        middle = np.array(nearest, dtype=np.float64).reshape(values.nrows(), values.ncols())
+        return cls(middle, 2 * UNIT * np.abs(middle))
+
+    @classmethod
+    def root(cls, value: float, size: int) -> Self:
+        """Return the square root of a number times the unit matrix."""
+        middle = np.sqrt(value) * np.eye(size)
+        return cls(middle, 2 * UNIT * middle)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -119,9 +119,8 @@ def sampled(build: Builder, size: int) -> Sampled:
             step = exact(Balls)
     if step is None:
         raise UnprovedError("no precision encloses the sampled plant")
-    A, B, Q, R, N, W, c = (part.middle for part in step)
-    Q, R, W = symmetrised(Q), symmetrised(R), symmetrised(W)
-    return Sampled(*map(_arrays.frozen, (A, B, Q, R, N, W)), float(c[0, 0]), exact)
+    A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
+    return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
 
 
 def _is_sharp(middle: Array, radius: Array) -> bool:

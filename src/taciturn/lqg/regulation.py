@@ -21,9 +21,9 @@ from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
-from taciturn.lqg._worth import paths
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.sampling import Sampled, sample, sample_moving
+from taciturn.lqg.structure import paths
 from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.disturbed import DisturbedDynamics

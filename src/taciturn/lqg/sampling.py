@@ -7,9 +7,9 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
 from taciturn._modes import balancing, pace
-from taciturn.lqg._axes import Quadratic
 from taciturn.lqg.enclosures import E, block
 from taciturn.lqg.intervals import Sampled, Step, integrated, sampled
+from taciturn.lqg.quadratic import Quadratic
 
 __all__ = ["Sampled", "sample", "sample_moving", "sample_prediction"]
 

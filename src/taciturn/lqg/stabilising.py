@@ -28,17 +28,22 @@ Source: anderson1978 (doubling), lancaster1995 (comparison of solutions)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Generic, NamedTuple, Protocol
 
 import numpy as np
 
-from taciturn._arrays import NO_VARIANCE, Array, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import radius, summed
+from taciturn._modes import eigenvalues, pace, radius, summed
 from taciturn._progress import check_time
 from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, precision, solve
+from taciturn.lqg.quadratic import Quadratic, in_powers_of_two
+from taciturn.lqg.structure import Free, free_inputs, worth_of
 
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
@@ -80,9 +85,10 @@ class Solution(Displayed):
     Args:
         K: cost-to-go, (n, n).
         L: gain, u = L x, (m, n).
-        H: weight R + B'KB of a deviation from the optimal input, (m, m).
+        H: weight R + B'KB of a deviation from the optimal input, or R in continuous time, (m, m).
         error: (n, n) with −error ⪯ K − exact ⪯ error.
-        slowest: modulus of the slowest mode of A + BL.
+        slowest: modulus of the slowest mode of A + BL, or its real part in continuous time. Marginally stable modes
+            that no input affects and that do not affect the cost are excluded.
     """
 
     K: Array
@@ -92,70 +98,216 @@ class Solution(Displayed):
     slowest: float
 
 
-def stabilise(recipe: Recipe, states: int, asked: float = ASKED) -> Solution:
-    """Return the stabilising solution of a problem.
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A problem whose stabilising solution is sought.
 
     Args:
-        recipe: the matrices of the problem in any arithmetic.
-        states: number of states.
+        given: its matrices in double precision, whose zeros show its structure.
+        recipe: its matrices in any arithmetic.
+        continuous: whether time is continuous; then A and B are derivatives, and the weights those of an integral.
         asked: relative error of the cost-to-go of each state.
-
-    Raises:
-        UnprovedError: no stabilising solution was proved at any precision.
     """
-    reason = UnprovedError("no attempt was made")
-    if states > FEW:
+
+    given: Quadratic
+    recipe: Recipe
+    continuous: bool = False
+    asked: float = ASKED
+
+    @cached_property
+    def step(self) -> float:
+        """In continuous time, a step of the midpoint rule in which no mode moves far; a power of two."""
+        return float(np.exp2(-np.ceil(np.log2(max(pace(self.given.A), 1e-300)))))
+
+    def solve(self) -> Solution:
+        """Return the stabilising solution.
+
+        Raises:
+            UnprovedError: no stabilising solution was proved at any precision.
+        """
+        worth = worth_of(self.given, self.continuous)
+        if worth.states.all():
+            return self._solved()
+        found, states, n = self.among(worth.states)._solved(), worth.states, len(worth.states)
+        place = np.ix_(states, states)
+        K, L, error = np.zeros((n, n)), np.zeros((len(found.L), n)), np.zeros((n, n))
+        K[place], L[:, states], error[place] = found.K, found.L, found.error
+        others = worth.decaying.real if self.continuous else np.abs(worth.decaying)
+        return Solution(K, L, found.H, error, max(found.slowest, float(others.max(initial=-np.inf))))
+
+    def among(self, states: Bits) -> Problem:
+        """Return the problem restricted to states that the others do not affect."""
+        every, recipe = slice(None), self.recipe
+
+        def restricted(arithmetic: type[E]) -> Equation[E]:
+            A, B, Q, R, N = recipe(arithmetic)
+            return Equation(
+                A.part(states, states), B.part(states, every), Q.part(states, states), R, N.part(states, every)
+            )
+
+        return Problem(self.given.among(states), restricted, self.continuous, self.asked)
+
+    def _solved(self) -> Solution:
         try:
-            return _from_doubles(Doubles, recipe(Doubles), asked)
-        except UnprovedError as error:
-            reason = error
-    for bits in PRECISIONS:
-        check_time()
-        with precision(bits):
+            return self._proved(PRECISIONS[:1], len(self.given.A) > FEW)
+        except UnprovedError:
+            free = None if self.continuous or is_definite(self.given.R) else free_inputs(self.given)
+            if free is not None:
+                return self._without(free)
+            return self._proved(PRECISIONS[1:], False)
+
+    def _proved(self, precisions: Sequence[int], doubles: bool) -> Solution:
+        """Return the solution with a proof in one of the precisions, or in double precision."""
+        reason: UnprovedError | None = None
+        if doubles:
             try:
-                given = recipe(Balls)
-                if bits == PRECISIONS[0]:
-                    try:
-                        return _from_doubles(Balls, given, asked)
-                    except UnprovedError:
-                        pass
-                return _proved(Balls, given, _doubled(given, bits), asked)
+                return self._from_doubles(Doubles)
             except UnprovedError as error:
                 reason = error
-    raise reason
+        for bits in precisions:
+            check_time()
+            with precision(bits):
+                if bits == PRECISIONS[0]:
+                    with suppress(UnprovedError):
+                        return self._from_doubles(Balls)
+                try:
+                    raw = self.recipe(Balls)
+                    stepped = self._stepped(Balls, raw)
+                    return self._judged(Balls, raw, stepped, _doubled(stepped, bits))
+                except UnprovedError as error:
+                    reason = error
+        assert reason is not None, "at least one precision"
+        raise reason
 
+    def _stepped(self, arithmetic: type[E], raw: Equation[E]) -> Equation[E]:
+        """Return the problem in steps: itself, or in continuous time that of the midpoint rule."""
+        if not self.continuous:
+            return raw
+        A, B, Q, R, N = raw
+        h, one = self.step, arithmetic.exact(np.eye(len(self.given.A)))
+        Z = solve(one - A.times(h / 2), one)
+        # x̄ = Z x + Y u, the mean of the states before and after a step
+        moved = Z @ B
+        Y, onto = moved.times(h / 2), Q @ Z
+        across = (onto.T @ Y + Z.T @ N).times(h)
+        side = Y.T @ N
+        price = (Y.T @ Q @ Y + side + side.T + R).symmetric().times(h)
+        return Equation(Z.times(2.0) - one, moved.times(h), (Z.T @ onto).symmetric().times(h), price, across)
 
-def _from_doubles(arithmetic: type[E], given: Equation[E], asked: float) -> Solution:
-    """Return the proved solution whose candidate is computed in double precision, and corrected with the enclosures."""
-    A, B, Q, R, N = (part.middle for part in given)
-    state, unit = _units(A, B, Q, R)
-    with np.errstate(all="ignore"):
-        A, B, Q = A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None]
-        R, N = R * unit * unit[:, None], N * unit * state[:, None]
-        last = _last(B, Q, R) * np.eye(len(A))
-        H = symmetrised(R + B.T @ last @ B)
-        try:
-            K = (
-                double(A, B, Q, N, last, H, np.asarray(np.linalg.inv(H), dtype=np.float64))
-                if len(B.T)
-                else summed(A.T, Q)
-            )
-        except np.linalg.LinAlgError as error:
-            raise UnprovedError("an input costs nothing") from error
-        K = symmetrised(K / state / state[:, None])
-    if not np.isfinite(K).all():
-        raise UnprovedError("the cost-to-go grows without bound")
-    found = arithmetic.exact(K)
-    for _ in range(CORRECTIONS):
-        L = _gain(given, found)
-        F, stage = given.under(L)
-        missed = (stage + F.T @ found @ F - found).symmetric().middle
+    def _without(self, free: Free) -> Solution:
+        """Return the solution of a problem with inputs that cost nothing: that of the other states and inputs."""
+        n, rest, given, recipe = len(self.given.A), ~free.places, self.given, self.recipe
+        T, keeping, moving = (Doubles.rational(one).middle for one in (free.inside, free.keeping, free.moving))
+        others, every = np.eye(given.B.shape[1])[:, free.others], slice(None)
+
+        def reduced(arithmetic: type[E]) -> Equation[E]:
+            A, B, Q, R, N = recipe(arithmetic)
+            inside = arithmetic.rational(free.inside).part(rest, every)
+            beside, among = B.part(every, free.others), A.part(every, rest)
+
+            def outside(values: E) -> E:  # the coordinates e of a state
+                return values.part(rest, every) - inside @ values.part(free.places, every)
+
+            return Equation(
+                outside(among), outside(beside), Q.part(rest, rest), R.part(free.others, free.others),
+                N.part(rest, free.others),
+            )  # fmt: skip
+
+        rough = Quadratic(*(part.middle for part in reduced(Doubles)))
+        found = Problem(rough, reduced, False, self.asked).solve()
+        onto = np.zeros((int(rest.sum()), n))
+        onto[:, rest] = np.eye(len(onto))
+        onto[:, free.places] = -T[rest]
+        a, r, w = free.places, T.shape[1], moving.shape[1]
+        inner = (given.A @ T + given.B @ keeping)[a], (given.B @ moving)[a]
+        L, slowest = others @ found.L @ onto, found.slowest
+        if r:
+            own = exactly(Quadratic(*inner, np.eye(r), np.eye(w), np.zeros((r, w))))
+            steady = Problem(*own).solve()
+            L[:, a] += keeping + moving @ steady.L
+            slowest = max(slowest, steady.slowest)
+        K = symmetrised(onto.T @ found.K @ onto)
+        H = symmetrised(given.R + given.B.T @ K @ given.B)
+        return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), slowest)
+
+    def _from_doubles(self, arithmetic: type[E]) -> Solution:
+        """Return the proved solution whose candidate is computed in double precision, and corrected with the enclosures."""
+        raw = self.recipe(arithmetic)
+        given = self._stepped(arithmetic, raw)
+        A, B, Q, R, N = (part.middle for part in given)
+        state, unit = _units(A, B, Q, R)
         with np.errstate(all="ignore"):
-            more = summed(F.middle.T, missed)
-        if not np.isfinite(more).all():
-            raise UnprovedError("the closed loop is not stable")
-        found = (found + arithmetic.exact(more)).centre()
-    return _proved(arithmetic, given, found, asked)
+            A, B, Q = A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None]
+            R, N = R * unit * unit[:, None], N * unit * state[:, None]
+            last = _last(B, Q, R) * np.eye(len(A))
+            H = symmetrised(R + B.T @ last @ B)
+            try:
+                K = (
+                    double(A, B, Q, N, last, H, np.asarray(np.linalg.inv(H), dtype=np.float64))
+                    if len(B.T)
+                    else summed(A.T, Q)
+                )
+            except np.linalg.LinAlgError as error:
+                raise UnprovedError("an input costs nothing") from error
+            K = symmetrised(K / state / state[:, None])
+        if not np.isfinite(K).all():
+            raise UnprovedError("the cost-to-go grows without bound")
+        found = arithmetic.exact(K)
+        for _ in range(CORRECTIONS):
+            L = _gain(given, found)
+            F, stage = given.under(L)
+            missed = (stage + F.T @ found @ F - found).symmetric().middle
+            with np.errstate(all="ignore"):
+                more = summed(F.middle.T, missed)
+            if not np.isfinite(more).all():
+                raise UnprovedError("the closed loop is not stable")
+            found = (found + arithmetic.exact(more)).centre()
+        return self._judged(arithmetic, raw, given, found)
+
+    def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
+        """Return a solution after the proof of its error."""
+        n = len(K.middle)
+        L = _gain(given, K)
+        F, stage = given.under(L)
+        size = _sizes(given, K)
+        X = _worth(arithmetic, F, size)
+        falls = (X - F.T @ X @ F).symmetric()
+        if not (X.definite() and falls.definite()):
+            raise UnprovedError("the closed loop is not proved stable")
+        missed = (stage + F.T @ K @ F - K).symmetric()
+        weight = given.B.T @ K
+        H = (given.R + weight @ given.B).symmetric()
+        off = given.R @ L + given.N.T + weight @ F
+        slack = 4 * _slack(missed, off, H, size)
+        pushed = given.B.T @ X
+        upper = falls.times(slack) - missed
+        turned = off - (pushed @ F).times(slack)
+        price = H - (pushed @ given.B).symmetric().times(slack)
+        lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
+        if not (upper.definite() and lower.definite()):
+            raise UnprovedError("the error of the cost-to-go is not proved")
+        middle = symmetrised(K.middle)
+        # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
+        worth = symmetrised(X.middle)
+        rounding = 4 * UNIT * n * (slack * np.diag(worth) + size)
+        error = slack * worth + np.diag(rounding)
+        if not (np.diag(error) <= self.asked * np.maximum(np.diag(middle), size)).all():
+            raise UnprovedError("the error of the cost-to-go is too large")
+        if not self.continuous:
+            return Solution(middle, L.middle, symmetrised(H.middle), error, radius(F.middle))
+        L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
+        slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
+        return Solution(middle, L.middle, raw.R.middle, error, slowest)
+
+
+def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
+    """Return a problem whose matrices are exactly the given doubles, and its recipe."""
+
+    def recipe(arithmetic: type[E]) -> Equation[E]:
+        A, B, Q, R, N = (arithmetic.exact(part) for part in given)
+        return Equation(A, B, Q, R, N)
+
+    return given, recipe
 
 
 def _doubled(given: Equation[Balls], bits: int) -> Balls:
@@ -180,36 +332,6 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
         if (change <= settled * size).all():
             break
     return (last + K).centre()
-
-
-def _proved(arithmetic: type[E], given: Equation[E], K: E, asked: float) -> Solution:
-    """Return a solution after the proof of its error."""
-    n = len(K.middle)
-    L = _gain(given, K)
-    F, stage = given.under(L)
-    size = _sizes(given, K)
-    X = _worth(arithmetic, F, size)
-    falls = (X - F.T @ X @ F).symmetric()
-    if not (X.definite() and falls.definite()):
-        raise UnprovedError("the closed loop is not proved stable")
-    missed = (stage + F.T @ K @ F - K).symmetric()
-    weight = given.B.T @ K
-    H = (given.R + weight @ given.B).symmetric()
-    off = given.R @ L + given.N.T + weight @ F
-    slack = 4 * _slack(missed, off, H, size)
-    pushed = given.B.T @ X
-    upper = falls.times(slack) - missed
-    turned = off - (pushed @ F).times(slack)
-    price = H - (pushed @ given.B).symmetric().times(slack)
-    lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
-    if not (upper.definite() and lower.definite()):
-        raise UnprovedError("the error of the cost-to-go is not proved")
-    middle = symmetrised(K.middle)
-    rounding = 2 * UNIT * n * np.abs(np.diag(middle)) + K.radius.sum(axis=1)
-    error = slack * (symmetrised(X.middle) + np.diag(X.radius.sum(axis=1))) * (1 + 1e-9) + np.diag(rounding)
-    if not (np.diag(error) <= asked * np.maximum(np.diag(middle), size)).all():
-        raise UnprovedError("the error of the cost-to-go is too large")
-    return Solution(middle, L.middle, symmetrised(H.middle), error, radius(F.middle))
 
 
 def _gain(given: Equation[E], K: E) -> E:
@@ -270,8 +392,4 @@ def _units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
             break
         natural = np.where(natural > 0, natural, np.max(A.T**2 * natural, axis=1, initial=0.0))
     pushed = np.diag(R) + natural @ B**2
-    return _power(natural), _power(pushed)
-
-
-def _power(sizes: Array) -> Array:
-    return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)) / 2))
+    return in_powers_of_two(natural), in_powers_of_two(pushed)

@@ -1,0 +1,222 @@
+"""Structure of a problem: states without a cost-to-go, and inputs that cost nothing, which are left out of equations.
+
+States whose cost-to-go is exactly zero are, for example, registers that no noise reaches, and modes that nothing drives
+and that do not affect the cost. The cost of such a state has no natural size to which an error could be relative, and
+iterations only halve it towards zero. Which state affects which follows from the exact zeros of the matrices.
+
+An input that costs nothing, now or later, moves states within a subspace in which other such inputs keep them (the
+largest controllability subspace on which the cost is zero). For a filter, it is a combination of outputs that is known
+in advance. The weight R + B'KB of such an input is zero, so no gain follows from the Riccati equation. The subspace is
+computed in rational numbers: a double is one, and so is a rank of doubles.
+
+Source: trentelman2001
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from flint import fmpq, fmpq_mat
+
+from taciturn._arrays import Array, Bits
+from taciturn._modes import SCATTER, Modes, eigenvalues
+from taciturn.lqg.quadratic import Quadratic
+
+MARGIN = 1e-10  # least distance to the unit circle of a mode that counts as decaying
+
+
+class Worth(NamedTuple):
+    """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others.
+
+    Args:
+        states: the states with a cost-to-go, for which the equation must be solved, (n,).
+        decaying: decaying modes of the other states.
+        still: marginally stable modes of the other states; no input affects them, so that they remain in the loop.
+        resting: the states with these marginally stable modes, (n,).
+    """
+
+    states: Bits
+    decaying: Modes
+    still: Modes
+    resting: Bits
+
+
+def worth_of(given: Quadratic, continuous: bool = False) -> Worth:
+    """Return the states with a nonzero cost-to-go, and the modes of the other states.
+
+    A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
+    weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
+    sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
+
+    Args:
+        given: the problem; its exact zeros determine which state affects which.
+        continuous: whether time is continuous.
+    """
+    nothing, margin = np.zeros(0, dtype=np.complex128), 0.0 if continuous else MARGIN
+    moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
+    needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
+    resting = np.zeros(len(needed), dtype=np.bool_)
+    if needed.all():
+        return Worth(needed, nothing, nothing, resting)
+    reached = closure((given.B != 0).any(axis=1), moved)
+    leads = paths(moved.T)
+    left, decaying, still = ~needed, [nothing], [nothing]
+    cycles: list[tuple[Bits, Modes]] = []
+    while left.any():
+        state = int(np.argmax(left))
+        cycle = leads[state] & leads[:, state]
+        left = left & ~cycle
+        modes = eigenvalues(given.A[np.ix_(cycle, cycle)])
+        cycles.append((cycle, modes))
+        highest = float((modes.real if continuous else np.abs(modes) - 1).max())
+        if highest >= -margin and (highest > SCATTER or reached[cycle].any()):
+            needed = needed | leads[:, state]
+    for cycle, modes in cycles:
+        if not needed[cycle].any():
+            inside = (modes.real if continuous else np.abs(modes) - 1) < -margin
+            decaying.append(modes[inside])
+            still.append(modes[~inside])
+            if not inside.all():
+                resting = resting | cycle
+    return Worth(needed, np.concatenate(decaying), np.concatenate(still), resting)
+
+
+def closure(found: Bits, leads: Bits) -> Bits:
+    """Return the given states and all states that they affect, directly or through other states.
+
+    Args:
+        found: the states, (n,).
+        leads: entry (i, j) is true if state j affects state i directly, (n, n).
+    """
+    while not found.all():
+        more = found | leads[:, found].any(axis=1)
+        if (more == found).all():
+            break
+        found = more
+    return np.asarray(found, dtype=np.bool_)
+
+
+def paths(leads: Bits) -> Bits:
+    """Return the matrix whose entry (i, j) is true if i = j or a path leads from state i to state j, (n, n)."""
+    found = leads | np.eye(len(leads), dtype=np.bool_)
+    while True:
+        more = found.astype(np.float32) @ found.astype(np.float32) > 0
+        if (more == found).all():
+            return found
+        found = np.asarray(more, dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """Inputs that cost nothing, and the subspace in which they move the state.
+
+    A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
+    u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
+
+    Args:
+        inside: a basis of the subspace, the identity at ``places``, (n, r).
+        places: mask of the states that are coordinates of the subspace, (n,).
+        keeping: inputs that keep the columns of ``inside`` in the subspace without cost, (m, r).
+        moving: inputs that move the state within the subspace without cost, (m, f).
+        others: mask of inputs that complete ``moving`` to all inputs, (m,).
+    """
+
+    inside: fmpq_mat
+    places: Bits
+    keeping: fmpq_mat
+    moving: fmpq_mat
+    others: Bits
+
+
+def free_inputs(given: Quadratic) -> Free | None:
+    """Return the inputs of a problem that cost nothing, now or later; None if there is none."""
+    (n, m), (A, B, Q, R, N) = given.B.shape, (_rational(part) for part in given)
+    state, push = _above(Q, N.transpose()), _above(N, R)  # their sum is zero for states and inputs that cost nothing
+    safe, nothing = _rational(np.eye(n)), fmpq_mat(n + m, n)
+    while True:  # states that inputs keep at no cost for ever
+        found = _kernel(_above(_beside(state, push, nothing), _beside(A, B, safe * -1)))
+        smaller = _basis(_lines(found, range(n)))
+        nothing = fmpq_mat(n + m, smaller.ncols())
+        if smaller.ncols() == safe.ncols():
+            break
+        safe = smaller
+    inside, keeping = fmpq_mat(n, 0), fmpq_mat(m, 0)
+    while True:  # states that they reach from zero meanwhile
+        r = inside.ncols()
+        found = _kernel(_above(_beside(state * inside, push, nothing), _beside(A * inside, B, safe * -1)))
+        larger = _basis(safe * _lines(found, range(r + m, found.nrows())))
+        if larger.ncols() == r:
+            break
+        inside = larger
+    r = inside.ncols()
+    nothing = fmpq_mat(n + m, r)
+    moving = _basis(_lines(_kernel(_above(_beside(push, nothing), _beside(B, inside * -1))), range(m)))
+    if not moving.ncols():
+        return None
+    found = _kernel(_above(_beside(state * inside, push, nothing), _beside(A * inside, B, inside * -1)))
+    keeping = _lines(found, range(r, r + m)) * _right_inverse(_lines(found, range(r)))
+    return Free(inside, _pivots(inside), keeping, moving, ~_pivots(moving))
+
+
+def _rational(values: Array) -> fmpq_mat:
+    entries = [fmpq(*value.as_integer_ratio()) for value in values.ravel().tolist()]
+    return fmpq_mat(len(values), values.shape[1], entries)
+
+
+def _above(*parts: fmpq_mat) -> fmpq_mat:
+    rows = sum(part.nrows() for part in parts)
+    return fmpq_mat(rows, parts[0].ncols(), [entry for part in parts for entry in part.entries()])
+
+
+def _beside(*parts: fmpq_mat) -> fmpq_mat:
+    return _above(*(part.transpose() for part in parts)).transpose()
+
+
+def _lines(matrix: fmpq_mat, rows: range) -> fmpq_mat:
+    """Return some rows of a matrix."""
+    return fmpq_mat(len(rows), matrix.ncols(), [matrix[i, j] for i in rows for j in range(matrix.ncols())])
+
+
+def _leading(matrix: fmpq_mat) -> tuple[fmpq_mat, list[int]]:
+    """Return the reduced echelon form of a matrix without its zero rows, and the columns of its leading ones."""
+    if not matrix.nrows() or not matrix.ncols():
+        return fmpq_mat(0, matrix.ncols()), []
+    reduced, rank = matrix.rref()
+    lead = [next(j for j in range(reduced.ncols()) if reduced[i, j] != 0) for i in range(rank)]
+    return _lines(reduced, range(rank)), lead
+
+
+def _basis(matrix: fmpq_mat) -> fmpq_mat:
+    """Return a basis of the columns of a matrix, which is the identity in the rows ``_pivots``."""
+    return _leading(matrix.transpose())[0].transpose()
+
+
+def _pivots(basis: fmpq_mat) -> Bits:
+    found = np.zeros(basis.nrows(), dtype=np.bool_)
+    found[_leading(basis.transpose())[1]] = True
+    return found
+
+
+def _kernel(matrix: fmpq_mat) -> fmpq_mat:
+    """Return a basis of the vectors that a matrix maps to zero, as columns."""
+    reduced, lead = _leading(matrix)
+    free = [j for j in range(matrix.ncols()) if j not in lead]
+    found = fmpq_mat(matrix.ncols(), len(free))
+    for k, j in enumerate(free):
+        found[j, k] = 1
+        for i, row in enumerate(lead):
+            found[row, k] = -reduced[i, j]
+    return found
+
+
+def _right_inverse(matrix: fmpq_mat) -> fmpq_mat:
+    """Return a matrix Y with matrix·Y = I, for a matrix of full row rank."""
+    one = _rational(np.eye(matrix.nrows()))
+    reduced, lead = _leading(_beside(matrix, one))
+    found = fmpq_mat(matrix.ncols(), matrix.nrows())
+    for i, row in enumerate(lead):
+        for j in range(matrix.nrows()):
+            found[row, j] = reduced[i, matrix.ncols() + j]
+    return found
