@@ -117,7 +117,10 @@ class Problem:
     @cached_property
     def step(self) -> float:
         """In continuous time, a step of the midpoint rule in which no mode moves far; a power of two."""
-        return float(np.exp2(-np.ceil(np.log2(max(pace(self.given.A), 1e-300)))))
+        _, B, Q, R, _ = self.given
+        asked = np.sqrt(np.maximum(np.diag(B.T @ Q @ B), 0.0) / np.maximum(np.diag(R), NO_VARIANCE))
+        fastest = max(pace(self.given.A), float(asked.max(initial=0.0)))  # of an integrator, how fast inputs move it
+        return float(np.exp2(-np.ceil(np.log2(fastest if fastest > NO_VARIANCE else 1.0))))
 
     def solve(self) -> Solution:
         """Return the stabilising solution.
