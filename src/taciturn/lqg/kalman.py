@@ -234,20 +234,22 @@ def forgetting(
     return 1 / (1 - max(regulated, slowest))
 
 
-def filter_given(A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
-    """Return the steady Kalman filter of a plant whose last states, such as set-points, are its last outputs.
+@kept
+def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
+    """Return the steady Kalman filter of a plant whose A and W are known to any precision, and whose doubles are given.
 
-    Nothing else depends on these states, and their outputs have no noise: the filter takes them over, also those that
-    never move.
+    The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
+    outputs have no noise: the filter takes them over, also those that never move.
 
     Args:
+        exact: A and W to any precision; None if the doubles are exact.
         A, C, W, V: the matrices of the plant, which were already checked.
         given: number of these states and outputs.
     """
-    if not given:
-        return filter_checked(A, C, W, V)
     n, p = len(A) - given, len(C) - given
-    found, unit = filter_checked(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p]), np.eye(given)
+    found, unit = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact), np.eye(given)
+    if not given:
+        return found
     moved, none = W[n:, n:], np.zeros((given, given))
     return _frozen(
         Filter(
@@ -267,12 +269,6 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
     return _filtered(A, C, W, V, None)
 
 
-@kept
-def filter_exactly(exact: Exact, A: Array, C: Array, W: Array, V: Array) -> Filter:
-    """Return the steady Kalman filter of a plant whose A and W are known to any precision."""
-    return _filtered(A, C, W, V, exact)
-
-
 def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Filter:
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
@@ -288,7 +284,8 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
 
     def recipe(arithmetic: type[E]) -> Equation[E]:
         assert exact is not None, "only a sampled plant has a recipe"
-        A, _, _, _, _, W, _ = exact(arithmetic)
+        step, states = exact(arithmetic), slice(n)
+        A, W = step.A.part(states, states), step.W.part(states, states)
         return Equation(A.T, arithmetic.exact(C.T), W, arithmetic.exact(V), arithmetic.exact(np.zeros((n, p))))
 
     with np.errstate(over="ignore", invalid="ignore"):

@@ -261,9 +261,12 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, discount:
 
 
 @kept
-def regulate_exactly(exact: Exact, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float) -> Regulator:
-    """Return the regulator of a problem that is known to any precision; the matrices are its doubles."""
-    return _regulated(Quadratic(A, B, Q, R, N), exact.equation, discount)
+def regulate_sampled(
+    exact: Exact | None, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float
+) -> Regulator:
+    """Return the regulator of a problem that is known to any precision, whose doubles are given; or of the doubles."""
+    given = Quadratic(A, B, Q, R, N)
+    return _regulated(*(exactly(given) if exact is None else (given, exact.equation)), discount)
 
 
 def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
