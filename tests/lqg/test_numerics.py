@@ -138,26 +138,13 @@ def turned(unstable: float, reached: float, angle: float) -> tuple[np.ndarray, n
 @times
 @pytest.mark.parametrize("angle", [0.0, 0.7])
 @pytest.mark.parametrize("digits", range(2, 15, 2))
-def test_an_unstable_mode_that_is_hardly_reached_is_right_or_refused(digits, angle, continuous):
-    """Reached by 1e-2 … 1e-14: K to the promised tolerance, or a sentence that says why not."""
+def test_an_unstable_mode_that_is_hardly_reached_is_right(digits, angle, continuous):
+    """Reached by 1e-2 … 1e-14, in coordinates of which each input reaches both modes."""
     A, B = turned(0.2 if continuous else 1.2, 10.0**-digits, angle)
     problem = A, B, np.eye(2), np.eye(1), np.zeros((2, 1))
-    try:
-        found = (regulate_continuous if continuous else regulate)(*problem)
-    except UnstableError as error:
-        refusal = str(error)
-    else:
-        refusal = ""
-    if refusal:
-        assert angle, "what is only a matter of units is solved"
-        assert digits >= 8, refusal
-        assert any(
-            reason in refusal
-            for reason in ("uncontrollable through B", "too badly conditioned", "that can be computed reliably")
-        )
-        return
+    found = (regulate_continuous if continuous else regulate)(*problem)
     K, _ = regulated(*problem, found.L, continuous)
-    assert off(found.K, K) < TOLERANCE
+    assert off(found.K, K) < 1e-9
 
 
 @times
@@ -239,13 +226,11 @@ def test_units_of_weights_do_not_decide_whether_they_are_definite():
     assert np.linalg.matrix_rank(Cost(column @ column.T, [[1.0]]).Q) == 1
 
 
-def test_a_slow_mode_beyond_reach_decays_in_any_unit_of_time():
-    """−1e-13 per second is a stable mode of a plant whose pace is as slow, and the edge of one that is fast."""
-    weights = np.eye(2), np.eye(1), np.zeros((2, 1))
-    found = regulate_continuous(np.diag([-1e-13, -2e-13]), [[0.0], [1e-13]], *weights)
+@pytest.mark.parametrize("fast", [2e-13, 2.0, 2e13])
+def test_a_slow_mode_beyond_reach_decays_in_any_unit_of_time(fast):
+    """−1e-13 per second is a stable mode, next to another one of any pace."""
+    found = regulate_continuous(np.diag([-1e-13, -fast]), [[0.0], [fast]], np.eye(2), np.eye(1), np.zeros((2, 1)))
     assert found.K[0, 0] == pytest.approx(5e12)
-    with pytest.raises(UnstableError, match="through B; this mode lies on the imaginary axis and affects the cost"):
-        regulate_continuous(np.diag([-1e-13, -2.0]), [[0.0], [1.0]], *weights)
 
 
 @pytest.mark.parametrize("fast", [1e2, 1e5, 1e8])
@@ -259,12 +244,11 @@ def test_a_stiff_plant_keeps_the_digits_of_its_slow_mode(fast):
     assert off(np.block([[found.Q, found.N], [found.N.T, found.R]]), weight) < 1e-12
 
 
-def test_a_phase_without_digits_is_refused():
-    """An undamped oscillator of 1e12 rad/s is sampled every 1e-3 s, not every second."""
+def test_a_phase_keeps_its_digits_over_any_number_of_turns():
+    """An undamped oscillator of 1e12 rad/s over 10 s: 1e13 radians, whose cosine a library reduces exactly."""
     A, B, N = np.array([[0.0, 1e12], [-1e12, 0.0]]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
-    assert np.isfinite(sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 1e-6).W).all()
-    with pytest.raises(ProblemError, match="expected a shorter period"):
-        sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 10.0)
+    found = sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 10.0)
+    assert found.A[0] == pytest.approx([np.cos(1e13), np.sin(1e13)], rel=1e-15)
 
 
 def chain(masses: int) -> tuple[np.ndarray, np.ndarray]:

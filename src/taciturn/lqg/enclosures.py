@@ -217,7 +217,7 @@ class Doubles(Enclosure):
         Raises:
             UnprovedError: a number is too large.
         """
-        if not np.isfinite(radius.sum() + middle.sum()):
+        if not (np.isfinite(radius).all() and np.isfinite(middle).all()):
             raise UnprovedError("a number exceeds the range of doubles")
         self._middle, self._radius = middle, radius
 

@@ -117,8 +117,8 @@ def sampled(build: Builder, size: int) -> Sampled:
             break
         with precision(bits), suppress(UnprovedError):
             step = exact(Balls)
-    if step is None:
-        raise UnprovedError("no precision encloses the sampled plant")
+    if step is None or not all(np.isfinite(part.middle).all() for part in step):
+        raise UnprovedError("a number exceeds the range of doubles")
     A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
     return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
 
@@ -202,7 +202,7 @@ def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Arra
         else:
             change = change.times(2.0) + change @ change
             Phi = one + change
-        if not np.isfinite([Phi.middle.sum(), M.middle.sum(), G.middle.sum(), c.middle.sum()]).all():
+        if not all(np.isfinite(part.middle).all() for part in (Phi, M, G, c)):
             raise overflowing(period, size)
     return Interval(back @ Phi @ to, to @ M @ to, back @ G @ back, c)
 
@@ -230,7 +230,7 @@ def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
     change = change.widened(_tail(power.most, k, lambda term: term @ most))
     weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
     later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))
-    rest = np.array([[1.01 * step * float((M.most * later).sum())]])
+    rest = np.array([[1.01 * step * float((np.where(later > 0, M.most, 0.0) * later).sum())]])
     return Interval(change, weight, noise.widened(later), c.widened(rest))
 
 

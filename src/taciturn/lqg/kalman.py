@@ -16,7 +16,7 @@ from taciturn.lqg._cache import kept
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.quadratic import Quadratic, price
-from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly
+from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.plant import Plant
 
@@ -289,7 +289,7 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
         return Equation(A.T, arithmetic.exact(C.T), W, arithmetic.exact(V), arithmetic.exact(np.zeros((n, p))))
 
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _filter(*(exactly(given) if exact is None else (given, recipe)))
+        found = _filter(*exactly(given)) if exact is None else _filter(given, recipe, True)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
@@ -303,11 +303,11 @@ def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
     return Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape))
 
 
-def _filter(given: Quadratic, recipe: Recipe) -> Filter:
+def _filter(given: Quadratic, recipe: Recipe, sampled: bool = False) -> Filter:
     """Return the filter by duality with the regulator of (A', C', W, V)."""
     A, C, W, V, _ = (part.T for part in given)
     try:
-        found = Problem(given, recipe).solve()
+        found = Problem(given, recipe, sampled=sampled, dual=True).solve()
     except UnprovedError as error:
         unknown = worth_of(given).states
         place = np.ix_(unknown, unknown)
@@ -317,10 +317,12 @@ def _filter(given: Quadratic, recipe: Recipe) -> Filter:
             "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
             f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"
         ) from None
-    Sigma, (S, inverse) = found.K, price(C.T, found.K, V)
-    gain = Sigma @ C.T @ inverse
-    if not is_definite(S):
+    if not found.held:
+        raise not_held("filter", A)
+    Sigma, gain, S = found.K, found.correction.T, found.H
+    if found.free:
         # −L' = A gain also in the directions that S leaves free; −L' = A X there for some X, by construction.
+        inverse = price(C.T, Sigma, V)[1]
         gain = gain + np.linalg.pinv(A) @ (-found.L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
     return Filter(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, found.slowest)
 

@@ -28,7 +28,7 @@ from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly
+from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.structure import worth_of
 
 __all__ = [
@@ -266,7 +266,7 @@ def regulate_sampled(
 ) -> Regulator:
     """Return the regulator of a problem that is known to any precision, whose doubles are given; or of the doubles."""
     given = Quadratic(A, B, Q, R, N)
-    return _regulated(*(exactly(given) if exact is None else (given, exact.equation)), discount)
+    return _regulated(*exactly(given), discount) if exact is None else _regulated(given, exact.equation, discount, True)
 
 
 def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
@@ -275,7 +275,7 @@ def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
     return _regulated(given, recipe, 1.0)
 
 
-def _regulated(given: Quadratic, recipe: Recipe, discount: float) -> Regulator:
+def _regulated(given: Quadratic, recipe: Recipe, discount: float, sampled: bool = False) -> Regulator:
     """Return the optimal regulator, or raise an error with the reason why there is none."""
     root = float(np.sqrt(discount))
     scaled = given._replace(A=root * given.A, B=root * given.B)
@@ -290,7 +290,7 @@ def _regulated(given: Quadratic, recipe: Recipe, discount: float) -> Regulator:
         factor = arithmetic.root(discount, len(given.A))
         return Equation(factor @ A, factor @ B, Q, R, N)
 
-    return _solved(Problem(scaled, recipe if discount == 1 else discounted), root)
+    return _solved(Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled), root)
 
 
 def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
@@ -303,8 +303,10 @@ def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
             f"the Riccati equation of the regulator has no stabilising solution that could be proved: {error}; "
             "expected unstable modes that the inputs affect more strongly, or a weight in Q and R on every state and input"
         ) from None
-    if not is_definite(found.H):
+    if found.free:
         raise _singular(found.H, "")
+    if not found.held:
+        raise not_held("regulator", problem.given.A / unit)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
     return Regulator(K, L, H, error, found.slowest)
 

@@ -156,7 +156,8 @@ def sample_prediction(
 
 def _sampled(A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, period: float) -> Sampled:
     """Return the problem of ẋ = Ax + Bu, u̇ = Dx with noise of intensity G, in the units ``scale`` of the states."""
-    reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
+    reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
+    reach = np.where(reach > 0, reach, 1.0)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
     F = np.block([[A, B], [D, np.zeros((len(D), len(D)))]])
 

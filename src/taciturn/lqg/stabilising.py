@@ -40,6 +40,7 @@ from taciturn._arrays import NO_VARIANCE, Array, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius, summed
 from taciturn._progress import check_time
+from taciturn.errors import UnstableError
 from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, precision, solve
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two
@@ -51,8 +52,7 @@ CRUMB = 1e-12  # cost-to-go relative to the terms of its sum from which on it ha
 LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
 TURNS = 100  # doublings
 CORRECTIONS = 2  # steps of Newton's method
-SMOOTH = 1e9  # growth of a sum along the loop up to which double precision suffices
-FADED = 1e-6  # last term of such a sum, relative to it
+FADED = 1e-3  # last term of a sum along the loop, relative to its first one
 
 
 class Equation(NamedTuple, Generic[E]):
@@ -87,6 +87,9 @@ class Solution(Displayed):
         L: gain, u = L x, (m, n).
         H: weight R + B'KB of a deviation from the optimal input, or R in continuous time, (m, m).
         error: (n, n) with −error ⪯ K − exact ⪯ error.
+        correction: H⁻¹B'K; for the dual problem of a filter, the transposed gain of its correction, (m, n).
+        free: whether inputs cost nothing, so that H is singular.
+        held: whether the bound also holds for the cost of the gain as it is stored, in doubles, which then stabilises.
         slowest: modulus of the slowest mode of A + BL, or its real part in continuous time. Marginally stable modes
             that no input affects and that do not affect the cost are excluded.
     """
@@ -95,6 +98,9 @@ class Solution(Displayed):
     L: Array
     H: Array
     error: Array
+    correction: Array
+    free: bool
+    held: bool
     slowest: float
 
 
@@ -106,12 +112,16 @@ class Problem:
         given: its matrices in double precision, whose zeros show its structure.
         recipe: its matrices in any arithmetic.
         continuous: whether time is continuous; then A and B are derivatives, and the weights those of an integral.
+        sampled: whether the recipe has more digits than doubles.
+        dual: whether the gain that is stored is H⁻¹B'K, of a filter, and not L.
         asked: relative error of the cost-to-go of each state.
     """
 
     given: Quadratic
     recipe: Recipe
     continuous: bool = False
+    sampled: bool = False
+    dual: bool = False
     asked: float = ASKED
 
     @cached_property
@@ -133,10 +143,16 @@ class Problem:
             return self._solved()
         found, states, n = self.among(worth.states)._solved(), worth.states, len(worth.states)
         place = np.ix_(states, states)
-        K, L, error = np.zeros((n, n)), np.zeros((len(found.L), n)), np.zeros((n, n))
-        K[place], L[:, states], error[place] = found.K, found.L, found.error
+        K, error, L, correction = (
+            np.zeros((n, n)),
+            np.zeros((n, n)),
+            np.zeros((len(found.L), n)),
+            np.zeros((len(found.L), n)),
+        )
+        K[place], error[place], L[:, states], correction[:, states] = found.K, found.error, found.L, found.correction
         others = worth.decaying.real if self.continuous else np.abs(worth.decaying)
-        return Solution(K, L, found.H, error, max(found.slowest, float(others.max(initial=-np.inf))))
+        slowest = max(found.slowest, float(others.max(initial=-np.inf)))
+        return Solution(K, L, found.H, error, correction, found.free, found.held, slowest)
 
     def among(self, states: Bits) -> Problem:
         """Return the problem restricted to states that the others do not affect."""
@@ -148,7 +164,7 @@ class Problem:
                 A.part(states, states), B.part(states, every), Q.part(states, states), R, N.part(states, every)
             )
 
-        return Problem(self.given.among(states), restricted, self.continuous, self.asked)
+        return Problem(self.given.among(states), restricted, self.continuous, self.sampled, self.dual, self.asked)
 
     def _solved(self) -> Solution:
         try:
@@ -217,7 +233,7 @@ class Problem:
             )  # fmt: skip
 
         rough = Quadratic(*(part.middle for part in reduced(Doubles)))
-        found = Problem(rough, reduced, False, self.asked).solve()
+        found = Problem(rough, reduced, False, self.sampled, self.dual, self.asked).solve()
         onto = np.zeros((int(rest.sum()), n))
         onto[:, rest] = np.eye(len(onto))
         onto[:, free.places] = -T[rest]
@@ -231,7 +247,8 @@ class Problem:
             slowest = max(slowest, steady.slowest)
         K = symmetrised(onto.T @ found.K @ onto)
         H = symmetrised(given.R + given.B.T @ K @ given.B)
-        return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), slowest)
+        correction = others @ found.correction @ onto
+        return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), correction, True, found.held, slowest)
 
     def _from_doubles(self, arithmetic: type[E]) -> Solution:
         """Return the proved solution whose candidate is computed in double precision, and corrected with the enclosures."""
@@ -269,38 +286,31 @@ class Problem:
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        n = len(K.middle)
-        L = _gain(given, K)
-        F, stage = given.under(L)
-        size = _sizes(given, K)
-        X = _worth(arithmetic, F, size)
-        falls = (X - F.T @ X @ F).symmetric()
-        if not (X.definite() and falls.definite()):
-            raise UnprovedError("the closed loop is not proved stable")
-        missed = (stage + F.T @ K @ F - K).symmetric()
+        n, precise, exact = len(K.middle), _gain(given, K), arithmetic.exact
         weight = given.B.T @ K
         H = (given.R + weight @ given.B).symmetric()
-        off = given.R @ L + given.N.T + weight @ F
-        slack = 4 * _slack(missed, off, H, size)
-        pushed = given.B.T @ X
-        upper = falls.times(slack) - missed
-        turned = off - (pushed @ F).times(slack)
-        price = H - (pushed @ given.B).symmetric().times(slack)
-        lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
-        if not (upper.definite() and lower.definite()):
-            raise UnprovedError("the error of the cost-to-go is not proved")
-        middle = symmetrised(K.middle)
+        correction = solve(H.centre(), weight.centre()).middle
+        size, held = _sizes(given, K), True
+        try:  # with the gain as it is stored, if its rounding is harmless
+            stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(precise.middle)
+            X, slack, F = _proved(arithmetic, given, K, precise if self.continuous else stored, size)
+            if self.sampled:  # programs hold the plant in doubles as well
+                A, B = exact(self.given.A), exact(self.given.B)
+                _ranked(arithmetic, A + B @ ((exact(correction) @ A).times(-1.0) if self.dual else stored), size)
+        except UnprovedError:
+            X, slack, F = _proved(arithmetic, given, K, precise, size)
+            held = False
+        middle, worth = symmetrised(K.middle), symmetrised(X.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
-        worth = symmetrised(X.middle)
-        rounding = 4 * UNIT * n * (slack * np.diag(worth) + size)
-        error = slack * worth + np.diag(rounding)
+        error = slack * worth + np.diag(4 * UNIT * n * (slack * np.diag(worth) + size))
         if not (np.diag(error) <= self.asked * np.maximum(np.diag(middle), size)).all():
             raise UnprovedError("the error of the cost-to-go is too large")
         if not self.continuous:
-            return Solution(middle, L.middle, symmetrised(H.middle), error, radius(F.middle))
+            H, slowest = symmetrised(H.middle), radius(F.middle)
+            return Solution(middle, precise.middle, H, error, correction, False, held, slowest)
         L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
         slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
-        return Solution(middle, L.middle, raw.R.middle, error, slowest)
+        return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
 
 
 def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
@@ -311,6 +321,35 @@ def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
         return Equation(A, B, Q, R, N)
 
     return given, recipe
+
+
+def not_held(what: str, A: Array) -> UnstableError:
+    """Return the error that a gain needs more digits than it is stored with."""
+    return UnstableError(
+        f"the optimal gain of the {what} has more digits than a double holds: rounded, it is not proved to be stable; the "
+        f"plant grows by up to {radius(A):.1e} within a step; expected a shorter period, modes that are moved and "
+        "measured more strongly, or a plant without them"
+    )
+
+
+def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) -> tuple[E, float, E]:
+    """Return X and ε of the proof that K ± εX contain the solution, with a given gain L, and its closed loop.
+
+    Raises:
+        UnprovedError: the proof fails in this precision.
+    """
+    F, stage = given.under(L)
+    X, falls = _ranked(arithmetic, F, size)
+    missed = (stage + F.T @ K @ F - K).symmetric()
+    weight, pushed = given.B.T @ K, given.B.T @ X
+    H, off = (given.R + weight @ given.B).symmetric(), given.R @ L + given.N.T + weight @ F
+    slack = 4 * _slack(missed, off, H, size)
+    turned = off - (pushed @ F).times(slack)
+    price = H - (pushed @ given.B).symmetric().times(slack)
+    lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
+    if not ((falls.times(slack) - missed).definite() and lower.definite()):
+        raise UnprovedError("the error of the cost-to-go is not proved")
+    return X, slack, F
 
 
 def _doubled(given: Equation[Balls], bits: int) -> Balls:
@@ -344,24 +383,40 @@ def _gain(given: Equation[E], K: E) -> E:
     return solve(H.centre(), off.centre()).times(-1.0).centre()
 
 
-def _worth(arithmetic: type[E], F: E, size: Array) -> E:
-    """Return the sum of F'^k D F^k without radii, in double precision if this suffices."""
+def _ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
+    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of sizes.
+
+    Raises:
+        UnprovedError: the closed loop is not proved stable at this precision.
+    """
     with np.errstate(all="ignore"):
         rough = summed(F.middle.T, np.diag(size))
-    if arithmetic is Doubles or (np.diag(rough) < SMOOTH * size).all():
-        if not np.isfinite(rough).all():
-            raise UnprovedError("the closed loop is not stable")
-        return arithmetic.exact(rough)
-    found, power = arithmetic.exact(np.diag(size)), F.centre()
+    if np.isfinite(rough).all():
+        X = arithmetic.exact(rough)
+        falls = (X - F.T @ X @ F).symmetric()
+        if falls.definite() and X.definite():
+            return X, falls
+    if arithmetic is Balls:  # double precision does not suffice for the sum
+        X = _summed(arithmetic, F, size)
+        falls = (X - F.T @ X @ F).symmetric()
+        if falls.definite() and X.definite():
+            return X, falls
+    raise UnprovedError("the closed loop is not proved stable")
+
+
+def _summed(arithmetic: type[E], F: E, size: Array) -> E:
+    """Return the sum of F'^k D F^k for a diagonal D over so many steps that what is left is below D, without radii."""
+    D, power = arithmetic.exact(np.diag(size)), F.centre()
+    found = D
     for _ in range(TURNS):
-        more = (power.T @ found @ power).symmetric()
-        found = (found + more).centre()
-        if not np.isfinite(found.middle).all():
+        found = (found + (power.T @ found @ power).symmetric()).centre()
+        left = np.diag((power.T @ D @ power).middle)
+        if not (np.isfinite(left).all() and np.isfinite(found.middle).all()):
             raise UnprovedError("the closed loop is not stable")
-        if (np.abs(np.diag(more.middle)) <= FADED * np.abs(np.diag(found.middle))).all():
-            break
+        if (left <= FADED / len(size) * size).all():  # a semidefinite matrix is below n times its diagonal
+            return found
         power = (power @ power).centre()
-    return found
+    raise UnprovedError("the closed loop does not forget")
 
 
 def _sizes(given: Equation[E], K: E) -> Array:

@@ -1,0 +1,132 @@
+"""Proved solutions of Riccati equations: hard problems against another method, textbook sets, and structure."""
+
+# ruff: noqa: SIM300 - ruff takes matrices, which carry their paper symbols, for constants
+from __future__ import annotations
+
+import numpy as np
+import pencils
+import pytest
+from drawn import law
+from hypothesis import strategies as st
+
+from taciturn._modes import radius
+from taciturn.errors import UnstableError
+from taciturn.lqg.kalman import filter_sampled
+from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_sampled
+from taciturn.lqg.sampling import sample
+
+seeds = st.integers(0, 2**32 - 1)
+FAMILIES = ("chain", "integrators", "stiff", "masses", "weak", "dense", "registers")
+
+
+def hard(family: str, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Return A, B, Q, R, N and W of a plant in continuous time whose equations are hard in a way of their own."""
+    n, m = int(rng.integers(1, 9)), int(rng.integers(1, 3))
+    A, B = np.zeros((n, n)), rng.normal(size=(n, m))
+    if family == "chain":  # of lags and integrators, moved at its end, with weight at its start
+        A = np.diag(-rng.choice([0.0, 0.1, 1.0, 10.0], n)) + np.diag(10.0 ** rng.uniform(-2, 2, n - 1), 1)
+        B = np.eye(n)[:, -1:]
+    elif family == "integrators":
+        A, B = np.diag(np.ones(n - 1), 1), np.eye(n)[:, -1:]
+    elif family == "stiff":
+        T = rng.normal(size=(n, n))
+        A = T @ np.diag(rng.choice([-1, -1, 1], n) * 10.0 ** rng.uniform(-5, 3, n)) @ np.linalg.inv(T)
+        A *= 5 / max(5.0, float(np.linalg.eigvals(A).real.max()))
+    elif family == "masses":  # between springs, hardly damped
+        n = 2 * max(1, n // 2)
+        k = n // 2
+        springs = 2 * np.eye(k) - np.eye(k, k=1) - np.eye(k, k=-1)
+        A = np.block([[np.zeros((k, k)), np.eye(k)], [-springs, -(10.0 ** rng.uniform(-9, 0)) * springs]])
+        B = np.eye(n)[:, -1:]
+    elif family == "weak":  # an unstable mode that inputs hardly move, in coordinates that hide it
+        T = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        A = T @ np.diag(rng.uniform(-2, 0.5, n)) @ T.T
+        B = T @ (rng.normal(size=(n, m)) * 10.0 ** rng.uniform(-12, 0, (n, 1)))
+    else:
+        A = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-2, 1)
+    m = B.shape[1]
+    seen = rng.normal(size=(int(rng.integers(1, n + 1)), n)) if rng.random() < 0.5 else np.eye(n)[:1]
+    root = np.hstack([seen, 0.3 * rng.normal(size=(len(seen), m))])
+    M = root.T @ root + np.diag([0.0] * n + [10.0 ** rng.uniform(-8, 2)] * m)
+    G = rng.normal(size=(n, n))
+    x = 2.0 ** rng.integers(-20, 20, n) if rng.random() < 0.5 else np.ones(n)
+    A, B, G = A / x[:, None] * x, B / x[:, None], G / x[:, None]
+    M[:n] *= x[:, None]
+    M[:, :n] *= x
+    M = (M + M.T) / 2
+    return A, B, M[:n, :n], M[n:, n:], M[:n, n:], G @ G.T
+
+
+def spread(found: np.ndarray, exact: np.ndarray, error: np.ndarray) -> float:
+    """Return the largest miss of each entry, relative to the bound that the claimed error gives for it."""
+    bound = np.sqrt(np.outer(np.diag(error), np.diag(error)))
+    missed = np.abs(found - exact)
+    return float((missed / np.where(missed > 0, np.maximum(bound, 1e-300), 1.0)).max())
+
+
+def check(found: np.ndarray, error: np.ndarray, exact: np.ndarray) -> None:
+    """A solution is within its claimed error, which is at most 1e-9 of each cost-to-go."""
+    assert spread(found, exact, error) <= 1.0
+    assert (np.diag(error) <= 1.001e-9 * np.diag(exact)).all()
+
+
+def stored(solve, *given):
+    """Return a solution; None if its gain is not stable once it is rounded to doubles."""
+    try:
+        return solve(*given)
+    except UnstableError as error:
+        assert "more digits than a double holds" in str(error)
+        return None
+
+
+def check_regulator(family: str, seed: int, exponent: float) -> None:
+    """The regulator is that of the pencil of the plant as it was before sampling."""
+    rng = np.random.default_rng(seed)
+    A, B, Q, R, N, W = hard(family, rng)
+    fastest = float(np.linalg.eigvals(A).real.max(initial=0.0))
+    h = min(10.0**exponent, 15.0 / max(fastest, 1e-9))
+    plant = sample(A, B, Q, R, N, W, h)
+    found = stored(regulate_sampled, plant.exact, plant.A, plant.B, plant.Q, plant.R, plant.N, 1.0)
+    if found is None:
+        return
+    exact = pencils.sampled(A, B, Q, R, N, W, h)
+    K, L = (pencils.floats(part) for part in pencils.stabilising(exact))
+    check(found.K, found.error, K)
+    price = np.sqrt(np.diag(found.H))
+    assert np.abs((found.L - L) * price[:, None] / np.sqrt(np.diag(K))).max() < 1e-7
+
+
+def check_filter(family: str, seed: int, exponent: float, noise: float) -> None:
+    """The filter is the regulator of the dual pencil."""
+    rng = np.random.default_rng(seed)
+    A, C, W, _, _, _ = hard(family, rng)
+    A, C, n = A.T, C.T, len(A)
+    h = min(10.0**exponent, 15.0 / max(float(np.linalg.eigvals(A).real.max(initial=0.0)), 1e-9))
+    V = 10.0**noise * np.eye(len(C))
+    none = np.zeros((n, 1))
+    W = W + 1e-6 * float(np.trace(W)) * np.diag(1 / np.maximum(np.diag(W), 1e-300)) * np.diag(W) ** 2 / np.trace(W)
+    plant = sample(A, none, np.eye(n), np.eye(1), none, W, h)
+    found = stored(filter_sampled, plant.exact, plant.A, C, plant.W, V, 0)
+    if found is None:
+        return
+    exact = pencils.sampled(A, none, np.eye(n), np.eye(1), none, W, h)
+    given = pencils.Exact(
+        exact.A.transpose(), pencils.balls(C.T), exact.W, pencils.balls(V), pencils.balls(np.zeros(C.T.shape)), exact.W,
+        exact.bits,
+    )  # fmt: skip
+    check(found.prior, found.error, pencils.floats(pencils.stabilising(given)[0]))
+    assert radius(plant.A - plant.A @ found.gain @ C) < 1 + 1e-4
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@law(6, 140, seed=seeds, exponent=st.floats(-7, 1))
+def test_regulators_of_sampled_plants_are_right_within_their_error(family, seed, exponent):
+    """With periods from 1e-7 to 10 s, to 2,048 bits."""
+    check_regulator(family, seed, exponent)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@law(4, 140, seed=seeds, exponent=st.floats(-7, 1), noise=st.floats(-16, 16))
+def test_filters_of_sampled_plants_are_right_within_their_error(family, seed, exponent, noise):
+    """With measurements of any precision."""
+    check_filter(family, seed, exponent, noise)
