@@ -9,7 +9,6 @@ import pytest
 from drawn import law
 from hypothesis import strategies as st
 
-from taciturn._modes import radius
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import filter_sampled
 from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_sampled
@@ -114,8 +113,12 @@ def check_filter(family: str, seed: int, exponent: float, noise: float) -> None:
         exact.A.transpose(), pencils.balls(C.T), exact.W, pencils.balls(V), pencils.balls(np.zeros(C.T.shape)), exact.W,
         exact.bits,
     )  # fmt: skip
-    check(found.prior, found.error, pencils.floats(pencils.stabilising(given)[0]))
-    assert radius(plant.A - plant.A @ found.gain @ C) < 1 + 1e-4
+    K, L = pencils.stabilising(given)
+    check(found.prior, found.error, pencils.floats(K))
+    size = np.sqrt(np.diag(found.prior))
+    turned = -pencils.floats(L).T * np.sqrt(np.diag(found.innovation)) / size[:, None]
+    assert np.abs(plant.A @ found.gain * np.sqrt(np.diag(found.innovation)) / size[:, None] - turned).max() < 1e-7
+    assert 0 <= found.slowest < 1
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -32,6 +32,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from math import log2
 from typing import Generic, NamedTuple, Protocol
 
 import numpy as np
@@ -48,9 +49,10 @@ from taciturn.lqg.structure import Free, free_inputs, worth_of
 
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
-CRUMB = 1e-12  # cost-to-go relative to the terms of its sum from which on it has a size of its own
+CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
 LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
 TURNS = 100  # doublings
+CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
 CORRECTIONS = 2  # steps of Newton's method
 FADED = 1e-3  # last term of a sum along the loop, relative to its first one
 
@@ -286,31 +288,37 @@ class Problem:
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        n, precise, exact = len(K.middle), _gain(given, K), arithmetic.exact
+        precise, exact = _gain(given, K), arithmetic.exact
         weight = given.B.T @ K
         H = (given.R + weight @ given.B).symmetric()
         correction = solve(H.centre(), weight.centre()).middle
-        size, held = _sizes(given, K), True
+        size, held = _sizes(given, K, arithmetic.unit() ** CRUMB), True
         try:  # with the gain as it is stored, if its rounding is harmless
             stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(precise.middle)
-            X, slack, F = _proved(arithmetic, given, K, precise if self.continuous else stored, size)
+            error, F = self._error(arithmetic, given, K, precise if self.continuous else stored, size)
             if self.sampled:  # programs hold the plant in doubles as well
                 A, B = exact(self.given.A), exact(self.given.B)
                 _ranked(arithmetic, A + B @ ((exact(correction) @ A).times(-1.0) if self.dual else stored), size)
         except UnprovedError:
-            X, slack, F = _proved(arithmetic, given, K, precise, size)
+            error, F = self._error(arithmetic, given, K, precise, size)
             held = False
-        middle, worth = symmetrised(K.middle), symmetrised(X.middle)
-        # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
-        error = slack * worth + np.diag(4 * UNIT * n * (slack * np.diag(worth) + size))
-        if not (np.diag(error) <= self.asked * np.maximum(np.diag(middle), size)).all():
-            raise UnprovedError("the error of the cost-to-go is too large")
+        middle = symmetrised(K.middle)
         if not self.continuous:
-            H, slowest = symmetrised(H.middle), radius(F.middle)
+            H, slowest = symmetrised(H.middle), _slowest(F)
             return Solution(middle, precise.middle, H, error, correction, False, held, slowest)
         L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
         slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
         return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
+
+    def _error(self, arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) -> tuple[Array, E]:
+        """Return the bound on the error of K from the proof with a gain L, and the closed loop of this gain."""
+        X, slack, F = _proved(arithmetic, given, K, L, size)
+        worth = symmetrised(X.middle)
+        # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
+        error = slack * worth + np.diag(4 * UNIT * len(size) * (slack * np.diag(worth) + size))
+        if not (np.diag(error) <= self.asked * size).all():
+            raise UnprovedError("the error of the cost-to-go is too large")
+        return error, F
 
 
 def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
@@ -376,6 +384,25 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
     return (last + K).centre()
 
 
+def _slowest(F: E) -> float:
+    """Return the modulus of the slowest mode of a stable matrix, also if eigenvalues in doubles cannot tell it from 1.
+
+    It is the limit of the root of |F^k|; the norm of each power is divided by a power of two, which is counted.
+    """
+    found = radius(F.middle)
+    if found < CLEAR:
+        return found
+    power, exponent, count = F.centre(), 0.0, 1
+    for _ in range(SQUARINGS):
+        size = float(np.abs(power.middle).max(initial=0.0))
+        if size == 0:
+            return 0.0
+        shift = round(log2(size))
+        power, exponent = power.times(2.0**-shift), exponent + shift / count
+        power, count = (power @ power).centre(), 2 * count
+    return min(float(np.exp2(exponent)), 1 - UNIT)
+
+
 def _gain(given: Equation[E], K: E) -> E:
     """Return the gain −(R + B'KB)⁻¹(B'KA + N') without its radii: the proof holds for any gain near it."""
     weight = given.B.T @ K
@@ -419,11 +446,11 @@ def _summed(arithmetic: type[E], F: E, size: Array) -> E:
     raise UnprovedError("the closed loop does not forget")
 
 
-def _sizes(given: Equation[E], K: E) -> Array:
+def _sizes(given: Equation[E], K: E, crumb: float) -> Array:
     """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
     diagonal, A = np.diag(K.middle), given.A.middle
     terms = np.abs(np.diag(given.Q.middle)) + (A * A).T @ np.abs(diagonal)
-    size = np.maximum(diagonal, CRUMB * terms)
+    size = np.maximum(diagonal, crumb * terms)
     return np.where(size > NO_VARIANCE, size, 1.0)
 
 
