@@ -138,11 +138,21 @@ def turned(unstable: float, reached: float, angle: float) -> tuple[np.ndarray, n
 @times
 @pytest.mark.parametrize("angle", [0.0, 0.7])
 @pytest.mark.parametrize("digits", range(2, 15, 2))
-def test_an_unstable_mode_that_is_hardly_reached_is_right(digits, angle, continuous):
-    """Reached by 1e-2 … 1e-14, in coordinates of which each input reaches both modes."""
+def test_an_unstable_mode_that_is_hardly_reached_is_right_or_refused(digits, angle, continuous):
+    """Reached by 1e-2 … 1e-14: K to nine digits, or a gain that no double holds."""
     A, B = turned(0.2 if continuous else 1.2, 10.0**-digits, angle)
     problem = A, B, np.eye(2), np.eye(1), np.zeros((2, 1))
-    found = (regulate_continuous if continuous else regulate)(*problem)
+    try:
+        found = (regulate_continuous if continuous else regulate)(*problem)
+    except UnstableError as error:
+        refusal = str(error)
+    else:
+        refusal = ""
+    if refusal:
+        assert angle, "what is only a matter of units is solved"
+        assert digits >= 10, refusal
+        assert "more digits than a double holds" in refusal  # a rounded gain of 1e8 does not stabilise
+        return
     K, _ = regulated(*problem, found.L, continuous)
     assert off(found.K, K) < 1e-9
 

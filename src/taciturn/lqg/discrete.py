@@ -39,8 +39,8 @@ LEAST = 1e-10  # movement within a period, in units of the state, that leaves di
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
+@dataclass(frozen=True, eq=False, repr=False)
+class Deviations(Displayed):
     """The problem of the deviations of states and inputs from those at which disturbances and set-points cost nothing.
 
     Args:

@@ -1,15 +1,15 @@
 """Matrices with proved error bounds: every entry is a middle and a radius within which the exact value lies.
 
-Two arithmetics have the same operations. ``Balls`` computes with python-flint at any precision; its radii are proofs,
-whatever the conditioning, the units and the sampling period. ``Doubles`` computes middles in double precision and
-bounds their rounding by the a-priori bounds of a product: for a sum of k products, k units of roundoff times the sum of
-their moduli. It is faster for many states, and sufficient for well-conditioned problems. Formulas are written once, for
+Two arithmetics have the same operations. ``Balls`` computes with python-flint at any precision; its radii are proofs
+for any conditioning, units and sampling period. ``Doubles`` computes middles in double precision and bounds their
+rounding by the a-priori bounds of a product: for a sum of k products, k units of roundoff times the sum of their
+moduli. It is faster for many states, and sufficient for well-conditioned problems. Formulas are written once, for
 either arithmetic.
 
 The precision of python-flint is a global of the process. ``precision`` is the only place that sets it; it restores it,
 and threads wait for each other.
 
-Source: johansson2017 (balls), rump2006 (definiteness by a Cholesky factorisation in double precision)
+Source: johansson2017, rump2006
 """
 
 from __future__ import annotations
@@ -112,12 +112,14 @@ class Balls(Enclosure):
 
     @property
     def middle(self) -> Array:
+        """The middles, as the nearest doubles."""
         if "middle" not in self._seen:
             self._seen["middle"] = np.array([float(one) for one in self._balls.mid().entries()]).reshape(self.shape)
         return self._seen["middle"]
 
     @property
     def radius(self) -> Array:
+        """Bounds on the distances of the exact entries from ``middle``."""
         if "radius" not in self._seen:
             found = np.array([float(one.rad()) for one in self._balls.entries()]).reshape(self.shape)
             rounding = np.where(self.middle == 0, 0.0, 2 * UNIT * np.abs(self.middle) + UNDERFLOW)
@@ -125,12 +127,15 @@ class Balls(Enclosure):
         return self._seen["radius"]
 
     def __add__(self, other: Self) -> Self:
+        """Return the sum."""
         return type(self)(self._balls + other._balls)
 
     def __sub__(self, other: Self) -> Self:
+        """Return the difference."""
         return type(self)(self._balls - other._balls)
 
     def __matmul__(self, other: Self) -> Self:
+        """Return the product."""
         return type(self)(self._balls * other._balls)
 
     def times(self, factor: float) -> Self:
@@ -252,19 +257,24 @@ class Doubles(Enclosure):
 
     @property
     def middle(self) -> Array:
+        """The middles, as the nearest doubles."""
         return self._middle
 
     @property
     def radius(self) -> Array:
+        """Bounds on the distances of the exact entries from ``middle``."""
         return self._radius
 
     def __add__(self, other: Self) -> Self:
+        """Return the sum."""
         return self._rounded(self._middle + other._middle, self._radius + other._radius)
 
     def __sub__(self, other: Self) -> Self:
+        """Return the difference."""
         return self._rounded(self._middle - other._middle, self._radius + other._radius)
 
     def __matmul__(self, other: Self) -> Self:
+        """Return the product."""
         left, right, k = np.abs(self._middle), np.abs(other._middle), self._middle.shape[1]
         middle = self._middle @ other._middle
         # |AB − middle| ≤ (k + 1) u |A||B| + |A| r_B + r_A (|B| + r_B), computed upwards
@@ -386,7 +396,9 @@ def solve(left: E, right: E) -> E:
     Raises:
         UnprovedError: the matrix may be singular.
     """
-    return left.solve(right) if isinstance(left, Balls) else left.solve(right)
+    if isinstance(left, Balls):
+        return left.solve(right)
+    return left.solve(right)  # the same method of the other arithmetic, which type checkers take for another one
 
 
 @contextmanager

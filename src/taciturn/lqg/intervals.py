@@ -24,6 +24,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, symmetrised
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, precision
 from taciturn.lqg.stabilising import FEW, Equation
@@ -57,8 +58,8 @@ class Builder(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Exact:
+@dataclass(frozen=True, eq=False, repr=False)
+class Exact(Displayed):
     """A problem of one step in any arithmetic; enclosures that were computed once are kept.
 
     Args:
@@ -81,8 +82,8 @@ class Exact:
         return Equation(A, B, Q, R, N)
 
 
-@dataclass(frozen=True, eq=False)
-class Sampled:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sampled(Displayed):
     """A discrete-time LQ problem whose step is equivalent to an interval of continuous time, or to several steps.
 
     x⁺ = Ax + Bu + w, with w of covariance W. The mean cost of the interval is x'Qx + u'Ru + 2x'Nu + noise_cost. No

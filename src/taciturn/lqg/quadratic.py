@@ -71,5 +71,5 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 def in_powers_of_two(sizes: Array) -> Array:
-    """Return 1/√size, rounded to powers of two; 1 for a size of 0. These are units in which forms have entries near 1."""
+    """Return 1/√size as powers of two, the units in which a form with this diagonal has entries near 1; 1 for 0."""
     return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)) / 2))

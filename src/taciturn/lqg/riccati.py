@@ -301,7 +301,7 @@ def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
         _refuse(problem, unit)
         raise UnstableError(
             f"the Riccati equation of the regulator has no stabilising solution that could be proved: {error}; "
-            "expected unstable modes that the inputs affect more strongly, or a weight in Q and R on every state and input"
+            "expected unstable modes that the inputs affect more strongly, or a weight on every state and input"
         ) from None
     if found.free:
         raise _singular(found.H, "")

@@ -1,29 +1,32 @@
 """The stabilising solution of a Riccati equation, with a proof of its error.
 
-The problem is to minimise the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu with A + BL stable. Its solution is found in
-two parts.
+The problem is to minimise the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu with A + BL stable. Its solution is found
+in two parts.
 
 **A candidate** K, L, by structured doubling from a small definite terminal weight, in double precision or in balls. The
 small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
 Newton's method corrects it.
 
-**A proof**, with enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k for
-a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
+**A proof**, with enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k
+for a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
 
     εP − (M + F'KF − K) ≻ 0,                       so that the gain L costs at most K + εX, and
 
     [ εP + (M + F'KF − K)   g' − εF'XB ]
     [ g − εB'XF             R + B'(K − εX)B ] ≻ 0,   g = RL + N' + B'KF,
 
-then H = K − εX satisfies H ≺ Ric(H), so that no stabilising gain costs less. Hence the stabilising solution exists, and it
-lies between K − εX and K + εX. Whatever the method that found K and L, this holds for the matrices as they were given:
-each is an enclosure of the exact one, such as the matrix of a sampled plant.
+then H = K − εX satisfies H ≺ Ric(H), so that no stabilising gain costs less. Hence the stabilising solution exists, and
+it lies between K − εX and K + εX. This holds for every method that finds K and L, and for the matrices as they were
+given: each is an enclosure of the exact one, such as the matrix of a sampled plant.
 
-The precision grows until the error is as small as it is asked to be. In continuous time, the midpoint rule
+The proof takes the gain as it is stored, rounded to doubles. If that fails, it takes the gain with all digits, and the
+solution says that its gain is not held by doubles.
+
+The precision grows until the error is small enough. In continuous time, the midpoint rule
 x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has the same stabilising solution for every
 step h (Cayley's transform), so its proof is the proof of the continuous-time equation.
 
-Source: anderson1978 (doubling), lancaster1995 (comparison of solutions)
+Source: anderson1978, lancaster1995
 """
 
 from __future__ import annotations
@@ -106,8 +109,8 @@ class Solution(Displayed):
     slowest: float
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Displayed):
     """A problem whose stabilising solution is sought.
 
     Args:
@@ -253,7 +256,7 @@ class Problem:
         return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), correction, True, found.held, slowest)
 
     def _from_doubles(self, arithmetic: type[E]) -> Solution:
-        """Return the proved solution whose candidate is computed in double precision, and corrected with the enclosures."""
+        """Return the proved solution whose candidate is computed in doubles, and corrected with the enclosures."""
         raw = self.recipe(arithmetic)
         given = self._stepped(arithmetic, raw)
         A, B, Q, R, N = (part.middle for part in given)
@@ -264,11 +267,8 @@ class Problem:
             last = _last(B, Q, R) * np.eye(len(A))
             H = symmetrised(R + B.T @ last @ B)
             try:
-                K = (
-                    double(A, B, Q, N, last, H, np.asarray(np.linalg.inv(H), dtype=np.float64))
-                    if len(B.T)
-                    else summed(A.T, Q)
-                )
+                inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
+                K = double(A, B, Q, N, last, H, inverse) if len(H) else summed(A.T, Q)
             except np.linalg.LinAlgError as error:
                 raise UnprovedError("an input costs nothing") from error
             K = symmetrised(K / state / state[:, None])
@@ -334,8 +334,8 @@ def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
 def not_held(what: str, A: Array) -> UnstableError:
     """Return the error that a gain needs more digits than it is stored with."""
     return UnstableError(
-        f"the optimal gain of the {what} has more digits than a double holds: rounded, it is not proved to be stable; the "
-        f"plant grows by up to {radius(A):.1e} within a step; expected a shorter period, modes that are moved and "
+        f"the optimal gain of the {what} has more digits than a double holds: rounded, it is not proved to be stable; "
+        f"the plant grows by up to {radius(A):.1e} within a step; expected a shorter period, modes that are moved and "
         "measured more strongly, or a plant without them"
     )
 
@@ -464,7 +464,7 @@ def _slack(missed: E, off: E, H: E, size: Array) -> float:
 
 
 def _last(B: Array, Q: Array, R: Array) -> float:
-    """Return a terminal weight that is small beside the cost of moving a state."""
+    """Return a terminal weight that is small compared with the cost of moving a state."""
     worth, reached = float(np.trace(R) + np.sum(B * (Q @ B))), float(np.sum(B * B))
     return LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
 

@@ -21,6 +21,7 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 
 from taciturn._arrays import Array, Bits
+from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, eigenvalues
 from taciturn.lqg.quadratic import Quadratic
 
@@ -108,8 +109,8 @@ def paths(leads: Bits) -> Bits:
         found = np.asarray(more, dtype=np.bool_)
 
 
-@dataclass(frozen=True, eq=False)
-class Free:
+@dataclass(frozen=True, eq=False, repr=False)
+class Free(Displayed):
     """Inputs that cost nothing, and the subspace in which they move the state.
 
     A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
