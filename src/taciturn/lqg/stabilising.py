@@ -288,37 +288,34 @@ class Problem(Displayed):
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        precise, exact = _gain(given, K), arithmetic.exact
-        weight = given.B.T @ K
-        H = (given.R + weight @ given.B).symmetric()
-        correction = solve(H.centre(), weight.centre()).middle
-        size, held = _sizes(given, K, arithmetic.unit() ** CRUMB), True
-        try:  # with the gain as it is stored, if its rounding is harmless
-            stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(precise.middle)
-            error, F = self._error(arithmetic, given, K, precise if self.continuous else stored, size)
-            if self.sampled:  # programs hold the plant in doubles as well
-                A, B = exact(self.given.A), exact(self.given.B)
-                _ranked(arithmetic, A + B @ ((exact(correction) @ A).times(-1.0) if self.dual else stored), size)
-        except UnprovedError:
-            error, F = self._error(arithmetic, given, K, precise, size)
-            held = False
-        middle = symmetrised(K.middle)
-        if not self.continuous:
-            H, slowest = symmetrised(H.middle), _slowest(F)
-            return Solution(middle, precise.middle, H, error, correction, False, held, slowest)
-        L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
-        slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
-        return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
-
-    def _error(self, arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) -> tuple[Array, E]:
-        """Return the bound on the error of K from the proof with a gain L, and the closed loop of this gain."""
+        L, exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
         X, slack, F = _proved(arithmetic, given, K, L, size)
-        worth = symmetrised(X.middle)
+        worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
         error = slack * worth + np.diag(4 * UNIT * len(size) * (slack * np.diag(worth) + size))
         if not (np.diag(error) <= self.asked * size).all():
             raise UnprovedError("the error of the cost-to-go is too large")
-        return error, F
+        if self.continuous:
+            L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
+            slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
+            return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
+        weight = given.B.T @ K
+        H = (given.R + weight @ given.B).symmetric()
+        correction = solve(H.centre(), weight.centre()).middle
+        try:
+            stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
+            excess, held = _excess(arithmetic, given.A + given.B @ stored, stored - L, H, X, size), True
+            if self.sampled:  # programs hold the plant in doubles as well
+                A, B = exact(self.given.A), exact(self.given.B)
+                stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
+                _falling(arithmetic, A + B @ stored, X, size)
+            if not (np.diag(excess) <= self.asked * size).all():
+                raise UnprovedError("the rounding of the gain costs too much")
+        except UnprovedError:
+            if arithmetic is Doubles:
+                raise
+            excess, held = np.zeros_like(error), False
+        return Solution(middle, L.middle, symmetrised(H.middle), error + excess, correction, False, held, _slowest(F))
 
 
 def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
@@ -382,6 +379,32 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
         if (change <= settled * size).all():
             break
     return (last + K).centre()
+
+
+def _falling(arithmetic: type[E], F: E, X: E, size: Array) -> tuple[E, E]:
+    """Return X and X − F'XF, both proved definite, for a loop F near the one for which X was computed.
+
+    Raises:
+        UnprovedError: the loop is not proved stable.
+    """
+    falls = (X - F.T @ X @ F).symmetric()
+    return (X, falls) if falls.definite() else _ranked(arithmetic, F, size)
+
+
+def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
+    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F.
+
+    It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
+
+    Raises:
+        UnprovedError: the loop is not proved stable.
+    """
+    X, falls = _falling(arithmetic, F, X, size)
+    spent, unit = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size)
+    slack = max(4 * float((spent.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
+    if not (falls.times(slack) - spent).definite():
+        raise UnprovedError("the cost of rounding the gain is not proved")
+    return slack * symmetrised(X.middle)
 
 
 def _slowest(F: E) -> float:
