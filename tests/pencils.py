@@ -6,8 +6,8 @@ The states and costates of the optimal loop obey M z⁺ = L z with
         [ −(Q − N R⁻¹N')  I ],         [ 0   (A − B R⁻¹N')' ].
 
 Its solutions that decay span [I; K]. The sign of (L + M)⁻¹(L − M), by Newton's iteration S ← (S + S⁻¹)/2 in thousands
-of bits, is −1 on them. Plants are sampled by one exponential of a block matrix (Van Loan), whose corner e^{−Ah} costs as
-many bits as e^{Ah} has. Nothing of this is in the package.
+of bits, is −1 on them. Plants are sampled by one exponential of a block matrix (Van Loan), whose corner e^{−Ah} costs
+as many bits as e^{Ah} has. Nothing of this is in the package.
 """
 
 from __future__ import annotations

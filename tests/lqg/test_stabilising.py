@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import filter_sampled
-from taciturn.lqg.riccati import regulate_sampled
+from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_sampled
 from taciturn.lqg.sampling import sample
 
 seeds = st.integers(0, 2**32 - 1)
@@ -43,8 +43,9 @@ def hard(family: str, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     else:
         A = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-2, 1)
     m = B.shape[1]
-    seen = rng.normal(size=(int(rng.integers(1, n + 1)), n)) if rng.random() < 0.5 else np.eye(n)[:1]
-    root = np.hstack([seen, 0.3 * rng.normal(size=(len(seen), m))])
+    # small whole numbers, so that no product is rounded, and a weight of low rank is semidefinite
+    seen = 2 * rng.integers(-5, 5, (int(rng.integers(1, n + 1)), n)) + 1 if rng.random() < 0.5 else np.eye(n)[:1]
+    root = np.hstack([seen, rng.integers(-3, 4, (len(seen), m))]).astype(np.float64)
     M = root.T @ root + np.diag([0.0] * n + [10.0 ** rng.uniform(-8, 2)] * m)
     G = rng.normal(size=(n, n))
     x = 2.0 ** rng.integers(-20, 20, n) if rng.random() < 0.5 else np.ones(n)
@@ -83,7 +84,7 @@ def check_regulator(family: str, seed: int, exponent: float) -> None:
     rng = np.random.default_rng(seed)
     A, B, Q, R, N, W = hard(family, rng)
     fastest = float(np.linalg.eigvals(A).real.max(initial=0.0))
-    h = min(10.0**exponent, 15.0 / max(fastest, 1e-9))
+    h = min(10.0**exponent, 15.0 / max(fastest, 1e-9), 300 / np.abs(np.linalg.eigvals(A)).max(initial=1e-9))
     plant = sample(A, B, Q, R, N, W, h)
     found = stored(regulate_sampled, plant.exact, plant.A, plant.B, plant.Q, plant.R, plant.N, 1.0)
     if found is None:
@@ -133,3 +134,60 @@ def test_regulators_of_sampled_plants_are_right_within_their_error(family, seed,
 def test_filters_of_sampled_plants_are_right_within_their_error(family, seed, exponent, noise):
     """With measurements of any precision."""
     check_filter(family, seed, exponent, noise)
+
+
+V = np.eye(3) - 2 / 3 * np.ones((3, 3))
+PAIR = np.array([[9.0, 6.0], [6.0, 4.0]])
+INTO = (np.array([[4.0, 3.0], [-4.5, -3.5]]), np.array([[1.0], [-1.0]]), PAIR, np.eye(1), np.zeros((2, 1)))
+
+
+def near(found: np.ndarray, exact: np.ndarray) -> None:
+    """Each entry agrees to twelve digits of what its row and column cost."""
+    size = np.sqrt(np.abs(np.diag(exact)))
+    assert np.abs((found - exact) / size / size[:, None]).max() < 1e-12
+
+
+def test_continuous_equations_of_the_textbook_set_have_their_closed_forms():
+    """CAREX 1 and 2."""
+    given = np.array([[0.0, 1], [0, 0]]), np.array([[0.0], [1]]), np.diag([1.0, 2]), np.eye(1), np.zeros((2, 1))
+    near(regulate_continuous(*given).K, np.array([[2.0, 1], [1, 2]]))
+    near(regulate_continuous(*INTO).K, (1 + np.sqrt(2)) * PAIR)
+
+
+@pytest.mark.parametrize("e", [1.0, 1e-3, 1e-6, 1e-8])
+def test_continuous_equations_with_a_parameter_have_their_closed_forms(e):
+    """CAREX 7, 9, 10 and 12: hardly controllable, badly scaled, and hardly observable."""
+    none, root = np.zeros((2, 1)), np.sqrt(1 + e * e)
+    found = regulate_continuous(np.diag([1.0, -2]), np.array([[e], [0.0]]), np.ones((2, 2)), np.eye(1), none)
+    side = 1 / (2 + root)
+    near(found.K, np.array([[(1 + root) / e**2, side], [side, (1 - e * e * side**2) / 4]]))
+    found = regulate_continuous(np.array([[0.0, e], [0, 0]]), np.array([[0.0], [1]]), np.eye(2), np.eye(1), none)
+    root = np.sqrt(1 + 2 * e)
+    near(found.K, np.array([[root / e, 1], [1, root]]))
+    A = np.array([[e + 1, 1], [1, e + 1]])
+    found = regulate_continuous(A, np.eye(2), e * e * np.eye(2), np.eye(2), np.zeros((2, 2)))
+    both, apart = A[0, 0] + 1, A[0, 0] - 1  # the eigenvalues of A, on (1, 1) and (1, −1)
+    values = both + np.sqrt(both**2 + e * e), apart + np.sqrt(apart**2 + e * e)
+    near(found.K, np.array([[sum(values), values[0] - values[1]], [values[0] - values[1], sum(values)]]) / 2)
+
+
+def test_discrete_equations_of_the_textbook_set_have_their_closed_forms():
+    """DAREX 1, 3 (an input that costs nothing), 5, and the chain of a hundred delays."""
+    near(regulate(*INTO).K, (1 + np.sqrt(5)) / 2 * PAIR)
+    free = np.array([[2.0, -1], [1, 0]]), np.array([[1.0], [0]]), np.diag([0.0, 1]), np.zeros((1, 1)), np.zeros((2, 1))
+    near(regulate(*free).K, np.eye(2))
+    given = np.array([[0.0, 1], [0, 0]]), np.array([[0.0], [1]]), np.array([[1.0, 2], [2, 4]]), np.eye(1)
+    near(regulate(*given, np.zeros((2, 1))).K, np.array([[1, 2], [2, 2 + np.sqrt(5)]]))
+    n = 100
+    found = regulate(np.eye(n, k=1), np.eye(n)[:, -1:], np.eye(n), np.eye(1), np.zeros((n, 1)))
+    near(found.K, np.diag(np.arange(1.0, n + 1)))
+
+
+@pytest.mark.parametrize("e", [1e6, 1.0, 1e-6])
+def test_discrete_equations_with_a_parameter_have_their_closed_forms(e):
+    """DAREX 9 and 11, whose weights are small or large."""
+    found = regulate(np.array([[0.0, e], [0, 0]]), np.array([[0.0], [1]]), np.eye(2), np.eye(1), np.zeros((2, 1)))
+    near(found.K, np.diag([1, 1 + e * e]))
+    found = regulate(3 * V @ np.diag([0.0, 1, 3]) @ V / 3, np.eye(3), e * np.eye(3), e * np.eye(3), np.zeros((3, 3)))
+    values = e * np.array([1, (1 + np.sqrt(5)) / 2, (9 + np.sqrt(85)) / 2])
+    near(found.K, V @ np.diag(values) @ V)

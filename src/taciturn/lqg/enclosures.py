@@ -68,11 +68,13 @@ class Enclosure(ABC):
 class Balls(Enclosure):
     """A matrix of balls of python-flint, for use within ``precision``."""
 
-    __slots__ = ("_balls", "_seen")
+    __slots__ = ("_balls", "_middle", "_radius")
 
     def __init__(self, balls: arb_mat) -> None:
         """Take over a matrix of python-flint."""
-        self._balls, self._seen = balls, dict[str, Array]()
+        self._balls = balls
+        self._middle: Array | None = None
+        self._radius: Array | None = None
 
     @classmethod
     def exact(cls, values: Array) -> Self:
@@ -113,18 +115,18 @@ class Balls(Enclosure):
     @property
     def middle(self) -> Array:
         """The middles, as the nearest doubles."""
-        if "middle" not in self._seen:
-            self._seen["middle"] = np.array([float(one) for one in self._balls.mid().entries()]).reshape(self.shape)
-        return self._seen["middle"]
+        if self._middle is None:
+            self._middle = np.array([float(one) for one in self._balls.mid().entries()]).reshape(self.shape)
+        return self._middle
 
     @property
     def radius(self) -> Array:
         """Bounds on the distances of the exact entries from ``middle``."""
-        if "radius" not in self._seen:
+        if self._radius is None:
             found = np.array([float(one.rad()) for one in self._balls.entries()]).reshape(self.shape)
             rounding = np.where(self.middle == 0, 0.0, 2 * UNIT * np.abs(self.middle) + UNDERFLOW)
-            self._seen["radius"] = np.where(found == 0, rounding, (found + rounding) * (1 + 8 * UNIT))
-        return self._seen["radius"]
+            self._radius = np.where(found == 0, rounding, (found + rounding) * (1 + 8 * UNIT))
+        return self._radius
 
     def __add__(self, other: Self) -> Self:
         """Return the sum."""

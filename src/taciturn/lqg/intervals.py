@@ -217,17 +217,17 @@ def overflowing(period: float, size: float) -> ProblemError:
 
 def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
     """Return Φ − I, M_h, G_h and c over a step with ‖F‖·step ≤ 1/2, by power series with bounds on what is left out."""
-    least, most, k, left_out = arithmetic.unit(), F.most * step, 1, 0.5
-    power, m, g = F.times(step), M.times(step), G.times(step)
-    change, weight, noise, c = power, m, g, inner(M, g).times(step).over(2)
+    F, least, k, left_out = F.times(step), arithmetic.unit(), 1, 0.5
+    most, power, m, g = F.most, F, M.times(step), G.times(step)
+    change, weight, noise, spread = power, m, g, g.over(2)  # spread: the sum of the covariances of all instants
     while left_out > least:  # 1/(k + 1)!
         k += 1
         left_out /= k + 1
-        m, g = (m @ F).times(step), (F @ g).times(step)
+        m, g, power = m @ F, F @ g, (power @ F).over(k)
         m, g = (m + m.T).over(k), (g + g.T).over(k)
-        power = (power @ F).times(step).over(k)
         weight, noise, change = weight + m, noise + g, change + power
-        c = c + inner(M, g).times(step).over(k + 1)
+        spread = spread + g.over(k + 1)
+    c = inner(M, spread).times(step)
     change = change.widened(_tail(power.most, k, lambda term: term @ most))
     weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
     later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))

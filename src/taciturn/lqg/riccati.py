@@ -21,6 +21,7 @@ from taciturn._modes import (
     uncontrollable_modes,
 )
 from taciturn._progress import check_time
+from taciturn._rational import reaches_all
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg._followed import followed
@@ -319,6 +320,8 @@ def _refuse(problem: Problem, unit: float) -> None:
     edge = "the imaginary axis" if continuous else region
     near = SCATTER * pace(given.A) if continuous else SCATTER
     lost = lost_modes(seen.A, seen.B, continuous)
+    if not problem.sampled and reaches_all(seen.A, seen.B):  # hardly, but it moves them
+        lost = lost[:0]
     _refuse_unmoved(lost / unit, region, _to_edge(lost, continuous) <= near, edge)
     if is_definite(given.R):
         unseen = _unseen_modes(*seen)

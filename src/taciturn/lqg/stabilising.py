@@ -274,17 +274,20 @@ class Problem(Displayed):
             K = symmetrised(K / state / state[:, None])
         if not np.isfinite(K).all():
             raise UnprovedError("the cost-to-go grows without bound")
-        found = arithmetic.exact(K)
+        found, reason = arithmetic.exact(K), UnprovedError()
         for _ in range(CORRECTIONS):
-            L = _gain(given, found)
-            F, stage = given.under(L)
+            F, stage = given.under(_gain(given, found))
             missed = (stage + F.T @ found @ F - found).symmetric().middle
             with np.errstate(all="ignore"):
                 more = summed(F.middle.T, missed)
             if not np.isfinite(more).all():
                 raise UnprovedError("the closed loop is not stable")
             found = (found + arithmetic.exact(more)).centre()
-        return self._judged(arithmetic, raw, given, found)
+            try:
+                return self._judged(arithmetic, raw, given, found)
+            except UnprovedError as error:
+                reason = error
+        raise reason
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""

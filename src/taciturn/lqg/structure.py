@@ -18,11 +18,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from flint import fmpq, fmpq_mat
+from flint import fmpq_mat
 
-from taciturn._arrays import Array, Bits
+from taciturn._arrays import Bits
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, eigenvalues
+from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
 
 MARGIN = 1e-10  # least distance to the unit circle of a mode that counts as decaying
@@ -133,12 +134,12 @@ class Free(Displayed):
 
 def free_inputs(given: Quadratic) -> Free | None:
     """Return the inputs of a problem that cost nothing, now or later; None if there is none."""
-    (n, m), (A, B, Q, R, N) = given.B.shape, (_rational(part) for part in given)
-    state, push = _above(Q, N.transpose()), _above(N, R)  # their sum is zero for states and inputs that cost nothing
-    safe, nothing = _rational(np.eye(n)), fmpq_mat(n + m, n)
+    (n, m), (A, B, Q, R, N) = given.B.shape, (rational(part) for part in given)
+    state, push = above(Q, N.transpose()), above(N, R)  # their sum is zero for states and inputs that cost nothing
+    safe, nothing = rational(np.eye(n)), fmpq_mat(n + m, n)
     while True:  # states that inputs keep at no cost for ever
-        found = _kernel(_above(_beside(state, push, nothing), _beside(A, B, safe * -1)))
-        smaller = _basis(_lines(found, range(n)))
+        found = kernel(above(beside(state, push, nothing), beside(A, B, safe * -1)))
+        smaller = basis(lines(found, range(n)))
         nothing = fmpq_mat(n + m, smaller.ncols())
         if smaller.ncols() == safe.ncols():
             break
@@ -146,78 +147,16 @@ def free_inputs(given: Quadratic) -> Free | None:
     inside, keeping = fmpq_mat(n, 0), fmpq_mat(m, 0)
     while True:  # states that they reach from zero meanwhile
         r = inside.ncols()
-        found = _kernel(_above(_beside(state * inside, push, nothing), _beside(A * inside, B, safe * -1)))
-        larger = _basis(safe * _lines(found, range(r + m, found.nrows())))
+        found = kernel(above(beside(state * inside, push, nothing), beside(A * inside, B, safe * -1)))
+        larger = basis(safe * lines(found, range(r + m, found.nrows())))
         if larger.ncols() == r:
             break
         inside = larger
     r = inside.ncols()
     nothing = fmpq_mat(n + m, r)
-    moving = _basis(_lines(_kernel(_above(_beside(push, nothing), _beside(B, inside * -1))), range(m)))
+    moving = basis(lines(kernel(above(beside(push, nothing), beside(B, inside * -1))), range(m)))
     if not moving.ncols():
         return None
-    found = _kernel(_above(_beside(state * inside, push, nothing), _beside(A * inside, B, inside * -1)))
-    keeping = _lines(found, range(r, r + m)) * _right_inverse(_lines(found, range(r)))
-    return Free(inside, _pivots(inside), keeping, moving, ~_pivots(moving))
-
-
-def _rational(values: Array) -> fmpq_mat:
-    entries = [fmpq(*value.as_integer_ratio()) for value in values.ravel().tolist()]
-    return fmpq_mat(len(values), values.shape[1], entries)
-
-
-def _above(*parts: fmpq_mat) -> fmpq_mat:
-    rows = sum(part.nrows() for part in parts)
-    return fmpq_mat(rows, parts[0].ncols(), [entry for part in parts for entry in part.entries()])
-
-
-def _beside(*parts: fmpq_mat) -> fmpq_mat:
-    return _above(*(part.transpose() for part in parts)).transpose()
-
-
-def _lines(matrix: fmpq_mat, rows: range) -> fmpq_mat:
-    """Return some rows of a matrix."""
-    return fmpq_mat(len(rows), matrix.ncols(), [matrix[i, j] for i in rows for j in range(matrix.ncols())])
-
-
-def _leading(matrix: fmpq_mat) -> tuple[fmpq_mat, list[int]]:
-    """Return the reduced echelon form of a matrix without its zero rows, and the columns of its leading ones."""
-    if not matrix.nrows() or not matrix.ncols():
-        return fmpq_mat(0, matrix.ncols()), []
-    reduced, rank = matrix.rref()
-    lead = [next(j for j in range(reduced.ncols()) if reduced[i, j] != 0) for i in range(rank)]
-    return _lines(reduced, range(rank)), lead
-
-
-def _basis(matrix: fmpq_mat) -> fmpq_mat:
-    """Return a basis of the columns of a matrix, which is the identity in the rows ``_pivots``."""
-    return _leading(matrix.transpose())[0].transpose()
-
-
-def _pivots(basis: fmpq_mat) -> Bits:
-    found = np.zeros(basis.nrows(), dtype=np.bool_)
-    found[_leading(basis.transpose())[1]] = True
-    return found
-
-
-def _kernel(matrix: fmpq_mat) -> fmpq_mat:
-    """Return a basis of the vectors that a matrix maps to zero, as columns."""
-    reduced, lead = _leading(matrix)
-    free = [j for j in range(matrix.ncols()) if j not in lead]
-    found = fmpq_mat(matrix.ncols(), len(free))
-    for k, j in enumerate(free):
-        found[j, k] = 1
-        for i, row in enumerate(lead):
-            found[row, k] = -reduced[i, j]
-    return found
-
-
-def _right_inverse(matrix: fmpq_mat) -> fmpq_mat:
-    """Return a matrix Y with matrix·Y = I, for a matrix of full row rank."""
-    one = _rational(np.eye(matrix.nrows()))
-    reduced, lead = _leading(_beside(matrix, one))
-    found = fmpq_mat(matrix.ncols(), matrix.nrows())
-    for i, row in enumerate(lead):
-        for j in range(matrix.nrows()):
-            found[row, j] = reduced[i, matrix.ncols() + j]
-    return found
+    found = kernel(above(beside(state * inside, push, nothing), beside(A * inside, B, inside * -1)))
+    keeping = lines(found, range(r, r + m)) * right_inverse(lines(found, range(r)))
+    return Free(inside, pivots(inside), keeping, moving, ~pivots(moving))
