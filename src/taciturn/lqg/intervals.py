@@ -102,7 +102,9 @@ class Sampled(Displayed):
 
 
 def sampled(build: Builder, size: int) -> Sampled:
-    """Return a problem to double precision: each entry to fourteen digits, or to thirty of the largest entry.
+    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.
+
+    For many states, it is eleven digits, or thirteen of the entries next to it.
 
     Args:
         build: returns enclosures of the problem.
@@ -113,20 +115,25 @@ def sampled(build: Builder, size: int) -> Sampled:
     if size > FEW:
         with suppress(UnprovedError):
             step = exact(Doubles)
-    for bits in PRECISIONS:
-        if step is not None and all(_is_sharp(part.middle, part.radius) for part in step):
-            break
-        with precision(bits), suppress(UnprovedError):
-            step = exact(Balls)
+            if not all(_is_sharp(part.middle, part.radius, 1e-11, 1e-13) for part in step):
+                step = None
+    if step is None:
+        for bits in PRECISIONS:
+            with precision(bits), suppress(UnprovedError):
+                step = exact(Balls)
+            if step is not None and all(_is_sharp(part.middle, part.radius, 1e-14, 1e-30) for part in step):
+                break
     if step is None or not all(np.isfinite(part.middle).all() for part in step):
         raise UnprovedError("a number exceeds the range of doubles")
     A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
     return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
 
 
-def _is_sharp(middle: Array, radius: Array) -> bool:
-    largest = float(np.abs(middle).max(initial=0.0))
-    return bool((radius <= np.maximum(1e-14 * np.abs(middle), 1e-30 * largest)).all())
+def _is_sharp(middle: Array, radius: Array, own: float, others: float) -> bool:
+    """Return whether radii are small relative to each entry, or to the largest one of its row or column."""
+    size = np.abs(middle)
+    largest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), size.max(axis=0, keepdims=True, initial=0.0))
+    return bool((radius <= np.maximum(own * size, others * largest)).all())
 
 
 class Interval(NamedTuple, Generic[E]):
