@@ -29,7 +29,7 @@ class Filter(Displayed):
 
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, and ``innovation`` is the
     covariance S of y − C x̂⁻. The corrections of the estimate have the covariance gain S gain' = prior − posterior.
-    ``error`` bounds the rounding error of the prior: −error ⪯ prior − exact ⪯ error, to first order. ``slowest`` is the
+    ``error`` is a proved bound on the error of the prior: −error ⪯ prior − exact ⪯ error. ``slowest`` is the
     modulus of the slowest mode of the filter error, A − A gain C, without the modes of ``resting_states``, whose
     covariance and gain are 0.
     """

@@ -49,7 +49,7 @@ __all__ = [
 class Regulator(Displayed):
     """An optimal regulator: the input u = Lx, the cost-to-go x'Kx, and the weight H of a deviation from this input.
 
-    The cost tr(KW) of noise has an error of at most tr(error·W), to first order. ``slowest`` is the modulus of the
+    The cost tr(KW) of noise has an error of at most tr(error·W), which is proved. ``slowest`` is the modulus of the
     slowest mode of A + BL, with a discount that of √α(A + BL), and in continuous time its real part. Modes on the unit
     circle that no input affects and that do not affect the cost are excluded.
     """
