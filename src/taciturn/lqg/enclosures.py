@@ -3,8 +3,8 @@
 Two arithmetics have the same operations. ``Balls`` computes with python-flint at any precision; its radii are proofs
 for any conditioning, units and sampling period. ``Doubles`` computes middles in double precision and bounds their
 rounding: products of the leading halves of the digits are exact, so that only the rest is rounded, by at most k units
-of roundoff for a sum of k products. It is faster for many states, and sufficient for well-conditioned problems. Formulas
-are written once, for either arithmetic.
+of roundoff for a sum of k products. It is faster for many states, and sufficient for well-conditioned problems.
+Formulas are written once, for either arithmetic.
 
 The precision of python-flint is a global of the process. ``precision`` is the only place that sets it; it restores it,
 and threads wait for each other.
