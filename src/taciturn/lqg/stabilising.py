@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log2
 from typing import Generic, NamedTuple, Protocol
@@ -42,7 +42,7 @@ import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import eigenvalues, pace, radius, summed
+from taciturn._modes import eigenvalues, pace, radius, root, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg._doubling import double
@@ -175,10 +175,35 @@ class Problem(Displayed):
         try:
             return self._proved(PRECISIONS[:1], len(self.given.A) > FEW)
         except UnprovedError:
-            free = None if self.continuous or is_definite(self.given.R) else free_inputs(self.given)
-            if free is not None:
-                return self._without(free)
+            if self.continuous or is_definite(self.given.R):
+                return self._proved(PRECISIONS[1:], False)
+        weight = np.block([[self.given.Q, self.given.N], [self.given.N.T, self.given.R]])
+        free = free_inputs(self.given, weight)
+        if free is not None:
+            return self._without(free)
+        try:
             return self._proved(PRECISIONS[1:], False)
+        except (
+            UnprovedError
+        ):  # such as a weight of low rank that is only semidefinite up to the rounding of its entries
+            rows = root(weight).T
+            if len(rows) == len(weight):
+                raise
+        squared, free = self._squared(rows), free_inputs(self.given, rows)
+        return squared._proved(PRECISIONS, False) if free is None else squared._without(free)
+
+    def _squared(self, rows: Array) -> Problem:
+        """Return the problem whose weight is the square of rows, a change of the given weight below its rounding."""
+        n, recipe = len(self.given.A), self.recipe
+        x, u = slice(n), slice(n, None)
+
+        def squared(arithmetic: type[E]) -> Equation[E]:
+            A, B, *_ = recipe(arithmetic)
+            D = arithmetic.exact(rows)
+            M = (D.T @ D).symmetric()
+            return Equation(A, B, M.part(x, x), M.part(u, u), M.part(x, u))
+
+        return replace(self, recipe=squared)
 
     def _proved(self, precisions: Sequence[int], doubles: bool) -> Solution:
         """Return the solution with a proof in one of the precisions, or in double precision."""

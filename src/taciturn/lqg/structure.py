@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from flint import fmpq_mat
 
-from taciturn._arrays import Bits
+from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, eigenvalues
 from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
@@ -132,15 +132,20 @@ class Free(Displayed):
     others: Bits
 
 
-def free_inputs(given: Quadratic) -> Free | None:
-    """Return the inputs of a problem that cost nothing, now or later; None if there is none."""
-    (n, m), (A, B, Q, R, N) = given.B.shape, (rational(part) for part in given)
-    state, push = above(Q, N.transpose()), above(N, R)  # their sum is zero for states and inputs that cost nothing
-    safe, nothing = rational(np.eye(n)), fmpq_mat(n + m, n)
+def free_inputs(given: Quadratic, rows: Array) -> Free | None:
+    """Return the inputs of a problem that cost nothing, now or later; None if there is none.
+
+    Args:
+        given: the problem, of which A and B are used.
+        rows: combinations of states and inputs that are zero if and only if these cost nothing, (any, n + m).
+    """
+    (n, m), z = given.B.shape, len(rows)
+    A, B, state, push = (rational(part) for part in (given.A, given.B, rows[:, :n], rows[:, n:]))
+    safe, nothing = rational(np.eye(n)), fmpq_mat(z, n)
     while True:  # states that inputs keep at no cost for ever
         found = kernel(above(beside(state, push, nothing), beside(A, B, safe * -1)))
         smaller = basis(lines(found, range(n)))
-        nothing = fmpq_mat(n + m, smaller.ncols())
+        nothing = fmpq_mat(z, smaller.ncols())
         if smaller.ncols() == safe.ncols():
             break
         safe = smaller
@@ -153,7 +158,7 @@ def free_inputs(given: Quadratic) -> Free | None:
             break
         inside = larger
     r = inside.ncols()
-    nothing = fmpq_mat(n + m, r)
+    nothing = fmpq_mat(z, r)
     moving = basis(lines(kernel(above(beside(push, nothing), beside(B, inside * -1))), range(m)))
     if not moving.ncols():
         return None
