@@ -76,6 +76,7 @@ def basis(matrix: fmpq_mat) -> fmpq_mat:
 
 
 def pivots(basis: fmpq_mat) -> Bits:
+    """Return a mask of the rows in which a basis in reduced form is the identity."""
     found = np.zeros(basis.nrows(), dtype=np.bool_)
     found[leading(basis.transpose())[1]] = True
     return found
