@@ -295,17 +295,17 @@ def _derivatives(f: Dynamics, point: Sequence[Array], many: int = 3) -> list[Arr
 
 
 def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
-    """Return f'(0) by central differences extrapolated to step zero; the most consistent extrapolation is used.
+    """Return f'(0) by central differences extrapolated to step zero; the extrapolation with the least doubt is used.
 
-    Two extrapolations of short steps may agree by chance, since f has only so many digits: what rounding leaves of a
-    difference counts as doubt too.
+    The doubt is the distance from other extrapolations plus the rounding error of the difference quotient. Without this
+    rounding error, two extrapolations of short steps that agree by chance would have no doubt.
     """
     best, least = None, np.inf
     before: list[Array] = []
     for _ in range(STEPS):
         high, low = f(step), f(-step)
         row = [(high - low) / (2 * step)]
-        rounding = float(np.finfo(float).eps * np.abs([high, low]).max() / step)
+        rounding = float(np.finfo(float).eps * np.abs([high, low]).max()) / step
         step /= 2
         if not np.isfinite(row[0]).all():
             before = []
@@ -314,8 +314,9 @@ def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
             row.append(row[j] + (row[j] - earlier) / (4.0 ** (j + 1) - 1))
         if before:
             apart = max(float(np.abs(row[-1] - other).max()) for other in (row[-2], before[-1]))
-            if apart + rounding < least:
-                best, least = row[-1], apart + rounding
+            doubt = apart + rounding
+            if doubt < least:
+                best, least = row[-1], doubt
             if apart <= SETTLED * max(float(np.abs(row[-1]).max()), 1e-300):
                 break
         before = row
