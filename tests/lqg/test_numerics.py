@@ -7,17 +7,19 @@ import pytest
 import scipy.linalg
 from digits import regulated, sampled
 from drawn import law
-from hypothesis import assume, reject
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from taciturn import Cost, Plant, design
 from taciturn._modes import accumulate, least_eigenvalue, radius, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _care, _dare, _mean_square
+from taciturn.lqg import _mean_square
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lossy import Channel, lossy_step, regulate_lossy
+from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.lqg.sampling import sample
+from taciturn.lqg.stabilising import Problem, exactly
 
 seeds = st.integers(0, 2**32 - 1)
 times = pytest.mark.parametrize("continuous", [False, True], ids=["discrete", "continuous"])
@@ -57,8 +59,7 @@ def test_the_error_of_a_solution_is_within_what_is_claimed(draw, seed, weak, con
     """K − exact lies between − and + error, for inputs that reach the states unequally well."""
     c = draw(seed)
     B = c.B * 10.0 ** c.rng.uniform(-weak, 0, (len(c.A), 1))
-    found = (_care if continuous else _dare).solve(c.A, B, c.Q, c.R, c.N)
-    assume(found is not None)
+    found = Problem(*exactly(Quadratic(c.A, B, c.Q, c.R, c.N)), continuous).solve()
     K, _ = regulated(c.A, B, c.Q, c.R, c.N, found.L, continuous)
     unit = np.sqrt(np.diag(K))
     claimed, error = (part / unit / unit[:, None] for part in (found.error, found.K - K))
@@ -138,7 +139,7 @@ def turned(unstable: float, reached: float, angle: float) -> tuple[np.ndarray, n
 @pytest.mark.parametrize("angle", [0.0, 0.7])
 @pytest.mark.parametrize("digits", range(2, 15, 2))
 def test_an_unstable_mode_that_is_hardly_reached_is_right_or_refused(digits, angle, continuous):
-    """Reached by 1e-2 … 1e-14: K to the promised tolerance, or a sentence that says why not."""
+    """Reached by 1e-2 … 1e-14: K to nine digits, or a gain that no double holds."""
     A, B = turned(0.2 if continuous else 1.2, 10.0**-digits, angle)
     problem = A, B, np.eye(2), np.eye(1), np.zeros((2, 1))
     try:
@@ -149,14 +150,11 @@ def test_an_unstable_mode_that_is_hardly_reached_is_right_or_refused(digits, ang
         refusal = ""
     if refusal:
         assert angle, "what is only a matter of units is solved"
-        assert digits >= 8, refusal
-        assert any(
-            reason in refusal
-            for reason in ("uncontrollable through B", "too badly conditioned", "that can be computed reliably")
-        )
+        assert digits >= 10, refusal
+        assert "more digits than a double holds" in refusal  # a rounded gain of 1e8 does not stabilise
         return
     K, _ = regulated(*problem, found.L, continuous)
-    assert off(found.K, K) < TOLERANCE
+    assert off(found.K, K) < 1e-9
 
 
 @times
@@ -238,13 +236,11 @@ def test_units_of_weights_do_not_decide_whether_they_are_definite():
     assert np.linalg.matrix_rank(Cost(column @ column.T, [[1.0]]).Q) == 1
 
 
-def test_a_slow_mode_beyond_reach_decays_in_any_unit_of_time():
-    """−1e-13 per second is a stable mode of a plant whose pace is as slow, and the edge of one that is fast."""
-    weights = np.eye(2), np.eye(1), np.zeros((2, 1))
-    found = regulate_continuous(np.diag([-1e-13, -2e-13]), [[0.0], [1e-13]], *weights)
+@pytest.mark.parametrize("fast", [2e-13, 2.0, 2e13])
+def test_a_slow_mode_beyond_reach_decays_in_any_unit_of_time(fast):
+    """−1e-13 per second is a stable mode, next to another one of any pace."""
+    found = regulate_continuous(np.diag([-1e-13, -fast]), [[0.0], [fast]], np.eye(2), np.eye(1), np.zeros((2, 1)))
     assert found.K[0, 0] == pytest.approx(5e12)
-    with pytest.raises(UnstableError, match="through B; this mode lies on the imaginary axis and affects the cost"):
-        regulate_continuous(np.diag([-1e-13, -2.0]), [[0.0], [1.0]], *weights)
 
 
 @pytest.mark.parametrize("fast", [1e2, 1e5, 1e8])
@@ -258,12 +254,11 @@ def test_a_stiff_plant_keeps_the_digits_of_its_slow_mode(fast):
     assert off(np.block([[found.Q, found.N], [found.N.T, found.R]]), weight) < 1e-12
 
 
-def test_a_phase_without_digits_is_refused():
-    """An undamped oscillator of 1e12 rad/s is sampled every 1e-3 s, not every second."""
+def test_a_phase_keeps_its_digits_over_any_number_of_turns():
+    """An undamped oscillator of 1e12 rad/s over 10 s: 1e13 radians, whose cosine a library reduces exactly."""
     A, B, N = np.array([[0.0, 1e12], [-1e12, 0.0]]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
-    assert np.isfinite(sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 1e-6).W).all()
-    with pytest.raises(ProblemError, match="expected a shorter period"):
-        sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 10.0)
+    found = sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 10.0)
+    assert found.A[0] == pytest.approx([np.cos(1e13), np.sin(1e13)], rel=1e-15)
 
 
 def chain(masses: int) -> tuple[np.ndarray, np.ndarray]:
@@ -277,10 +272,8 @@ def test_thirty_masses_in_a_row_are_solved_and_lose_packets():
     """Sixty undamped states: regulator and lossy fixed point hold their equations and claim an error below 1e-8."""
     A, B = chain(30)
     plant = sample(A, B, np.eye(60), np.eye(1), np.zeros((60, 1)), np.eye(60), 0.3)
-    found = _dare.solve(plant.A, plant.B, plant.Q, plant.R, plant.N)
-    assert found is not None
-    assert found.residual < 1e-13
-    assert found.doubt < 1e-8
+    found = Problem(*exactly(Quadratic(plant.A, plant.B, plant.Q, plant.R, plant.N))).solve()
+    assert (found.error.diagonal() < 1e-8 * found.K.diagonal()).all()
     channel = Channel(0.2, 0.3, acknowledged=False, delayed=False)
     lossy = regulate_lossy(plant.A, plant.B, plant.Q, np.eye(1), channel)
     K, P, *_ = lossy_step(plant.A, plant.B, plant.Q, np.eye(1), lossy.K, lossy.P, channel)

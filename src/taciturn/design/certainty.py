@@ -22,9 +22,9 @@ from taciturn.design.anti_windup import within_limits
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import Filter, expect_known_start, filter_given
+from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
-from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
+from taciturn.lqg.riccati import Regulator, refuse_uncertain
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import IDEAL, Network
@@ -131,8 +131,8 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     """
     expect_average(kind, problem.cost)
     plant = problem.plant
-    regulator = regulate_checked(plant.A, plant.B, problem.Q, problem.R, problem.N, 1.0)
-    steady = filter_given(plant.A, plant.C, plant.W, plant.V, plant.set_points)
+    regulator = problem.regulator()
+    steady = problem.filter()
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))

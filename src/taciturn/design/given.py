@@ -28,7 +28,6 @@ from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import filter_checked
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
@@ -91,7 +90,7 @@ def keep_controller(
             f"actuation is 'model', {why}, and the cost is a total; expected an average cost, or 'hold': the receiver "
             "keeps its last value"
         )
-    steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
+    steady = problem.filter()
     if retry and (not lossy or every > 1):
         why = f"every is {every}" if lossy else "no packet is acknowledged and dropped"
         raise ProblemError(f"retry is true, and {why}; expected an acknowledged link that drops packets, and every = 1")

@@ -13,7 +13,7 @@ from taciturn.design.prices import price_control
 from taciturn.design.routes import actuator_base
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.kalman import Filter, filter_checked
+from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held
 from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.cost import Cost
@@ -103,12 +103,12 @@ def lqg_observer(
         )
     plant = problem.plant
     if L is not None:
-        return observer_controller(plant, filter_checked(plant.A, plant.C, plant.W, plant.V), L)
+        return observer_controller(plant, problem.filter(), L)
     if not problem.cost.mission:
         certainty = design_certainty(kind, problem)
         steady, gain, moved, shrunk = certainty.filter, certainty.regulator.L, certainty.corrections, 1.0
     else:
-        steady, gain = filter_checked(plant.A, plant.C, plant.W, plant.V), price_control(problem).L
+        steady, gain = problem.filter(), price_control(problem).L
         moved, shrunk = plant.W, np.sqrt(problem.cost.discount)
     if every > 1:  # with a discount, in states and inputs that are smaller by its root in each step
         factor = 0.0 if zero else shrunk

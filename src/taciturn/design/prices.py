@@ -10,7 +10,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.certainty import CLOCK
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.riccati import refuse_uncertain, regulate_discounted, regulate_finite
+from taciturn.lqg.riccati import refuse_uncertain, regulate_finite
 from taciturn.model.trigger import Matrix, Scheduled
 
 
@@ -94,12 +94,11 @@ def price_control(problem: Discrete) -> Prices:
     Source: khashooei2017
     """
     plant, cost = problem.plant, problem.cost
-    data = (plant.A, plant.B, problem.Q, problem.R, problem.N)
     if cost.horizon is None:
-        best = regulate_discounted(*data, cost.discount)
+        best = problem.regulator()
         return Prices(problem, best.K, best.L, best.H, best.error)
     assert cost.terminal is not None
-    finite = regulate_finite(*data, cost.terminal, cost.horizon)
+    finite = regulate_finite(*problem.quadratic, cost.terminal, cost.horizon)
     return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
 
 

@@ -63,7 +63,13 @@ class SameControl(Displayed):
         dt = None if plant.dt is None else plant.dt * steps
         try:
             slow = replace(
-                problem, plant=Plant(long.A, long.B, long.W, plant.C, plant.V, dt), Q=long.Q, R=long.R, N=long.N
+                problem,
+                plant=Plant(long.A, long.B, long.W, plant.C, plant.V, dt),
+                Q=long.Q,
+                R=long.R,
+                N=long.N,
+                exact=None,
+                deviations=None,
             )
             base = actuator_base(slow, self.kept.at(dt, plant.inputs, plant.outputs))
             return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps

@@ -11,13 +11,14 @@ regulator's share, and the share of the estimation error with covariance Σ.
 
 Read the modules in this order:
 
-1. ``riccati`` and ``kalman``: gains and filters, over infinite and finite horizons. The solvers are ``_dare`` and
-   ``_care``. They choose coordinates (``_axes``), leave out states whose cost-to-go is zero (``_worth``), start with
-   the doubling algorithm (``_doubling``), and end with Newton's method and an error bound (``_newton``). A solution
-   that is not accurate to 1e-6 is rejected.
-2. ``sampling`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between samples.
+1. ``riccati`` and ``kalman``: gains and filters, over infinite and finite horizons. Their equations are solved by
+   ``stabilising``, with a proof of the error, in one of the arithmetics of ``enclosures``: balls of any precision, or
+   doubles with bounds on their rounding. ``structure`` leaves out states whose cost-to-go is zero, and inputs that cost
+   nothing.
+2. ``sampling``, ``intervals`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between
+   samples, to the precision that a proof asks for.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``_mean_square``: control over links that drop packets, and the critical loss probabilities.
-5. ``queries``, ``_flow`` and ``_interval``: the value of a measurement, and the resulting schedule of measurements;
-   ``variances``: schedules of several sensors by the variances of the predicted outputs.
+5. ``queries`` and ``_flow``: the value of a measurement, and the resulting schedule of measurements; ``variances``:
+   schedules of several sensors by the variances of the predicted outputs.
 """

@@ -9,15 +9,17 @@ from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array, Bits, instance, number
+from taciturn._arrays import Array, Bits, frozen, instance, number, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
-from taciturn.lqg import _dare
-from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._followed import Followed, followed
-from taciturn.lqg._worth import closure
+from taciturn.lqg.intervals import Exact
+from taciturn.lqg.kalman import Filter, filter_sampled
+from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.riccati import Regulator, regulate_sampled
 from taciturn.lqg.sampling import sample, sample_prediction
+from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
@@ -32,8 +34,26 @@ INSTANTS = (
     "at the sampling instants; nothing is claimed for the integral, or for another period"
 )
 SHORTEST = 1e-100  # period whose inverse and squares are numbers
+HIDDEN = "source", "rest", "instants", "exact", "deviations"
 LEAST = 1e-10  # movement within a period, in units of the state, that leaves digits of what a plant does in a step
 GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Deviations(Displayed):
+    """The problem of the deviations of states and inputs from those at which disturbances and set-points cost nothing.
+
+    Args:
+        T: matrix of the deviations (x − Xd, d) in terms of the states (x, d).
+        U: inputs that cost nothing, in terms of the states, (m, n).
+        problem: the problem of the deviations.
+        exact: this problem to any precision.
+    """
+
+    T: Array
+    U: Array
+    problem: Quadratic
+    exact: Exact | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,6 +73,9 @@ class Discrete(Displayed):
         rest: the state and input from which the cost counts deviations; None for zero.
         instants: whether the cost is that of the deviations at the sampling instants, because disturbances let the
             integral of the cost grow without limit; otherwise it is the integral, or a sum over the steps.
+        exact: the sampled problem to any precision; None if its doubles are exact. With disturbances and set-points,
+            it only has A, B and W.
+        deviations: with disturbances and set-points, the problem of the deviations, which has the cost.
     """
 
     plant: Plant
@@ -68,11 +91,35 @@ class Discrete(Displayed):
     source: Plant | ContinuousPlant | None = None
     rest: OperatingPoint | None = None
     instants: bool = False
+    exact: Exact | None = None
+    deviations: Deviations | None = None
+
+    def regulator(self) -> Regulator:
+        """Return the optimal regulator of an average or discounted cost.
+
+        Raises:
+            UnstableError: no stabilising gain exists, as :func:`~taciturn.lqg.riccati.regulate_discounted` says.
+        """
+        own, discount = self.deviations, self.cost.discount
+        if own is None:
+            return regulate_sampled(self.exact, *self.quadratic, discount)
+        found = regulate_sampled(own.exact, *own.problem, discount)
+        K, error = (frozen(symmetrised(own.T.T @ part @ own.T)) for part in (found.K, found.error))
+        return Regulator(K, frozen(found.L @ own.T + own.U), found.H, error, found.slowest)
+
+    def filter(self) -> Filter:
+        """Return the steady Kalman filter; it takes over set-points that change.
+
+        Raises:
+            UnstableError: no stable filter exists, as :func:`~taciturn.lqg.kalman.steady_filter` says.
+        """
+        p = self.plant
+        return filter_sampled(self.exact, p.A, p.C, p.W, p.V, p.set_points)
 
     def summary(self) -> Mapping[str, object]:
         """Return the fields by name, with the number of inputs of the plant before it was sampled."""
         shown = {**super().summary(), "plant": self.short()}
-        return {name: value for name, value in shown.items() if name not in ("source", "rest", "instants")}
+        return {name: value for name, value in shown.items() if name not in HIDDEN}
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
@@ -98,7 +145,7 @@ class Discrete(Displayed):
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
-        return _dare.worth(*self.quadratic).resting if self.followed is None else self.followed.states
+        return worth_of(self.quadratic).resting if self.followed is None else self.followed.states
 
     @property
     def quadratic(self) -> Quadratic:
@@ -124,7 +171,7 @@ class Discrete(Displayed):
         )  # fmt: skip
         point = p.operating_point
         plant = counted_from(plant, None if point is None else OperatingPoint(point.x[states], point.u), p)
-        return replace(self, plant=plant, Q=self.Q[place], N=self.N[states])
+        return replace(self, plant=plant, Q=self.Q[place], N=self.N[states], exact=None, deviations=None)
 
     @property
     def gaussian(self) -> bool:
@@ -236,7 +283,18 @@ def discretise(
     discrete = counted_from(discrete, point, plant)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return Discrete(
-        discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction, plant
+        discrete,
+        sampled.Q,
+        sampled.R,
+        sampled.N,
+        cost,
+        period,
+        sampled.noise_cost,
+        jumps,
+        True,
+        prediction,
+        plant,
+        exact=sampled.exact,
     )
 
 

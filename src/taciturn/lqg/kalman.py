@@ -12,11 +12,12 @@ from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, lost_modes, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _dare
-from taciturn.lqg._axes import Quadratic, rounding_floor
 from taciturn.lqg._cache import kept
-from taciturn.lqg._newton import refuse_doubtful
-from taciturn.lqg._worth import Worth, closure
+from taciturn.lqg.enclosures import E, UnprovedError
+from taciturn.lqg.intervals import Exact
+from taciturn.lqg.quadratic import Quadratic, price
+from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
+from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding
@@ -28,7 +29,7 @@ class Filter(Displayed):
 
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, and ``innovation`` is the
     covariance S of y − C x̂⁻. The corrections of the estimate have the covariance gain S gain' = prior − posterior.
-    ``error`` bounds the rounding error of the prior: −error ⪯ prior − exact ⪯ error, to first order. ``slowest`` is the
+    ``error`` is a proved bound on the error of the prior: −error ⪯ prior − exact ⪯ error. ``slowest`` is the
     modulus of the slowest mode of the filter error, A − A gain C, without the modes of ``resting_states``, whose
     covariance and gain are 0.
     """
@@ -39,22 +40,6 @@ class Filter(Displayed):
     innovation: Array
     error: Array
     slowest: float
-
-    def among(self, unknown: Bits, worth: Worth) -> Filter:
-        """Return this filter extended to a plant with additional states that no noise reaches.
-
-        Args:
-            unknown: the states of this filter.
-            worth: the modes of the additional states.
-        """
-        if unknown.all():
-            return self
-        n, p = len(unknown), self.gain.shape[1]
-        place = np.ix_(unknown, unknown)
-        prior, posterior, error, gain = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, p))
-        prior[place], posterior[place], error[place], gain[unknown] = self.prior, self.posterior, self.error, self.gain
-        slowest = max(self.slowest, float(np.abs(worth.decaying).max(initial=0.0)))
-        return Filter(prior, posterior, gain, self.innovation, error, slowest)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,7 +135,7 @@ def predict_covariances(
     prior, posterior, gains = np.zeros((size, n, n)), np.zeros((size, n, n)), np.zeros((size, n, p))
     for k in range(size):
         prior[k] = Sigma
-        gains[k] = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
+        gains[k] = Sigma @ C.T @ price(C.T, Sigma, V)[1]
         posterior[k] = _posterior(Sigma, gains[k], C, V)
         with np.errstate(over="ignore", invalid="ignore"):
             Sigma = symmetrised(A @ posterior[k] @ A.T + W)
@@ -189,7 +174,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
     """
     A, C, W, V = _checked(A, C, W, V)
     Sigma = _arrays.semidefinite("Sigma", Sigma, A.shape[0], "states × states")
-    gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
+    gain = Sigma @ C.T @ price(C.T, Sigma, V)[1]
     return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
 
 
@@ -198,7 +183,7 @@ def resting_states(plant: Plant) -> Bits:
 
     The estimation error of these states remains that of the start.
     """
-    return _dare.worth(plant.A.T, plant.C.T, plant.W, plant.V, np.zeros((plant.states, plant.outputs))).resting
+    return worth_of(_dual(plant.A, plant.C, plant.W, plant.V)).resting
 
 
 def expect_known_start(plant: Plant, seen: Bits) -> None:
@@ -249,20 +234,22 @@ def forgetting(
     return 1 / (1 - max(regulated, slowest))
 
 
-def filter_given(A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
-    """Return the steady Kalman filter of a plant whose last states, such as set-points, are its last outputs.
+@kept
+def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
+    """Return the steady Kalman filter of a plant whose A and W are known to any precision, and whose doubles are given.
 
-    Nothing else depends on these states, and their outputs have no noise: the filter takes them over, also those that
-    never move.
+    The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
+    outputs have no noise: the filter takes them over, also those that never move.
 
     Args:
+        exact: A and W to any precision; None if the doubles are exact.
         A, C, W, V: the matrices of the plant, which were already checked.
         given: number of these states and outputs.
     """
-    if not given:
-        return filter_checked(A, C, W, V)
     n, p = len(A) - given, len(C) - given
-    found, unit = filter_checked(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p]), np.eye(given)
+    found, unit = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact), np.eye(given)
+    if not given:
+        return found
     moved, none = W[n:, n:], np.zeros((given, given))
     return _frozen(
         Filter(
@@ -279,58 +266,65 @@ def filter_given(A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
 @kept
 def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
     """Return the steady Kalman filter, as :func:`steady_filter` does, for matrices that were already checked."""
+    return _filtered(A, C, W, V, None)
+
+
+def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Filter:
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
         none, slowest = np.zeros((n, n)), radius(A - A @ gain @ C)
         return _frozen(Filter(W, none, gain, C @ W @ C.T, none, slowest))
-    worth = _dare.worth(A.T, C.T, W, V, np.zeros((n, p)))
-    calm = not W.any() and not V.any()  # nothing is random: the gain is computed as for noise on all states and outputs
-    unknown = ~worth.resting if calm else worth.states
-    place = np.ix_(unknown, unknown)
-    noise = (np.eye(int(unknown.sum())), np.eye(p)) if calm else (W[place], V)
+    given = _dual(A, C, W, V)
+    if not W.any() and not V.any():  # nothing is random: the gain is computed as for noise on all states and outputs
+        moving = ~worth_of(given).resting
+        unit = _filter(*exactly(_dual(A, C, np.diag(moving.astype(np.float64)), np.eye(p))))
+        none = np.zeros((n, n))
+        return _frozen(replace(unit, prior=none, posterior=none, innovation=np.zeros((p, p)), error=none))
+
+    def recipe(arithmetic: type[E]) -> Equation[E]:
+        assert exact is not None, "only a sampled plant has a recipe"
+        step, states = exact(arithmetic), slice(n)
+        A, W = step.A.part(states, states), step.W.part(states, states)
+        return Equation(A.T, arithmetic.exact(C.T), W, arithmetic.exact(V), arithmetic.exact(np.zeros((n, p))))
+
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _filter(A[place], C[:, unknown], *noise)
-    if found is None:
-        _refuse_unreached(A[place], noise[0])
-        raise UnstableError(
-            "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
-            "on the unit circle, or the data are too badly conditioned; give V a small positive part"
-        )
-    if calm:
-        none = np.zeros_like(found.prior)
-        found = replace(found, prior=none, posterior=none, innovation=np.zeros((p, p)), error=none)
+        found = _filter(*exactly(given)) if exact is None else _filter(given, recipe, True)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
             "outputs in larger units"
         )
-    return _frozen(found.among(unknown, worth))
+    return _frozen(found)
 
 
-def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
-    """Return the filter by duality with the regulator of (A', C', W, V), or None."""
-    found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
-    if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
-        _refuse_unseen(A, C)
-        if is_definite(V):
-            _refuse_unreached(A, W)
-    if found is None:
-        return None
-    refuse_doubtful(found, "filter", "that are better observable, or a plant without these modes", A)
-    L = found.L
-    Sigma = _without_crumbs(found.K, L, A, C, W, V)
-    S, inverse = _dare.price(C.T, Sigma, V)
-    gain = Sigma @ C.T @ inverse
-    slowest, definite = found.slowest, is_definite(S)
-    if not definite:
+def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
+    """Return the regulator problem whose cost-to-go is the covariance of the filter's prediction."""
+    return Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape))
+
+
+def _filter(given: Quadratic, recipe: Recipe, sampled: bool = False) -> Filter:
+    """Return the filter by duality with the regulator of (A', C', W, V)."""
+    A, C, W, V, _ = (part.T for part in given)
+    try:
+        found = Problem(given, recipe, sampled=sampled, dual=True).solve()
+    except UnprovedError as error:
+        unknown = worth_of(given).states
+        place = np.ix_(unknown, unknown)
+        _refuse_unseen(A[place], C[:, unknown])
+        _refuse_unreached(A[place], W[place])
+        raise UnstableError(
+            "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
+            f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"
+        ) from None
+    if not found.held:
+        raise not_held("filter", A)
+    Sigma, gain, S = found.K, found.correction.T, found.H
+    if found.free:
         # −L' = A gain also in the directions that S leaves free; −L' = A X there for some X, by construction.
-        gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
-    if not definite or Sigma is not found.K:
-        slowest = radius(A - A @ gain @ C)
-        if slowest >= 1 - _dare.MARGIN:
-            return None
-    return Filter(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, slowest)
+        inverse = price(C.T, Sigma, V)[1]
+        gain = gain + np.linalg.pinv(A) @ (-found.L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
+    return Filter(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, found.slowest)
 
 
 def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
@@ -341,15 +335,6 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
     if is_definite(V):
         return posterior
     half = root(posterior, Sigma, CRUMB)
-    return half @ half.T
-
-
-def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
-    """Return ``Sigma`` with zeros for variances that are rounding or that iterations drive to zero."""
-    kept = np.diag(Sigma) > rounding_floor(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), Sigma, L)
-    if kept.all() and is_definite(Sigma):
-        return Sigma
-    half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
 
 

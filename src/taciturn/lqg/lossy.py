@@ -16,10 +16,9 @@ from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
-from taciturn.lqg import _dare
-from taciturn.lqg._axes import Quadratic, rounding_floor, units_of
 from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg._repetition import Repetition, fill_earlier
+from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import regulate, states_with_cost
 
 TURNS = 100
@@ -94,7 +93,7 @@ def lossy_step(
 
     Source: khashooei2017, schenato2007
     """
-    inverse = _dare.price(B, K + channel.coupling * P, R)[1]
+    inverse = price(B, K + channel.coupling * P, R)[1]
     cross = B.T @ K @ A
     L = -inverse @ cross
     Gamma = symmetrised((1 - channel.actuator_loss) * cross.T @ inverse @ cross)
@@ -182,14 +181,14 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
 def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
     """Return the gains of a problem whose states all have a cost-to-go."""
     A, B, Q, R, N = given
-    plain = regulate(
-        A, B, Q, R, N
-    )  # raises an error for uncontrollable modes and for modes that do not affect the cost
-    axes = units_of(A + B @ plain.L, plain.K, plain.H, rounding_floor(given, plain.K, plain.L))
-    here = axes.problem(given)
-    L = axes.gain(plain.L)
+    plain = regulate(*given)  # raises an error for uncontrollable modes and for modes that do not affect the cost
+    state, unit = in_powers_of_two(plain.K.diagonal()), in_powers_of_two(plain.H.diagonal())
+    here = Quadratic(
+        A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None], R * unit * unit[:, None], N
+    )
+    L = plain.L * state / unit[:, None]
     if not _loop(here.A, here.B, L, channel).bounded:
-        L = axes.gain(_stabilising(A, B, channel))
+        L = _stabilising(A, B, channel) * state / unit[:, None]
     previous = gap = np.inf
     for _ in range(TURNS):
         check_time()
@@ -201,9 +200,9 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         following = lossy_step(here.A, here.B, here.Q, here.R, K, P, channel)
         change = max(float(np.abs(following[0] - K).max()), float(np.abs(following[1] - P).max()))
         if change <= 1e-13 * gap or (change <= 1e-9 * gap and change >= 0.5 * previous):
-            error = axes.form_from(_doubt(here, K, P, following, channel))
-            K, P, Gamma = (axes.form_from(following[i]) for i in (0, 1, 3))
-            return LossyRegulator(*(frozen(part) for part in (K, P, axes.gain_from(following[2]), Gamma, error)))
+            forms = following[0], following[1], following[3], _doubt(here, K, P, following, channel)
+            K, P, Gamma, error = (frozen(form / state / state[:, None]) for form in forms)
+            return LossyRegulator(K, P, frozen(following[2] * unit[:, None] / state), Gamma, error)
         previous, L = change, following[2]
     raise UnstableError(
         "the lossy Riccati recursion did not converge: the last iteration had a relative change of "
@@ -338,7 +337,7 @@ def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
 
 
 def _free_gain(A: Array, B: Array, K: Array, P: Array, channel: Channel) -> Array:
-    return -_dare.price(B, K + channel.coupling * P, np.zeros((B.shape[1],) * 2))[1] @ B.T @ K @ A
+    return -price(B, K + channel.coupling * P, np.zeros((B.shape[1],) * 2))[1] @ B.T @ K @ A
 
 
 def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) -> MeanSquare:

@@ -17,11 +17,12 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
-from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._dare import price
 from taciturn.lqg._doubling import double
-from taciturn.lqg._interval import Interval, Sampled, repeat, split
-from taciturn.lqg.riccati import regulate
+from taciturn.lqg.enclosures import E, UnprovedError, block
+from taciturn.lqg.intervals import Interval, Sampled, Step, sampled
+from taciturn.lqg.quadratic import Quadratic, price
+from taciturn.lqg.riccati import regulate_for
+from taciturn.lqg.stabilising import Equation
 
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
@@ -64,13 +65,20 @@ def lift(
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
     every = _arrays.count("every", every)
-    F = np.block([[A, B], [np.zeros((m, n)), factor * np.eye(m)]])
-    once = Interval(F, np.block([[Q, N], [N.T, R]]), np.pad(W, ((0, m), (0, m))), 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):
-        whole = repeat(once, every)
-    if not all(np.isfinite(part).all() for part in (whole.Phi, whole.M, whole.G, whole.noise_cost)):
-        raise ProblemError(f"every is {every}, over which the state overflows; hold the input for fewer steps")
-    return split(whole, n)
+    F, M = np.block([[A, B], [np.zeros((m, n)), factor * np.eye(m)]]), np.block([[Q, N], [N.T, R]])
+    G = np.pad(W, ((0, m), (0, m)))
+
+    def build(arithmetic: type[E]) -> Step[E]:
+        exact = arithmetic.exact
+        once = Interval(exact(F), exact(M), exact(G), exact(np.zeros((1, 1))))
+        return once.repeated(every).split(n)
+
+    try:
+        return sampled(build, n + m)
+    except UnprovedError:
+        raise ProblemError(
+            f"every is {every}, over which the state overflows; hold the input for fewer steps"
+        ) from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -203,8 +211,28 @@ class Held:
 def _at_the_start(stretches: Sequence[Sampled]) -> Array:
     """Return K at the first send, from the cycle as one problem whose input contains the inputs of all sends."""
     A, B, Q, R, N = (np.array([[getattr(stretch, name)] for stretch in stretches]) for name in "ABQRN")
-    whole = [part[0] for part in _stacked(A, B, Q, R, N)]
-    return regulate(*whole).K
+    whole = Quadratic(*(part[0] for part in _stacked(A, B, Q, R, N)))
+
+    def recipe(arithmetic: type[E]) -> Equation[E]:
+        return _joined(arithmetic, [stretch.exact(arithmetic) for stretch in stretches])
+
+    return regulate_for(whole, recipe).K
+
+
+def _joined(arithmetic: type[E], steps: Sequence[Step[E]]) -> Equation[E]:
+    """Return one problem for the intervals of a cycle, whose input contains the inputs of all sends."""
+    n, m = steps[0].B.shape
+    x, u = slice(n), slice(n, None)
+    size = n + len(steps) * m
+    reach = arithmetic.exact(np.eye(n, size))  # maps the state at the first send and the inputs to that at send k
+    M = arithmetic.exact(np.zeros((size, size)))
+    for k, step in enumerate(steps):
+        now = arithmetic.exact(np.eye(size)[n + k * m : n + (k + 1) * m])
+        both = block([[reach], [now]])
+        weight = block([[step.Q, step.N], [step.N.T, step.R]])
+        M = (M + both.T @ weight @ both).symmetric()
+        reach = step.A @ reach + step.B @ now
+    return Equation(reach.part(x, x), reach.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u))
 
 
 def _stacked(A: Array, B: Array, Q: Array, R: Array, N: Array) -> tuple[Array, Array, Array, Array, Array]:

@@ -10,7 +10,8 @@ from taciturn._arrays import Array, ArrayLike, number, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import balancing
 from taciturn.errors import ProblemError
-from taciturn.lqg._interval import Interval, integrate_interval
+from taciturn.lqg.enclosures import E
+from taciturn.lqg.intervals import Sampled, Step, integrated, sampled
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 
 GRID = 400  # intervals at which the cost is evaluated
@@ -42,15 +43,15 @@ class PredictionCost(Displayed):
 
     def flow(self, length: float) -> Array:
         """Return e^{Ah}, (n, n)."""
-        return self._over(length).Phi
+        return self._over(length).A
 
     def spread(self, length: float) -> Array:
         """Return V(h), the covariance of the prediction error h seconds after a correction, (n, n)."""
-        return self._over(length).G
+        return self._over(length).W
 
     def weight(self, length: float) -> Array:
         """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, the weight of an error's cost over the next h seconds, (n, n)."""
-        return self._over(length).M
+        return self._over(length).Q
 
     def growth(self, length: float) -> float:
         """Return g(h), the cost per second that corrections every h seconds add to the cost with a known state."""
@@ -66,7 +67,7 @@ class PredictionCost(Displayed):
         It equals tr(S(hV(h) − ∫_0^h V)).
         """
         found = self._over(length)
-        return float(length * np.sum(self.S * found.G) - found.noise_cost)
+        return float(length * np.sum(self.S * found.W) - found.noise_cost)
 
     @property
     def initial_slope(self) -> float:
@@ -106,9 +107,9 @@ class PredictionCost(Displayed):
             found = self._reached(h)
             if found is None:
                 break
-            flow = found.Phi
+            flow = found.A
             rate = float(np.sum(self.S * (flow @ self.W @ flow.T)))
-            slope = (float(np.sum(self.S * found.G)) - found.noise_cost / h) / h
+            slope = (float(np.sum(self.S * found.W)) - found.noise_cost / h) / h
             if rate - 2 * slope < -1e-9 * max(scale, abs(rate), abs(slope)):
                 return h
         return longest
@@ -120,15 +121,21 @@ class PredictionCost(Displayed):
         beyond = np.isfinite(longest) and longest > lasting
         return lengths + (np.geomspace(lasting, longest, GRID)[1:].tolist() if beyond else [])
 
-    def _reached(self, length: float) -> Interval | None:
+    def _reached(self, length: float) -> Sampled | None:
         """Return the integrals over an interval, or None if the error overflows."""
         try:
             return self._over(length)
         except ProblemError:
             return None
 
-    def _over(self, length: float) -> Interval:
-        return integrate_interval(self.A, self.S, self.W, number("length", length, 0.0), balancing(self.A))
+    def _over(self, length: float) -> Sampled:
+        length, units = number("length", length, 0.0), balancing(self.A)
+
+        def build(arithmetic: type[E]) -> Step[E]:
+            F, M, G = (arithmetic.exact(part) for part in (self.A, self.S, self.W))
+            return integrated(arithmetic, F, M, G, length, units).split(len(units))
+
+        return sampled(build, len(units))
 
 
 def prediction_cost(

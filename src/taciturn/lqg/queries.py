@@ -13,12 +13,12 @@ from taciturn._display import Displayed
 from taciturn._modes import radius, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
-from taciturn.lqg import _dare
 from taciturn.lqg._cache import kept
 from taciturn.lqg._flow import Flow, riccati_flow
 from taciturn.lqg._repetition import Repetition
-from taciturn.lqg._worth import closure
 from taciturn.lqg.kalman import resting_states, steady_filter
+from taciturn.lqg.quadratic import price
+from taciturn.lqg.structure import closure
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 
@@ -89,7 +89,7 @@ class Predictor:
         if self._noisy:
             turned = np.linalg.solve(seen @ C.T + V, seen)
             return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
-        prices = [_dare.price(C.T, one, V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
+        prices = [price(C.T, one, V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
         S, inverse = (np.reshape(part, (*Sigma.shape[:-2], *V.shape)) for part in zip(*prices, strict=True))
         return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(V)) - S @ inverse)
 

@@ -21,9 +21,12 @@ from taciturn._arrays import Array, block_diagonal, symmetrised
 from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
-from taciturn.lqg._worth import paths
-from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.discrete import Deviations, Discrete
+from taciturn.lqg.enclosures import E, block
+from taciturn.lqg.intervals import Exact, Step
+from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.sampling import Sampled, sample, sample_moving
+from taciturn.lqg.structure import paths
 from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.disturbed import DisturbedDynamics
@@ -132,11 +135,15 @@ def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array,
 
 def _is_still(U: Array, S: Array) -> bool:
     """Return whether the modes of d that do not decay leave Ud at rest, so that U S d is zero or decays."""
-    moved = U @ S
-    moved = np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
-    seen = invariant(unit_columns(moved.T), [S.T])
+    seen = invariant(unit_columns(_moves(U, S).T), [S.T])
     rates = eigenvalues(seen.T @ S.T @ seen).real
     return not (rates > -SCATTER * pace(S)).any()
+
+
+def _moves(U: Array, S: Array) -> Array:
+    """Return U S, the movement of the input that d needs, without rounding errors of entries that are zero."""
+    moved = U @ S
+    return np.where(np.abs(moved) > STILL * (np.abs(U) @ np.abs(S)), moved, 0.0)
 
 
 def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
@@ -155,6 +162,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     A = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
     W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
     B, noise_cost, instants = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost, False
+    exact, own = None, None
     weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
     stage = np.insert(np.insert(weights, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
     changes = None if e.changes is None else e.changes.sampled(base.tick)
@@ -176,9 +184,10 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
             noise_cost = 0.0
         else:
             within = _within_a_period(source, e, base.cost, X, U, given, base.tick)
+            own = Quadratic(within.A, within.B, within.Q, within.R, within.N), within.exact
             noise_cost = within.noise_cost
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
-        A, W = sampled.A, sampled.W
+        A, W, exact = sampled.A, sampled.W, sampled.exact
     else:
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
     _expect_reached(plant, U, e)
@@ -187,6 +196,9 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     deviation = np.eye(n + q + m)
     deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
     whole = symmetrised(deviation.T @ stage @ deviation)
+    if own is None:
+        own = _apart(base, A[n:, n:])
+    deviations = Deviations(deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
@@ -204,8 +216,34 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         object.__setattr__(with_all, "alone", source)
     return replace(
         base, plant=with_all, Q=whole[: n + q, : n + q], N=whole[: n + q, n + q :], noise_cost=noise_cost,
-        source=source, instants=instants,
+        source=source, instants=instants, exact=exact, deviations=deviations,
     )  # fmt: skip
+
+
+def _apart(base: Discrete, S: Array) -> tuple[Quadratic, Exact | None]:
+    """Return the problem of a plant next to states with dynamics S that cost nothing and move nothing else."""
+    exact, more, (A, B, Q, R, N) = base.exact, len(S), base.quadratic
+    given = Quadratic(
+        block_diagonal(A, S),
+        np.pad(B, ((0, more), (0, 0))),
+        np.pad(Q, (0, more)),
+        R,
+        np.pad(N, ((0, more), (0, 0))),
+    )
+    if exact is None:
+        return given, None
+
+    def build(arithmetic: type[E]) -> Step[E]:
+        step = exact(arithmetic)
+        late, side = arithmetic.exact(S), arithmetic.exact(np.zeros((len(A), more)))
+        corner, below = arithmetic.exact(np.zeros((more, more))), arithmetic.exact(np.zeros((more, B.shape[1])))
+        return Step(
+            block([[step.A, side], [side.T, late]]), block([[step.B], [below]]),
+            block([[step.Q, side], [side.T, corner]]), step.R, block([[step.N], [below]]),
+            block([[step.W, side], [side.T, corner]]), step.c,
+        )  # fmt: skip
+
+    return given, Exact(build)
 
 
 def _within_a_period(
@@ -234,7 +272,7 @@ def _within_a_period(
         cost.R,
         np.vstack([cost.N, np.zeros((q, m))]),
         W,
-        np.hstack([np.zeros((m, n)), -U @ e.S]),
+        np.hstack([np.zeros((m, n)), -_moves(U, e.S)]),
         period,
     )
 

@@ -20,13 +20,17 @@ from taciturn._modes import (
     root,
     uncontrollable_modes,
 )
+from taciturn._progress import check_time
+from taciturn._rational import reaches_all
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _care, _dare
-from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._cache import kept
 from taciturn.lqg._followed import followed
-from taciturn.lqg._newton import Solution, refuse_doubtful
 from taciturn.lqg._repetition import Repetition, fill_earlier
+from taciturn.lqg.enclosures import E, UnprovedError
+from taciturn.lqg.intervals import Exact
+from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
+from taciturn.lqg.structure import worth_of
 
 __all__ = [
     "FiniteRegulator",
@@ -45,7 +49,7 @@ __all__ = [
 class Regulator(Displayed):
     """An optimal regulator: the input u = Lx, the cost-to-go x'Kx, and the weight H of a deviation from this input.
 
-    The cost tr(KW) of noise has an error of at most tr(error·W), to first order. ``slowest`` is the modulus of the
+    The cost tr(KW) of noise has an error of at most tr(error·W), which is proved. ``slowest`` is the modulus of the
     slowest mode of A + BL, with a discount that of √α(A + BL), and in continuous time its real part. Modes on the unit
     circle that no input affects and that do not affect the cost are excluded.
     """
@@ -132,8 +136,7 @@ def regulate_discounted(
     discount = _arrays.number("discount", discount, 0.0)
     if discount > 1:
         raise ProblemError(f"discount is {discount:g}; expected 0 < discount ≤ 1")
-    root = np.sqrt(discount)
-    return regulate_checked(root * A, root * B, Q, R, N, float(root))
+    return regulate_checked(A, B, Q, R, N, discount)
 
 
 def regulate_finite(
@@ -225,21 +228,13 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
         [[-0.316228, -0.855836]]
     """
     given = Quadratic.checked(A, B, Q, R, N)
-    R = _arrays.definite("R", given.R, len(given.R), "inputs × inputs")
-    seen = given.among(_care.worth(*given).states)
-    lost = lost_modes(seen.A, seen.B, True)
-    _refuse_unmoved(
-        lost, "the open left half-plane", np.abs(lost.real) <= SCATTER * pace(given.A), "the imaginary axis"
-    )
-    unseen = _unseen_modes(*seen)
-    _refuse_unseen(unseen[np.abs(unseen.real) <= SCATTER * pace(given.A)], "the imaginary axis")
-    found = _checked_solution(_care.solve(*given), None)
-    return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error), found.slowest)
+    _arrays.definite("R", given.R, len(given.R), "inputs × inputs")
+    return _solved(Problem(*exactly(given), continuous=True))
 
 
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
     """Return, for each state, whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
-    return _dare.worth(A, B, Q, R, N).states
+    return worth_of(Quadratic(A, B, Q, R, N)).states
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
@@ -261,41 +256,81 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 
 
 @kept
-def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
-    """Return the optimal regulator, as :func:`regulate` does, for matrices whose shapes were already checked.
+def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float) -> Regulator:
+    """Return the regulator of :func:`regulate_discounted`, for matrices whose shapes were already checked."""
+    return _regulated(*exactly(Quadratic(A, B, Q, R, N)), discount)
 
-    A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
-    """
-    change = followed(Quadratic(A, B, Q, R, N))
+
+@kept
+def regulate_sampled(
+    exact: Exact | None, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float
+) -> Regulator:
+    """Return the regulator of a problem that is known to any precision, whose doubles are given; or of the doubles."""
+    given = Quadratic(A, B, Q, R, N)
+    return _regulated(*exactly(given), discount) if exact is None else _regulated(given, exact.equation, discount, True)
+
+
+def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
+    """Return the regulator of a problem that is known to any precision, whose doubles are given."""
+    check_time()
+    return _regulated(given, recipe, 1.0)
+
+
+def _regulated(given: Quadratic, recipe: Recipe, discount: float, sampled: bool = False) -> Regulator:
+    """Return the optimal regulator, or raise an error with the reason why there is none."""
+    root = float(np.sqrt(discount))
+    scaled = given._replace(A=root * given.A, B=root * given.B)
+    change = followed(scaled)
     if change is not None:  # first: such states may have modes on the unit circle, and a cost that is only rounding
-        inner = regulate_checked(*change.problem, unit)
+        inner = _regulated(*exactly(change.problem), 1.0)
         K, error = (_arrays.frozen(change.weight(part)) for part in (inner.K, inner.error))
         return Regulator(K, _arrays.frozen(change.gain(inner.L)), inner.H, error, inner.slowest)
-    found = _dare.solve(A, B, Q, R, N)
-    if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
-        seen = Quadratic(A, B, Q, R, N).among(_dare.worth(A, B, Q, R, N).states)
-        lost = lost_modes(seen.A, seen.B, False)
-        _refuse_unmoved(lost / unit, _disc(unit), np.abs(np.abs(lost) - 1) <= SCATTER, _disc(unit))
-        if is_definite(R):
-            unseen = _unseen_modes(*seen)
-            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= SCATTER] / unit, "the edge of " + _disc(unit))
-    found = _checked_solution(found, A / unit)
-    if not is_definite(found.H):
+
+    def discounted(arithmetic: type[E]) -> Equation[E]:
+        A, B, Q, R, N = recipe(arithmetic)
+        factor = arithmetic.root(discount, len(given.A))
+        return Equation(factor @ A, factor @ B, Q, R, N)
+
+    return _solved(Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled), root)
+
+
+def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
+    """Return the regulator of a problem whose A and B were multiplied by ``unit``, which messages leave out."""
+    try:
+        found = problem.solve()
+    except UnprovedError as error:
+        _refuse(problem, unit)
+        raise UnstableError(
+            f"the Riccati equation of the regulator has no stabilising solution that could be proved: {error}; "
+            "expected unstable modes that the inputs affect more strongly, or a weight on every state and input"
+        ) from None
+    if found.free:
         raise _singular(found.H, "")
+    if not found.held:
+        raise not_held("regulator", problem.given.A / unit)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
     return Regulator(K, L, H, error, found.slowest)
 
 
-def _checked_solution(found: Solution | None, A: Array | None) -> Solution:
-    """Return a sound solution, or raise an error; A, if given, shows whether growth per step is the reason."""
-    if found is None:
-        raise UnstableError(
-            "the Riccati equation of the regulator has no stabilising solution that can be computed reliably: Newton's "
-            "method does not converge from any start; expected unstable modes that the inputs affect more strongly, or "
-            "a weight in Q and R on every state and input"
-        )
-    refuse_doubtful(found, "regulator", "that the inputs affect more strongly, or a plant without these modes", A)
-    return found
+def _refuse(problem: Problem, unit: float) -> None:
+    """Raise an error if a mode is the reason why there is no stabilising solution."""
+    given, continuous = problem.given, problem.continuous
+    seen = given.among(worth_of(given, continuous).states)
+    region = "the open left half-plane" if continuous else _disc(unit)
+    edge = "the imaginary axis" if continuous else region
+    near = SCATTER * pace(given.A) if continuous else SCATTER
+    lost = lost_modes(seen.A, seen.B, continuous)
+    if not problem.sampled and reaches_all(seen.A, seen.B):  # hardly, but it moves them
+        lost = lost[:0]
+    _refuse_unmoved(lost / unit, region, _to_edge(lost, continuous) <= near, edge)
+    if is_definite(given.R):
+        unseen = _unseen_modes(*seen)
+        unseen = unseen[_to_edge(unseen, continuous) <= near]
+        _refuse_unseen(unseen / unit, edge if continuous else "the edge of " + edge)
+
+
+def _to_edge(modes: Modes, continuous: bool) -> Array:
+    return np.asarray(np.abs(modes.real) if continuous else np.abs(np.abs(modes) - 1), dtype=np.float64)
 
 
 def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:

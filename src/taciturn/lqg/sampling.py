@@ -6,14 +6,12 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
-from taciturn._modes import COST_ERROR, balancing, pace
-from taciturn.errors import ProblemError
-from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._interval import Interval, Sampled, integrate_interval, repeat, split
+from taciturn._modes import balancing, pace
+from taciturn.lqg.enclosures import E, block
+from taciturn.lqg.intervals import Sampled, Step, integrated, sampled
+from taciturn.lqg.quadratic import Quadratic
 
 __all__ = ["Sampled", "sample", "sample_moving", "sample_prediction"]
-
-LONG = 1e4  # period, in time constants of the fastest mode, from which on the result is checked by a second computation
 
 
 def sample(
@@ -36,7 +34,7 @@ def sample(
         period: h > 0, in the same unit of time.
 
     Returns:
-        The sampled problem, exact to rounding.
+        The sampled problem, to the precision of its entries; ``exact`` encloses it.
 
     Raises:
         ProblemError: data of the wrong shape or range, or the state overflows within a period.
@@ -76,7 +74,7 @@ def sample_moving(
         period: h > 0, in the same unit of time.
 
     Returns:
-        The sampled problem, exact to rounding.
+        The sampled problem, to the precision of its entries; ``exact`` encloses it.
 
     Raises:
         ProblemError: data of the wrong shape or range, or the state overflows within a period.
@@ -141,40 +139,33 @@ def sample_prediction(
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
     L = _arrays.array("L", L, (m, n), "inputs × states")
-    dynamics = A + B @ L if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
-    F = np.block([[A, B @ L], [np.zeros((n, n)), dynamics]])
-    M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
-    units = np.tile(balancing(A), 2)
-    return split(_integrated(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)
+    given = None if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
+    period, units = _arrays.number("period", period, 0.0), np.tile(balancing(A), 2)
+
+    def build(arithmetic: type[E]) -> Step[E]:
+        exact = arithmetic.exact
+        a, b, q, r, cross, gain = (exact(part) for part in (A, B, Q, R, N, L))
+        model = a + b @ gain if given is None else exact(given)
+        F = block([[a, b @ gain], [exact(np.zeros((n, n))), model]])
+        across = cross @ gain
+        M = block([[q, across], [across.T, (gain.T @ r @ gain).symmetric()]])
+        return integrated(arithmetic, F, M, exact(_padded(W, n)), period, units).split(n)
+
+    return sampled(build, 2 * n)
 
 
 def _sampled(A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, period: float) -> Sampled:
     """Return the problem of ẋ = Ax + Bu, u̇ = Dx with noise of intensity G, in the units ``scale`` of the states."""
-    reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
+    reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
+    reach = np.where(reach > 0, reach, 1.0)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
-    return split(_integrated(np.block([[A, B], [D, np.zeros((len(D), len(D)))]]), M, G, period, units), len(A))
+    F = np.block([[A, B], [D, np.zeros((len(D), len(D)))]])
 
+    def build(arithmetic: type[E]) -> Step[E]:
+        exact = arithmetic.exact
+        return integrated(arithmetic, exact(F), exact(M), exact(G), period, units).split(len(A))
 
-def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
-    """Return the integrals over a period; a long period is also computed in three parts, to check its accuracy."""
-    whole = integrate_interval(F, M, G, period, units)
-    if pace(F) * period < LONG:
-        return whole
-    with np.errstate(over="ignore", invalid="ignore"):
-        thirds = repeat(integrate_interval(F, M, G, period / 3, units), 3)
-    scaled = [each.Phi / units[:, None] * units for each in (whole, thirds)]
-    off = [float(np.abs(scaled[0] - scaled[1]).max(initial=0.0) / np.abs(scaled[0]).max(initial=1e-300))]
-    for one, other in ((whole.M, thirds.M), (whole.G, thirds.G)):
-        spread = np.sqrt(np.maximum(np.diag(one), 0.0))
-        spread = np.where(spread > 0, spread, np.inf)
-        off.append(float(np.abs((one - other) / spread / spread[:, None]).max(initial=0.0)))
-    if not max(off) <= COST_ERROR:
-        raise ProblemError(
-            f"period is {period:g}, which is {pace(F) * period:.1e} time constants of the fastest mode, so the sampled "
-            f"plant has a relative error of {max(off):.1e} (at most {COST_ERROR:.0e}); expected a shorter period, or a "
-            "plant without that mode"
-        )
-    return whole
+    return sampled(build, len(F))
 
 
 def _padded(W: Array, more: int) -> Array:

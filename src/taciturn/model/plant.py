@@ -10,6 +10,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Slow, factor, lost_modes, mode_text, pace, symmetric_factor
+from taciturn._rational import reaches_all
 from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
@@ -368,7 +369,7 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
     ):
         lost = lost_modes(A, B, continuous, slow)
         lost = lost[lost.real > SCATTER * pace(A)] if continuous else lost[np.abs(lost) > 1 + SCATTER]
-        if lost.size:
+        if lost.size and not reaches_all(A, B):
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
                 f"{matrices} is not {verb}: {what} the mode at {mode_text(complex(lost[0]))}, which grows; "

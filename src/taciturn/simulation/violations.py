@@ -14,7 +14,7 @@ from taciturn._arrays import Array, Bits, instance
 from taciturn._progress import Progress, Stages, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
-from taciturn.lqg._worth import closure
+from taciturn.lqg.structure import closure
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits, Violation, Violations
 from taciturn.program.draws import GENERATOR

@@ -27,7 +27,7 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prices import Prices, by_clock, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import expect_known_start, forgetting, steady_filter
+from taciturn.lqg.kalman import expect_known_start, forgetting
 from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedule_queries
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
@@ -161,7 +161,7 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
     plant, cost = prices.problem.plant, prices.problem.cost
     initial, steady = plant.covariance, None
     if prices.average:
-        steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
+        steady = prices.problem.filter()
         expect_known_start(plant, prices.K.diagonal() > 0)
         initial = steady.prior
     if zeta is not None:

@@ -1,0 +1,105 @@
+"""Ranks and kernels of matrices in rational numbers, which decide without a tolerance.
+
+A double is a rational number. So whether an input moves a mode of a plant is a question that has an answer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from flint import fmpq, fmpq_mat, nmod_mat
+
+from taciturn._arrays import Array, Bits
+
+PRIME = (1 << 61) - 1  # a rank modulo this prime is at most the rank of the rational numbers
+
+
+def reaches_all(A: Array, B: Array) -> bool:
+    """Return whether the input through B reaches all states: whether B, AB, A²B, … have full rank.
+
+    True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that the
+    prime divides all minors.
+    """
+    return _reached(A, B) == len(A)
+
+
+def _reached(A: Array, B: Array) -> int:
+    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers."""
+    n, m = B.shape
+    moves, block = _modular(A), _modular(B)
+    columns = list[list[int]]()
+    for _ in range(n):
+        columns += [[int(block[i, j]) for i in range(n)] for j in range(m)]
+        block = moves * block
+    return nmod_mat(len(columns), n, [entry for column in columns for entry in column], PRIME).rank() if m else 0
+
+
+def _modular(values: Array) -> nmod_mat:
+    fractions = [value.as_integer_ratio() for value in values.ravel().tolist()]
+    entries = [above * pow(below, -1, PRIME) % PRIME for above, below in fractions]
+    return nmod_mat(len(values), values.shape[1], entries, PRIME)
+
+
+def rational(values: Array) -> fmpq_mat:
+    """Return a matrix of doubles as rational numbers, each exactly."""
+    entries = [fmpq(*value.as_integer_ratio()) for value in values.ravel().tolist()]
+    return fmpq_mat(len(values), values.shape[1], entries)
+
+
+def above(*parts: fmpq_mat) -> fmpq_mat:
+    """Return matrices, one above the other."""
+    rows = sum(part.nrows() for part in parts)
+    return fmpq_mat(rows, parts[0].ncols(), [entry for part in parts for entry in part.entries()])
+
+
+def beside(*parts: fmpq_mat) -> fmpq_mat:
+    """Return matrices side by side."""
+    return above(*(part.transpose() for part in parts)).transpose()
+
+
+def lines(matrix: fmpq_mat, rows: range) -> fmpq_mat:
+    """Return some rows of a matrix."""
+    return fmpq_mat(len(rows), matrix.ncols(), [matrix[i, j] for i in rows for j in range(matrix.ncols())])
+
+
+def leading(matrix: fmpq_mat) -> tuple[fmpq_mat, list[int]]:
+    """Return the reduced echelon form of a matrix without its zero rows, and the columns of its leading ones."""
+    if not matrix.nrows() or not matrix.ncols():
+        return fmpq_mat(0, matrix.ncols()), []
+    reduced, rank = matrix.rref()
+    lead = [next(j for j in range(reduced.ncols()) if reduced[i, j] != 0) for i in range(rank)]
+    return lines(reduced, range(rank)), lead
+
+
+def basis(matrix: fmpq_mat) -> fmpq_mat:
+    """Return a basis of the columns of a matrix, which is the identity in the rows ``pivots``."""
+    return leading(matrix.transpose())[0].transpose()
+
+
+def pivots(basis: fmpq_mat) -> Bits:
+    """Return a mask of the rows in which a basis in reduced form is the identity."""
+    found = np.zeros(basis.nrows(), dtype=np.bool_)
+    found[leading(basis.transpose())[1]] = True
+    return found
+
+
+def kernel(matrix: fmpq_mat) -> fmpq_mat:
+    """Return a basis of the vectors that a matrix maps to zero, as columns."""
+    reduced, lead = leading(matrix)
+    free = [j for j in range(matrix.ncols()) if j not in lead]
+    found = fmpq_mat(matrix.ncols(), len(free))
+    for k, j in enumerate(free):
+        found[j, k] = 1
+        for i, row in enumerate(lead):
+            found[row, k] = -reduced[i, j]
+    return found
+
+
+def right_inverse(matrix: fmpq_mat) -> fmpq_mat:
+    """Return a matrix Y with matrix·Y = I, for a matrix of full row rank."""
+    one = rational(np.eye(matrix.nrows()))
+    reduced, lead = leading(beside(matrix, one))
+    found = fmpq_mat(matrix.ncols(), matrix.nrows())
+    for i, row in enumerate(lead):
+        for j in range(matrix.nrows()):
+            found[row, j] = reduced[i, matrix.ncols() + j]
+    return found

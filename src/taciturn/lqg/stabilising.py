@@ -1,0 +1,531 @@
+"""The stabilising solution of a Riccati equation, with a proof of its error.
+
+The problem is to minimise the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu with A + BL stable. Its solution is found
+in two parts.
+
+**A candidate** K, L, by structured doubling from a small definite terminal weight, in double precision or in balls. The
+small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
+Newton's method corrects it.
+
+**A proof**, with enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k
+for a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
+
+    εP − (M + F'KF − K) ≻ 0,                       so that the gain L costs at most K + εX, and
+
+    [ εP + (M + F'KF − K)   g' − εF'XB ]
+    [ g − εB'XF             R + B'(K − εX)B ] ≻ 0,   g = RL + N' + B'KF,
+
+then H = K − εX satisfies H ≺ Ric(H), so that no stabilising gain costs less. Hence the stabilising solution exists, and
+it lies between K − εX and K + εX. This holds for every method that finds K and L, and for the matrices as they were
+given: each is an enclosure of the exact one, such as the matrix of a sampled plant.
+
+The proof takes the gain as it is stored, rounded to doubles. If that fails, it takes the gain with all digits, and the
+solution says that its gain is not held by doubles.
+
+The precision grows until the error is small enough. In continuous time, the midpoint rule
+x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has the same stabilising solution for every
+step h (Cayley's transform), so its proof is the proof of the continuous-time equation.
+
+Source: anderson1978, lancaster1995
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import log2
+from typing import Generic, NamedTuple, Protocol
+
+import numpy as np
+
+from taciturn._arrays import NO_VARIANCE, Array, Bits, is_definite, symmetrised
+from taciturn._display import Displayed
+from taciturn._modes import eigenvalues, pace, radius, root, summed
+from taciturn._progress import check_time
+from taciturn.errors import UnstableError
+from taciturn.lqg._doubling import double
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, precision, solve
+from taciturn.lqg.quadratic import Quadratic, in_powers_of_two
+from taciturn.lqg.structure import Free, free_inputs, worth_of
+
+FEW = 10  # most states for which balls are faster than doubles with bounds
+ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
+CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
+LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
+TURNS = 100  # doublings
+CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
+CORRECTIONS = 2  # steps of Newton's method
+FADED = 1e-3  # last term of a sum along the loop, relative to its first one
+
+
+class Equation(NamedTuple, Generic[E]):
+    """Enclosures of the matrices of a problem: dynamics (A, B) and weights [[Q, N], [N', R]]."""
+
+    A: E
+    B: E
+    Q: E
+    R: E
+    N: E
+
+    def under(self, L: E) -> tuple[E, E]:
+        """Return the closed loop A + BL, and the weight of the state in its stage cost."""
+        pushed = self.N @ L
+        return self.A + self.B @ L, (self.Q + pushed + pushed.T + L.T @ self.R @ L).symmetric()
+
+
+class Recipe(Protocol):
+    """The matrices of a problem in any arithmetic, such as those of a plant that is sampled in this arithmetic."""
+
+    def __call__(self, arithmetic: type[E], /) -> Equation[E]:
+        """Return enclosures of the matrices."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Displayed):
+    """The stabilising solution of a Riccati equation, with a proved bound on its error.
+
+    Args:
+        K: cost-to-go, (n, n).
+        L: gain, u = L x, (m, n).
+        H: weight R + B'KB of a deviation from the optimal input, or R in continuous time, (m, m).
+        error: (n, n) with −error ⪯ K − exact ⪯ error.
+        correction: H⁻¹B'K; for the dual problem of a filter, the transposed gain of its correction, (m, n).
+        free: whether inputs cost nothing, so that H is singular.
+        held: whether the bound also holds for the cost of the gain as it is stored, in doubles, which then stabilises.
+        slowest: modulus of the slowest mode of A + BL, or its real part in continuous time. Marginally stable modes
+            that no input affects and that do not affect the cost are excluded.
+    """
+
+    K: Array
+    L: Array
+    H: Array
+    error: Array
+    correction: Array
+    free: bool
+    held: bool
+    slowest: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Displayed):
+    """A problem whose stabilising solution is sought.
+
+    Args:
+        given: its matrices in double precision, whose zeros show its structure.
+        recipe: its matrices in any arithmetic.
+        continuous: whether time is continuous; then A and B are derivatives, and the weights those of an integral.
+        sampled: whether the recipe has more digits than doubles.
+        dual: whether the gain that is stored is H⁻¹B'K, of a filter, and not L.
+        asked: relative error of the cost-to-go of each state.
+    """
+
+    given: Quadratic
+    recipe: Recipe
+    continuous: bool = False
+    sampled: bool = False
+    dual: bool = False
+    asked: float = ASKED
+
+    @cached_property
+    def step(self) -> float:
+        """In continuous time, a step of the midpoint rule in which no mode moves far; a power of two."""
+        _, B, Q, R, _ = self.given
+        asked = np.sqrt(np.maximum(np.diag(B.T @ Q @ B), 0.0) / np.maximum(np.diag(R), NO_VARIANCE))
+        fastest = max(pace(self.given.A), float(asked.max(initial=0.0)))  # of an integrator, how fast inputs move it
+        return float(np.exp2(-np.ceil(np.log2(fastest if fastest > NO_VARIANCE else 1.0))))
+
+    def solve(self) -> Solution:
+        """Return the stabilising solution.
+
+        Raises:
+            UnprovedError: no stabilising solution was proved at any precision.
+        """
+        worth = worth_of(self.given, self.continuous)
+        if worth.states.all():
+            return self._solved()
+        found, states, n = self.among(worth.states)._solved(), worth.states, len(worth.states)
+        place = np.ix_(states, states)
+        K, error, L, correction = (
+            np.zeros((n, n)),
+            np.zeros((n, n)),
+            np.zeros((len(found.L), n)),
+            np.zeros((len(found.L), n)),
+        )
+        K[place], error[place], L[:, states], correction[:, states] = found.K, found.error, found.L, found.correction
+        others = worth.decaying.real if self.continuous else np.abs(worth.decaying)
+        slowest = max(found.slowest, float(others.max(initial=-np.inf)))
+        return Solution(K, L, found.H, error, correction, found.free, found.held, slowest)
+
+    def among(self, states: Bits) -> Problem:
+        """Return the problem restricted to states that the others do not affect."""
+        every, recipe = slice(None), self.recipe
+
+        def restricted(arithmetic: type[E]) -> Equation[E]:
+            A, B, Q, R, N = recipe(arithmetic)
+            return Equation(
+                A.part(states, states), B.part(states, every), Q.part(states, states), R, N.part(states, every)
+            )
+
+        return Problem(self.given.among(states), restricted, self.continuous, self.sampled, self.dual, self.asked)
+
+    def _solved(self) -> Solution:
+        try:
+            return self._proved(PRECISIONS[:1], len(self.given.A) > FEW)
+        except UnprovedError:
+            if self.continuous or is_definite(self.given.R):
+                return self._proved(PRECISIONS[1:], False)
+        weight = np.block([[self.given.Q, self.given.N], [self.given.N.T, self.given.R]])
+        free = free_inputs(self.given, weight)
+        if free is not None:
+            return self._without(free)
+        try:
+            return self._proved(PRECISIONS[1:], False)
+        except (
+            UnprovedError
+        ):  # such as a weight of low rank that is only semidefinite up to the rounding of its entries
+            rows = root(weight).T
+            if len(rows) == len(weight):
+                raise
+        squared, free = self._squared(rows), free_inputs(self.given, rows)
+        return squared._proved(PRECISIONS, False) if free is None else squared._without(free)
+
+    def _squared(self, rows: Array) -> Problem:
+        """Return the problem whose weight is the square of rows, a change of the given weight below its rounding."""
+        n, recipe = len(self.given.A), self.recipe
+        x, u = slice(n), slice(n, None)
+
+        def squared(arithmetic: type[E]) -> Equation[E]:
+            A, B, *_ = recipe(arithmetic)
+            D = arithmetic.exact(rows)
+            M = (D.T @ D).symmetric()
+            return Equation(A, B, M.part(x, x), M.part(u, u), M.part(x, u))
+
+        return replace(self, recipe=squared)
+
+    def _proved(self, precisions: Sequence[int], doubles: bool) -> Solution:
+        """Return the solution with a proof in one of the precisions, or in double precision."""
+        reason: UnprovedError | None = None
+        if doubles:
+            try:
+                return self._from_doubles(Doubles)
+            except UnprovedError as error:
+                reason = error
+        for bits in precisions:
+            check_time()
+            with precision(bits):
+                if bits == PRECISIONS[0]:
+                    with suppress(UnprovedError):
+                        return self._from_doubles(Balls)
+                try:
+                    raw = self.recipe(Balls)
+                    stepped = self._stepped(Balls, raw)
+                    return self._judged(Balls, raw, stepped, _doubled(stepped, bits))
+                except UnprovedError as error:
+                    reason = error
+        assert reason is not None, "at least one precision"
+        raise reason
+
+    def _stepped(self, arithmetic: type[E], raw: Equation[E]) -> Equation[E]:
+        """Return the problem in steps: itself, or in continuous time that of the midpoint rule."""
+        if not self.continuous:
+            return raw
+        A, B, Q, R, N = raw
+        h, one = self.step, arithmetic.exact(np.eye(len(self.given.A)))
+        Z = solve(one - A.times(h / 2), one)
+        # x̄ = Z x + Y u, the mean of the states before and after a step
+        moved = Z @ B
+        Y, onto = moved.times(h / 2), Q @ Z
+        across = (onto.T @ Y + Z.T @ N).times(h)
+        side = Y.T @ N
+        price = (Y.T @ Q @ Y + side + side.T + R).symmetric().times(h)
+        return Equation(Z.times(2.0) - one, moved.times(h), (Z.T @ onto).symmetric().times(h), price, across)
+
+    def _without(self, free: Free) -> Solution:
+        """Return the solution of a problem with inputs that cost nothing: that of the other states and inputs."""
+        n, rest, given, recipe = len(self.given.A), ~free.places, self.given, self.recipe
+        T, keeping, moving = (Doubles.rational(one).middle for one in (free.inside, free.keeping, free.moving))
+        others, every = np.eye(given.B.shape[1])[:, free.others], slice(None)
+
+        def reduced(arithmetic: type[E]) -> Equation[E]:
+            A, B, Q, R, N = recipe(arithmetic)
+            inside = arithmetic.rational(free.inside).part(rest, every)
+            beside, among = B.part(every, free.others), A.part(every, rest)
+
+            def outside(values: E) -> E:  # the coordinates e of a state
+                return values.part(rest, every) - inside @ values.part(free.places, every)
+
+            return Equation(
+                outside(among), outside(beside), Q.part(rest, rest), R.part(free.others, free.others),
+                N.part(rest, free.others),
+            )  # fmt: skip
+
+        rough = Quadratic(*(part.middle for part in reduced(Doubles)))
+        found = Problem(rough, reduced, False, self.sampled, self.dual, self.asked).solve()
+        onto = np.zeros((int(rest.sum()), n))
+        onto[:, rest] = np.eye(len(onto))
+        onto[:, free.places] = -T[rest]
+        a, r, w = free.places, T.shape[1], moving.shape[1]
+        inner = (given.A @ T + given.B @ keeping)[a], (given.B @ moving)[a]
+        L, slowest = others @ found.L @ onto, found.slowest
+        if r:
+            own = exactly(Quadratic(*inner, np.eye(r), np.eye(w), np.zeros((r, w))))
+            steady = Problem(*own).solve()
+            L[:, a] += keeping + moving @ steady.L
+            slowest = max(slowest, steady.slowest)
+        K = symmetrised(onto.T @ found.K @ onto)
+        H = symmetrised(given.R + given.B.T @ K @ given.B)
+        correction = others @ found.correction @ onto
+        return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), correction, True, found.held, slowest)
+
+    def _from_doubles(self, arithmetic: type[E]) -> Solution:
+        """Return the proved solution whose candidate is computed in doubles, and corrected with the enclosures."""
+        raw = self.recipe(arithmetic)
+        given = self._stepped(arithmetic, raw)
+        A, B, Q, R, N = (part.middle for part in given)
+        state, unit = _units(A, B, Q, R)
+        with np.errstate(all="ignore"):
+            A, B, Q = A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None]
+            R, N = R * unit * unit[:, None], N * unit * state[:, None]
+            last = _last(B, Q, R) * np.eye(len(A))
+            H = symmetrised(R + B.T @ last @ B)
+            try:
+                inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
+                K = double(A, B, Q, N, last, H, inverse) if len(H) else summed(A.T, Q)
+            except np.linalg.LinAlgError as error:
+                raise UnprovedError("an input costs nothing") from error
+            K = symmetrised(K / state / state[:, None])
+        if not np.isfinite(K).all():
+            raise UnprovedError("the cost-to-go grows without bound")
+        found, reason = arithmetic.exact(K), UnprovedError()
+        for _ in range(CORRECTIONS):
+            F, stage = given.under(_gain(given, found))
+            missed = (stage + F.T @ found @ F - found).symmetric().middle
+            with np.errstate(all="ignore"):
+                more = summed(F.middle.T, missed)
+            if not np.isfinite(more).all():
+                raise UnprovedError("the closed loop is not stable")
+            found = (found + arithmetic.exact(more)).centre()
+            try:
+                return self._judged(arithmetic, raw, given, found)
+            except UnprovedError as error:
+                reason = error
+        raise reason
+
+    def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
+        """Return a solution after the proof of its error."""
+        L, exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
+        X, slack, F = _proved(arithmetic, given, K, L, size)
+        worth, middle = symmetrised(X.middle), symmetrised(K.middle)
+        # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
+        error = slack * worth + np.diag(4 * UNIT * len(size) * (slack * np.diag(worth) + size))
+        if not (np.diag(error) <= self.asked * size).all():
+            raise UnprovedError("the error of the cost-to-go is too large")
+        if self.continuous:
+            L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
+            slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
+            return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
+        weight = given.B.T @ K
+        H = (given.R + weight @ given.B).symmetric()
+        correction = solve(H.centre(), weight.centre()).middle
+        try:
+            stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
+            excess, held = _excess(arithmetic, given.A + given.B @ stored, stored - L, H, X, size), True
+            if self.sampled:  # programs hold the plant in doubles as well
+                A, B = exact(self.given.A), exact(self.given.B)
+                stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
+                _falling(arithmetic, A + B @ stored, X, size)
+            if not (np.diag(excess) <= self.asked * size).all():
+                raise UnprovedError("the rounding of the gain costs too much")
+        except UnprovedError:
+            if arithmetic is Doubles:
+                raise
+            excess, held = np.zeros_like(error), False
+        return Solution(middle, L.middle, symmetrised(H.middle), error + excess, correction, False, held, _slowest(F))
+
+
+def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
+    """Return a problem whose matrices are exactly the given doubles, and its recipe."""
+
+    def recipe(arithmetic: type[E]) -> Equation[E]:
+        A, B, Q, R, N = (arithmetic.exact(part) for part in given)
+        return Equation(A, B, Q, R, N)
+
+    return given, recipe
+
+
+def not_held(what: str, A: Array) -> UnstableError:
+    """Return the error that a gain needs more digits than it is stored with."""
+    return UnstableError(
+        f"the optimal gain of the {what} has more digits than a double holds: rounded, it is not proved to be stable; "
+        f"the plant grows by up to {radius(A):.1e} within a step; expected a shorter period, modes that are moved and "
+        "measured more strongly, or a plant without them"
+    )
+
+
+def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) -> tuple[E, float, E]:
+    """Return X and ε of the proof that K ± εX contain the solution, with a given gain L, and its closed loop.
+
+    Raises:
+        UnprovedError: the proof fails in this precision.
+    """
+    F, stage = given.under(L)
+    X, falls = _ranked(arithmetic, F, size)
+    missed = (stage + F.T @ K @ F - K).symmetric()
+    weight, pushed = given.B.T @ K, given.B.T @ X
+    H, off = (given.R + weight @ given.B).symmetric(), given.R @ L + given.N.T + weight @ F
+    slack = 4 * _slack(missed, off, H, size)
+    turned = off - (pushed @ F).times(slack)
+    price = H - (pushed @ given.B).symmetric().times(slack)
+    lower = block([[falls.times(slack) + missed, turned.T], [turned, price]])
+    if not ((falls.times(slack) - missed).definite() and lower.definite()):
+        raise UnprovedError("the error of the cost-to-go is not proved")
+    return X, slack, F
+
+
+def _doubled(given: Equation[Balls], bits: int) -> Balls:
+    """Return the cost-to-go by doubling in balls, whose radii are dropped: the proof follows."""
+    A, B, Q, R, N = (part.centre() for part in given)
+    n = len(B.middle)
+    last = Balls.exact(_last(B.middle, Q.middle, R.middle) * np.eye(n))
+    H, off = R + B.T @ last @ B, B.T @ last @ A + N.T
+    L, pushed = H.solve(off).times(-1.0), H.solve(B.T)
+    F, G = (A + B @ L).centre(), (B @ pushed).symmetric().centre()
+    K = (Q - last + A.T @ last @ A + off.T @ L).symmetric().centre()
+    one, settled = Balls.exact(np.eye(n)), 2.0 ** (-bits / 2)
+    for _ in range(TURNS):
+        solved = (one + G @ K).solve(block([[F, G]])).centre()
+        moved, spread = solved.part(slice(n), slice(n)), solved.part(slice(n), slice(n, None))
+        more = (F.T @ K @ moved).symmetric()
+        K, G = (K + more).centre(), (G + F @ spread @ F.T).symmetric().centre()
+        F = (F @ moved).centre()
+        change, size = np.abs(np.diag(more.middle)), np.abs(np.diag((last + K).middle))
+        if not np.isfinite(size).all():
+            raise UnprovedError("the cost-to-go grows without bound")
+        if (change <= settled * size).all():
+            break
+    return (last + K).centre()
+
+
+def _falling(arithmetic: type[E], F: E, X: E, size: Array) -> tuple[E, E]:
+    """Return X and X − F'XF, both proved definite, for a loop F near the one for which X was computed.
+
+    Raises:
+        UnprovedError: the loop is not proved stable.
+    """
+    falls = (X - F.T @ X @ F).symmetric()
+    return (X, falls) if falls.definite() else _ranked(arithmetic, F, size)
+
+
+def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
+    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F.
+
+    It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
+
+    Raises:
+        UnprovedError: the loop is not proved stable.
+    """
+    X, falls = _falling(arithmetic, F, X, size)
+    spent, unit = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size)
+    slack = max(4 * float((spent.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
+    if not (falls.times(slack) - spent).definite():
+        raise UnprovedError("the cost of rounding the gain is not proved")
+    return slack * symmetrised(X.middle)
+
+
+def _slowest(F: E) -> float:
+    """Return the modulus of the slowest mode of a stable matrix, also if eigenvalues in doubles cannot tell it from 1.
+
+    It is the limit of the root of |F^k|; the norm of each power is divided by a power of two, which is counted.
+    """
+    found = radius(F.middle)
+    if found < CLEAR:
+        return found
+    power, exponent, count = F.centre(), 0.0, 1
+    for _ in range(SQUARINGS):
+        size = float(np.abs(power.middle).max(initial=0.0))
+        if size == 0:
+            return 0.0
+        shift = round(log2(size))
+        power, exponent = power.times(2.0**-shift), exponent + shift / count
+        power, count = (power @ power).centre(), 2 * count
+    return min(float(np.exp2(exponent)), 1 - UNIT)
+
+
+def _gain(given: Equation[E], K: E) -> E:
+    """Return the gain −(R + B'KB)⁻¹(B'KA + N') without its radii: the proof holds for any gain near it."""
+    weight = given.B.T @ K
+    H, off = (given.R + weight @ given.B).symmetric(), weight @ given.A + given.N.T
+    return solve(H.centre(), off.centre()).times(-1.0).centre()
+
+
+def _ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
+    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of sizes.
+
+    Raises:
+        UnprovedError: the closed loop is not proved stable at this precision.
+    """
+    with np.errstate(all="ignore"):
+        rough = summed(F.middle.T, np.diag(size))
+    if np.isfinite(rough).all():
+        X = arithmetic.exact(rough)
+        falls = (X - F.T @ X @ F).symmetric()
+        if falls.definite() and X.definite():
+            return X, falls
+    if arithmetic is Balls:  # double precision does not suffice for the sum
+        X = _summed(arithmetic, F, size)
+        falls = (X - F.T @ X @ F).symmetric()
+        if falls.definite() and X.definite():
+            return X, falls
+    raise UnprovedError("the closed loop is not proved stable")
+
+
+def _summed(arithmetic: type[E], F: E, size: Array) -> E:
+    """Return the sum of F'^k D F^k for a diagonal D over so many steps that what is left is below D, without radii."""
+    D, power = arithmetic.exact(np.diag(size)), F.centre()
+    found = D
+    for _ in range(TURNS):
+        found = (found + (power.T @ found @ power).symmetric()).centre()
+        left = np.diag((power.T @ D @ power).middle)
+        if not (np.isfinite(left).all() and np.isfinite(found.middle).all()):
+            raise UnprovedError("the closed loop is not stable")
+        if (left <= FADED / len(size) * size).all():  # a semidefinite matrix is below n times its diagonal
+            return found
+        power = (power @ power).centre()
+    raise UnprovedError("the closed loop does not forget")
+
+
+def _sizes(given: Equation[E], K: E, crumb: float) -> Array:
+    """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
+    diagonal, A = np.diag(K.middle), given.A.middle
+    terms = np.abs(np.diag(given.Q.middle)) + (A * A).T @ np.abs(diagonal)
+    size = np.maximum(diagonal, crumb * terms)
+    return np.where(size > NO_VARIANCE, size, 1.0)
+
+
+def _slack(missed: E, off: E, H: E, size: Array) -> float:
+    """Return an estimate of the least ε of the proof: the size of the residuals in units of the cost-to-go."""
+    unit = 1 / np.sqrt(size)
+    first = float((missed.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0))
+    price = np.sqrt(np.maximum(np.diag(H.middle), NO_VARIANCE))
+    second = float(((off.most * unit / price[:, None]) ** 2).sum())
+    return max(first, second, 1e-200)
+
+
+def _last(B: Array, Q: Array, R: Array) -> float:
+    """Return a terminal weight that is small compared with the cost of moving a state."""
+    worth, reached = float(np.trace(R) + np.sum(B * (Q @ B))), float(np.sum(B * B))
+    return LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
+
+
+def _units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """Return powers of two as units of states and inputs in which their weights are about 1."""
+    natural = np.maximum(np.diag(Q), 0.0)
+    for _ in range(len(natural)):
+        if (natural > 0).all():
+            break
+        natural = np.where(natural > 0, natural, np.max(A.T**2 * natural, axis=1, initial=0.0))
+    pushed = np.diag(R) + natural @ B**2
+    return in_powers_of_two(natural), in_powers_of_two(pushed)

@@ -1,0 +1,167 @@
+"""Structure of a problem: states without a cost-to-go, and inputs that cost nothing, which are left out of equations.
+
+States whose cost-to-go is exactly zero are, for example, registers that no noise reaches, and modes that nothing drives
+and that do not affect the cost. The cost of such a state has no natural size to which an error could be relative, and
+iterations only halve it towards zero. Which state affects which follows from the exact zeros of the matrices.
+
+An input that costs nothing, now or later, moves states within a subspace in which other such inputs keep them (the
+largest controllability subspace on which the cost is zero). For a filter, it is a combination of outputs that is known
+in advance. The weight R + B'KB of such an input is zero, so no gain follows from the Riccati equation. The subspace is
+computed in rational numbers: a double is one, and so is a rank of doubles.
+
+Source: trentelman2001
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from flint import fmpq_mat
+
+from taciturn._arrays import Array, Bits
+from taciturn._display import Displayed
+from taciturn._modes import SCATTER, Modes, eigenvalues
+from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
+from taciturn.lqg.quadratic import Quadratic
+
+MARGIN = 1e-10  # least distance to the unit circle of a mode that counts as decaying
+
+
+class Worth(NamedTuple):
+    """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others.
+
+    Args:
+        states: the states with a cost-to-go, for which the equation must be solved, (n,).
+        decaying: decaying modes of the other states.
+        still: marginally stable modes of the other states; no input affects them, so that they remain in the loop.
+        resting: the states with these marginally stable modes, (n,).
+    """
+
+    states: Bits
+    decaying: Modes
+    still: Modes
+    resting: Bits
+
+
+def worth_of(given: Quadratic, continuous: bool = False) -> Worth:
+    """Return the states with a nonzero cost-to-go, and the modes of the other states.
+
+    A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
+    weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
+    sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
+
+    Args:
+        given: the problem; its exact zeros determine which state affects which.
+        continuous: whether time is continuous.
+    """
+    nothing, margin = np.zeros(0, dtype=np.complex128), 0.0 if continuous else MARGIN
+    moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
+    needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
+    resting = np.zeros(len(needed), dtype=np.bool_)
+    if needed.all():
+        return Worth(needed, nothing, nothing, resting)
+    reached = closure((given.B != 0).any(axis=1), moved)
+    leads = paths(moved.T)
+    left, decaying, still = ~needed, [nothing], [nothing]
+    cycles: list[tuple[Bits, Modes]] = []
+    while left.any():
+        state = int(np.argmax(left))
+        cycle = leads[state] & leads[:, state]
+        left = left & ~cycle
+        modes = eigenvalues(given.A[np.ix_(cycle, cycle)])
+        cycles.append((cycle, modes))
+        highest = float((modes.real if continuous else np.abs(modes) - 1).max())
+        if highest >= -margin and (highest > SCATTER or reached[cycle].any()):
+            needed = needed | leads[:, state]
+    for cycle, modes in cycles:
+        if not needed[cycle].any():
+            inside = (modes.real if continuous else np.abs(modes) - 1) < -margin
+            decaying.append(modes[inside])
+            still.append(modes[~inside])
+            if not inside.all():
+                resting = resting | cycle
+    return Worth(needed, np.concatenate(decaying), np.concatenate(still), resting)
+
+
+def closure(found: Bits, leads: Bits) -> Bits:
+    """Return the given states and all states that they affect, directly or through other states.
+
+    Args:
+        found: the states, (n,).
+        leads: entry (i, j) is true if state j affects state i directly, (n, n).
+    """
+    while not found.all():
+        more = found | leads[:, found].any(axis=1)
+        if (more == found).all():
+            break
+        found = more
+    return np.asarray(found, dtype=np.bool_)
+
+
+def paths(leads: Bits) -> Bits:
+    """Return the matrix whose entry (i, j) is true if i = j or a path leads from state i to state j, (n, n)."""
+    found = leads | np.eye(len(leads), dtype=np.bool_)
+    while True:
+        more = found.astype(np.float32) @ found.astype(np.float32) > 0
+        if (more == found).all():
+            return found
+        found = np.asarray(more, dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Free(Displayed):
+    """Inputs that cost nothing, and the subspace in which they move the state.
+
+    A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
+    u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
+
+    Args:
+        inside: a basis of the subspace, the identity at ``places``, (n, r).
+        places: mask of the states that are coordinates of the subspace, (n,).
+        keeping: inputs that keep the columns of ``inside`` in the subspace without cost, (m, r).
+        moving: inputs that move the state within the subspace without cost, (m, f).
+        others: mask of inputs that complete ``moving`` to all inputs, (m,).
+    """
+
+    inside: fmpq_mat
+    places: Bits
+    keeping: fmpq_mat
+    moving: fmpq_mat
+    others: Bits
+
+
+def free_inputs(given: Quadratic, rows: Array) -> Free | None:
+    """Return the inputs of a problem that cost nothing, now or later; None if there is none.
+
+    Args:
+        given: the problem, of which A and B are used.
+        rows: combinations of states and inputs that are zero if and only if these cost nothing, (any, n + m).
+    """
+    (n, m), z = given.B.shape, len(rows)
+    A, B, state, push = (rational(part) for part in (given.A, given.B, rows[:, :n], rows[:, n:]))
+    safe, nothing = rational(np.eye(n)), fmpq_mat(z, n)
+    while True:  # states that inputs keep at no cost for ever
+        found = kernel(above(beside(state, push, nothing), beside(A, B, safe * -1)))
+        smaller = basis(lines(found, range(n)))
+        nothing = fmpq_mat(z, smaller.ncols())
+        if smaller.ncols() == safe.ncols():
+            break
+        safe = smaller
+    inside, keeping = fmpq_mat(n, 0), fmpq_mat(m, 0)
+    while True:  # states that they reach from zero meanwhile
+        r = inside.ncols()
+        found = kernel(above(beside(state * inside, push, nothing), beside(A * inside, B, safe * -1)))
+        larger = basis(safe * lines(found, range(r + m, found.nrows())))
+        if larger.ncols() == r:
+            break
+        inside = larger
+    r = inside.ncols()
+    nothing = fmpq_mat(z, r)
+    moving = basis(lines(kernel(above(beside(push, nothing), beside(B, inside * -1))), range(m)))
+    if not moving.ncols():
+        return None
+    found = kernel(above(beside(state * inside, push, nothing), beside(A * inside, B, inside * -1)))
+    keeping = lines(found, range(r, r + m)) * right_inverse(lines(found, range(r)))
+    return Free(inside, pivots(inside), keeping, moving, ~pivots(moving))
