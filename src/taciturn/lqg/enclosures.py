@@ -6,19 +6,14 @@ rounding: products of the leading halves of the digits are exact, so that only t
 of roundoff for a sum of k products. It is faster for many states, and sufficient for well-conditioned problems.
 Formulas are written once, for either arithmetic.
 
-The precision of python-flint is a global of the process. ``precision`` is the only place that sets it; it restores it,
-and threads wait for each other.
-
 Source: johansson2017, ozaki2012, rump2006
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import reduce
-from threading import RLock
 from typing import Self, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -31,9 +26,6 @@ UNIT = 2.0**-53  # largest relative error of one rounding
 UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
 
 Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
-
-_LOCK = RLock()
-
 
 class UnprovedError(ArithmeticError):
     """A property that does not follow from the enclosures at this precision."""
@@ -421,14 +413,3 @@ def solve(left: E, right: E) -> E:
     if isinstance(left, Balls):
         return left.solve(right)
     return left.solve(right)  # the same method of the other arithmetic, which type checkers take for another one
-
-
-@contextmanager
-def precision(bits: int) -> Generator[None]:
-    """Set the precision of python-flint; the one before is restored, and other threads wait."""
-    with _LOCK:
-        before, ctx.prec = ctx.prec, bits
-        try:
-            yield
-        finally:
-            ctx.prec = before

@@ -25,8 +25,10 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
+from taciturn._precision import precision
 from taciturn.errors import ProblemError
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, precision
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError
+from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.stabilising import FEW, Equation
 
 DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
@@ -50,6 +52,17 @@ class Step(NamedTuple, Generic[E]):
     c: E
 
 
+class Source(NamedTuple):
+    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly.
+
+    dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
+    """
+
+    given: Quadratic
+    W: Array
+    period: float
+
+
 class Builder(Protocol):
     """A problem of one step in any arithmetic, built anew at each call."""
 
@@ -64,9 +77,11 @@ class Exact(Displayed):
 
     Args:
         build: returns enclosures of the problem.
+        source: the problem before it was sampled; None if it is not the sampled problem of a held input.
     """
 
     build: Builder
+    source: Source | None = None
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
@@ -101,7 +116,7 @@ class Sampled(Displayed):
     exact: Exact
 
 
-def sampled(build: Builder, size: int) -> Sampled:
+def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
     """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.
 
     For many states, it is eleven digits, or thirteen of the entries next to it.
@@ -109,8 +124,9 @@ def sampled(build: Builder, size: int) -> Sampled:
     Args:
         build: returns enclosures of the problem.
         size: number of states and inputs.
+        source: the problem before it was sampled, if the input is held.
     """
-    exact = Exact(build)
+    exact = Exact(build, source)
     step: Step[Doubles] | Step[Balls] | None = None
     if size > FEW:
         with suppress(UnprovedError):

@@ -197,7 +197,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
     whole = symmetrised(deviation.T @ stage @ deviation)
     if own is None:
-        own = _apart(base, A[n:, n:])
+        own = _apart(base, A[n:, n:], e.S)
     deviations = Deviations(deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     point, at_rest = plant.operating_point, np.zeros(q)
@@ -220,18 +220,19 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     )  # fmt: skip
 
 
-def _apart(base: Discrete, S: Array) -> tuple[Quadratic, Exact | None]:
-    """Return the problem of a plant next to states with dynamics S that cost nothing and move nothing else."""
-    exact, more, (A, B, Q, R, N) = base.exact, len(S), base.quadratic
-    given = Quadratic(
-        block_diagonal(A, S),
-        np.pad(B, ((0, more), (0, 0))),
-        np.pad(Q, (0, more)),
-        R,
-        np.pad(N, ((0, more), (0, 0))),
-    )
+def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | None]:
+    """Return the problem of a plant next to states with dynamics S that cost nothing and move nothing else.
+
+    Args:
+        base: the problem of the plant.
+        S: the dynamics from step to step.
+        rates: the dynamics per second, if the plant was sampled.
+    """
+    exact, more = base.exact, len(S)
+    given = _next_to(base.quadratic, S)
     if exact is None:
         return given, None
+    A, B = base.plant.A, base.plant.B
 
     def build(arithmetic: type[E]) -> Step[E]:
         step = exact(arithmetic)
@@ -243,7 +244,14 @@ def _apart(base: Discrete, S: Array) -> tuple[Quadratic, Exact | None]:
             block([[step.W, side], [side.T, corner]]), step.c,
         )  # fmt: skip
 
-    return given, Exact(build)
+    source = exact.source
+    return given, Exact(build, source and Source(_next_to(source.given, rates), np.pad(source.W, (0, more)), base.tick))
+
+
+def _next_to(given: Quadratic, S: Array) -> Quadratic:
+    A, B, Q, R, N = given
+    below, square = ((0, len(S)), (0, 0)), (0, len(S))
+    return Quadratic(block_diagonal(A, S), np.pad(B, below), np.pad(Q, square), R, np.pad(N, below))
 
 
 def _within_a_period(

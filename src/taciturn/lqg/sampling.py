@@ -8,7 +8,7 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
 from taciturn._modes import balancing, pace
 from taciturn.lqg.enclosures import E, block
-from taciturn.lqg.intervals import Sampled, Step, integrated, sampled
+from taciturn.lqg.intervals import Sampled, Source, Step, integrated, sampled
 from taciturn.lqg.quadratic import Quadratic
 
 __all__ = ["Sampled", "sample", "sample_moving", "sample_prediction"]
@@ -51,7 +51,8 @@ def sample(
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
     period = _arrays.number("period", period, 0.0)
-    return _sampled(A, B, np.block([[Q, N], [N.T, R]]), _padded(W, m), np.zeros((m, n)), balancing(A), period)
+    source, moved = Source(Quadratic(A, B, Q, R, N), W, period), np.zeros((m, n))
+    return _sampled(A, B, np.block([[Q, N], [N.T, R]]), _padded(W, m), moved, balancing(A), period, source)
 
 
 def sample_moving(
@@ -154,7 +155,9 @@ def sample_prediction(
     return sampled(build, 2 * n)
 
 
-def _sampled(A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, period: float) -> Sampled:
+def _sampled(
+    A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, period: float, source: Source | None = None
+) -> Sampled:
     """Return the problem of ẋ = Ax + Bu, u̇ = Dx with noise of intensity G, in the units ``scale`` of the states."""
     reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
     reach = np.where(reach > 0, reach, 1.0)
@@ -165,7 +168,7 @@ def _sampled(A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, per
         exact = arithmetic.exact
         return integrated(arithmetic, exact(F), exact(M), exact(G), period, units).split(len(A))
 
-    return sampled(build, len(F))
+    return sampled(build, len(F), source)
 
 
 def _padded(W: Array, more: int) -> Array:

@@ -43,10 +43,11 @@ import numpy as np
 from taciturn._arrays import NO_VARIANCE, Array, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius, root, summed
+from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg._doubling import double
-from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, precision, solve
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two
 from taciturn.lqg.structure import Free, free_inputs, worth_of
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, Slow, factor, lost_modes, mode_text, pace, symmetric_factor
-from taciturn._rational import reaches_all
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import factor, mode_text, symmetric_factor
 from taciturn.errors import ProblemError
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
@@ -362,14 +362,12 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
 
     Marginally stable modes are accepted here; whether they must be controlled depends on cost and noise.
     """
-    slow = Slow(plant.A, continuous)
     for A, B, verb, what, remedy in (
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = lost_modes(A, B, continuous, slow)
-        lost = lost[lost.real > SCATTER * pace(A)] if continuous else lost[np.abs(lost) > 1 + SCATTER]
-        if lost.size and not reaches_all(A, B):
+        lost = unmoved(A, B, Limit(continuous)).growing
+        if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
                 f"{matrices} is not {verb}: {what} the mode at {mode_text(complex(lost[0]))}, which grows; "

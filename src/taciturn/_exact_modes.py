@@ -1,0 +1,174 @@
+"""Modes that no input moves, and which of them decay, stay or grow: exact answers for matrices of doubles.
+
+A double is a rational number. The modes that the input through B does not move are the roots of a polynomial with
+rational coefficients: the characteristic polynomial of A on the states modulo those that B, AB, A²B, … span. By
+duality, the modes of A' that C' does not move are those that the outputs Cx do not show.
+
+A root λ lies on the stability limit if and only if it is its own mirror image there: ρ²/λ* for a circle of radius ρ, and
+−λ* for the imaginary axis. The mirror images are the roots of the reflected polynomial. So roots on the limit are
+common roots of both, which a greatest common divisor finds exactly; all other roots are separated from the limit by
+balls of growing precision.
+
+Sampling changes none of these answers. An input moves all modes of a sampled plant unless (λ − μ)h = 2πik for two modes
+λ ≠ μ of the plant, or λh = 2πik ≠ 0 for one mode. For rational matrices and a rational period h, the left sides are
+algebraic numbers, and π is not. So the modes of the plant before it was sampled decide. With a discount α they are
+compared with −ln α/(2h), which no algebraic number is.
+
+Source: trentelman2001, kalman1963
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from flint import acb, arb, fmpq, fmpq_mat, fmpq_poly
+
+from taciturn._arrays import Array
+from taciturn._modes import Modes
+from taciturn._precision import precision
+from taciturn._rational import above, basis, beside, lines, pivots, rational, reaches_all
+
+BITS = 128  # first precision of the roots; it doubles until the limit separates them
+
+
+class Lost(NamedTuple):
+    """Modes that no input moves, the ones that grow fastest first.
+
+    Args:
+        growing: those outside the stability limit.
+        staying: those on the limit.
+        decaying: those inside.
+    """
+
+    growing: Modes
+    staying: Modes
+    decaying: Modes
+
+    @property
+    def lasting(self) -> Modes:
+        """The modes that do not decay, the fastest first."""
+        return np.concatenate([self.growing, self.staying])
+
+
+NONE = Lost(*(np.zeros(0, dtype=np.complex128) for _ in range(3)))
+
+
+class Limit(NamedTuple):
+    """The edge of the modes that count as decaying.
+
+    Args:
+        continuous: whether time is continuous: the edge is the imaginary axis, and otherwise the unit circle.
+        discount: α, by which the cost of a later step counts less: the edge is the circle of radius 1/√α, or in
+            continuous time the line Re λ = −ln α/(2h).
+        period: h, the period of the steps in continuous time.
+    """
+
+    continuous: bool
+    discount: float = 1.0
+    period: float = 1.0
+
+    def __str__(self) -> str:
+        """Return the edge as text."""
+        if self.continuous:
+            at = -float(np.log(self.discount)) / (2 * self.period)
+            return "the imaginary axis" if at == 0 else f"the line Re s = {at:.6g}"
+        at = 1 / float(np.sqrt(self.discount))
+        return "the unit circle" if at == 1 else f"the circle of radius 1/√discount = {at:.6g}"
+
+    @property
+    def reaching(self) -> bool:
+        """Whether an eigenvalue can lie on the edge: a line that is not the axis has transcendental real parts."""
+        return not self.continuous or self.discount == 1
+
+    def side(self, root: acb) -> int:
+        """Return 1 for a root that is proved to lie outside, −1 for one inside, and 0 for another one."""
+        if self.continuous:
+            distance = root.real + arb(self.discount).log() / (2 * arb(self.period))
+        else:
+            distance = (root.real**2 + root.imag**2) * arb(self.discount) - 1
+        return 1 if distance > 0 else -1 if distance < 0 else 0
+
+    def reflected(self, polynomial: fmpq_poly) -> fmpq_poly:
+        """Return the polynomial whose roots are the mirror images of the nonzero roots of another one."""
+        coefficients = polynomial.coeffs()
+        if self.continuous:
+            return fmpq_poly([one if k % 2 == 0 else -one for k, one in enumerate(coefficients)])
+        discount = fmpq(*self.discount.as_integer_ratio())
+        return fmpq_poly(list(reversed([one / discount**k for k, one in enumerate(coefficients)])))
+
+    def image(self, root: acb) -> acb:
+        """Return the mirror image of a nonzero root."""
+        conjugate = acb(root.real, -root.imag)
+        return -conjugate if self.continuous else acb(1) / (conjugate * arb(self.discount))
+
+
+def unmoved(A: Array, B: Array, limit: Limit) -> Lost:
+    """Return the modes of A that the input through B does not move.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        limit: the edge of the modes that count as decaying.
+    """
+    return NONE if not len(A) or reaches_all(A, B) else unmoved_by(rational(A), rational(B), limit)
+
+
+def unmoved_by(A: fmpq_mat, B: fmpq_mat, limit: Limit) -> Lost:
+    """Return the modes of A that the input through B does not move, for matrices of rational numbers."""
+    reached = basis(B)
+    while True:
+        larger = basis(beside(reached, A * reached))
+        if larger.ncols() == reached.ncols():
+            break
+        reached = larger
+    # a state modulo the reached ones has as coordinates its entries outside the pivots, without their combination
+    inside = pivots(reached)
+    rest, kept = np.flatnonzero(~inside).tolist(), np.flatnonzero(inside).tolist()
+    if not rest:
+        return NONE
+    late = _rows(A.transpose(), rest).transpose()
+    quotient = _rows(late, rest)
+    if kept:
+        quotient = quotient - _rows(reached, rest) * _rows(late, kept)
+    return _split(quotient.charpoly(), limit)
+
+
+def _rows(matrix: fmpq_mat, chosen: list[int]) -> fmpq_mat:
+    picked = [lines(matrix, range(i, i + 1)) for i in chosen]
+    return above(*picked) if picked else fmpq_mat(0, matrix.ncols())
+
+
+def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
+    """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
+    on, bits = None if limit.reaching else 0, BITS
+    while True:
+        with precision(bits):
+            found = polynomial.complex_roots()
+            sides = [limit.side(root) for root, _ in found]
+            if 0 in sides and on is None:
+                on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
+            if sides.count(0) == (on or 0):
+                return Lost(*(_values(found, sides, side) for side in (1, 0, -1)))
+        bits *= 2
+
+
+def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
+    """Return how many different roots are their own mirror images; None if this precision does not tell.
+
+    Args:
+        common: a polynomial that has the mirror images of its roots as roots.
+        limit: the mirror.
+    """
+    roots, count = [root for root, _ in common.complex_roots()] if common.degree() else [], 0
+    for k, root in enumerate(roots):
+        near = [j for j, other in enumerate(roots) if limit.image(root).overlaps(other)]
+        if len(near) != 1:
+            return None
+        count += near[0] == k
+    return count
+
+
+def _values(found: list[tuple[acb, int]], sides: list[int], side: int) -> Modes:
+    chosen = [complex(root) for (root, many), own in zip(found, sides, strict=True) if own == side for _ in range(many)]
+    return np.array(sorted(chosen, key=lambda mode: (-abs(mode), -mode.imag)), dtype=np.complex128)
