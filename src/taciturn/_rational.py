@@ -103,3 +103,21 @@ def right_inverse(matrix: fmpq_mat) -> fmpq_mat:
         for j in range(matrix.nrows()):
             found[row, j] = reduced[i, matrix.ncols() + j]
     return found
+
+
+def is_semidefinite(values: Array) -> bool:
+    """Return whether a symmetric matrix of doubles has no negative eigenvalue, by elimination without rounding."""
+    rest = rational(values)
+    n = len(values)
+    for k in range(n):
+        pivot, row = rest[k, k], [rest[k, j] for j in range(k, n)]
+        if pivot < 0 or (pivot == 0 and any(entry != 0 for entry in row)):
+            return False
+        if pivot == 0:
+            continue
+        for i in range(k + 1, n):
+            factor = row[i - k] / pivot
+            for j in range(i, n):
+                rest[i, j] -= factor * row[j - k]
+                rest[j, i] = rest[i, j]
+    return True
