@@ -6,7 +6,7 @@ A double is a rational number. So whether an input moves a mode of a plant is a 
 from __future__ import annotations
 
 import numpy as np
-from flint import fmpq, fmpq_mat, nmod_mat
+from flint import fmpq, fmpq_mat, fmpz_mat, nmod_mat
 
 from taciturn._arrays import Array, Bits
 
@@ -43,6 +43,21 @@ def rational(values: Array) -> fmpq_mat:
     """Return a matrix of doubles as rational numbers, each exactly."""
     entries = [fmpq(*value.as_integer_ratio()) for value in values.ravel().tolist()]
     return fmpq_mat(len(values), values.shape[1], entries)
+
+
+def nearest(whole: fmpz_mat, factor: fmpq) -> Array:
+    """Return the doubles nearest to the products of whole numbers with a factor; infinite beyond their range."""
+    over, under = int(factor.p), int(factor.q)
+    return np.array([_quotient(int(one) * over, under) for one in whole.entries()]).reshape(
+        whole.nrows(), whole.ncols()
+    )
+
+
+def _quotient(over: int, under: int) -> float:
+    try:
+        return over / under  # Python rounds the quotient of two integers once
+    except OverflowError:
+        return np.inf if over > 0 else -np.inf
 
 
 def above(*parts: fmpq_mat) -> fmpq_mat:

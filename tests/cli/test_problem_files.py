@@ -239,7 +239,7 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
         (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1, as in [plant]"),
         (actual(W="[[-1]]"), "[plant.actual]: W has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[-1]]\nR = [[1]]"}, "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
-        ({"cost": "[cost]\nQ = [[1]]\nR = [[0]]"}, "R has the eigenvalue 0; expected a positive definite matrix"),
+        ({"cost": "[cost]\nQ = [[1]]\nR = [[-1]]"}, "R has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": COST + "N = [[10.0]]"}, "[[Q, N], [N', R]] has the eigenvalue -8.5"),
         (
             {"cost": COST + "terminal = [[1.0]]"},

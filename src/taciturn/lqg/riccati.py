@@ -187,7 +187,7 @@ def regulate_finite(
                 "affect that mode"
             )
         if not is_definite(H[k]):
-            raise _singular(H[k], f" at step {k}")
+            raise costs_nothing(H[k], f" at step {k}", "R or the terminal weight")
         L[k] = -np.linalg.solve(H[k], cross)
         closed = A + B @ L[k]
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is detected and reported in the next step
@@ -313,7 +313,7 @@ def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
             "expected unstable modes that the inputs affect more strongly, or a weight on every state and input"
         ) from None
     if found.free:
-        raise _singular(found.H, "")
+        raise costs_nothing(found.H)
     if not found.held:
         raise not_held("regulator", problem.given.A / unit)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
@@ -424,10 +424,11 @@ def _disc(unit: float) -> str:
     return "the unit circle" if unit == 1 else f"the circle of radius 1/√discount = {1 / unit:.6g}"
 
 
-def _singular(H: Array, where: str) -> ProblemError:
+def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:
+    """Return the error that the weight H = R + B'KB of the input is singular, so that no gain is the only best one."""
     smallest = float(np.linalg.eigvalsh(H)[0])
     return ProblemError(
         f"R + B'KB is not positive definite{where}: it has the eigenvalue {smallest:.3g}, so an input "
-        "direction is free; expected every input to cost something; give R a positive part, or remove the "
+        f"direction is free; expected every input to cost something; give {weight} a positive part, or remove the "
         "redundant input"
     )

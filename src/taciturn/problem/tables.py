@@ -46,6 +46,7 @@ class PlantTable(Displayed):
 
     A: Rows
     B: Rows
+    E: Rows | None = None
     C: Rows | None = None
     W: Rows | None = None
     V: Rows | None = None
