@@ -132,6 +132,8 @@ def is_semidefinite(values: Array) -> bool:
             continue
         for i in range(k + 1, n):
             factor = row[i - k] / pivot
+            if factor == 0:
+                continue
             for j in range(i, n):
                 rest[i, j] -= factor * row[j - k]
                 rest[j, i] = rest[i, j]

@@ -678,7 +678,7 @@ def descriptor(draft: Draft) -> None:
         raise Elsewhere
     E = np.eye(n) + np.tril(draft.rng.integers(-2, 3, (n, n)) / 4, -1)
     E = E[draft.rng.permutation(n)] * draft.rng.choice([0.25, 1.0, 8.0], n)
-    for plant in [draft.plant, *[draft.plant["actual"]] * ("actual" in draft.plant)]:
+    for plant in (draft.plant, draft.plant["actual"]) if "actual" in draft.plant else (draft.plant,):
         plant["E"] = E.tolist()
         plant |= {key: (E @ np.array(plant[key])).tolist() for key in "AB"}
         for table, key in ((plant, "W"), (plant.get("jumps", {}), "covariance")):

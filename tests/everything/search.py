@@ -116,7 +116,8 @@ REQUIRED: Mapping[str, str] = {
 }  # fmt: skip
 PARTNERS: Mapping[str, tuple[str, ...]] = {
     "terminal weight": ("horizon",), "trajectory": ("horizon", "kind lossy-lqg", "measured state"),
-    "some inputs without cost": ("two inputs",), "normal jumps": ("continuous",), "uniform jumps": ("continuous",), "two-point jumps": ("continuous",),
+    "some inputs without cost": ("two inputs",),
+    "normal jumps": ("continuous",), "uniform jumps": ("continuous",), "two-point jumps": ("continuous",),
     "two sensors": ("two outputs",), "two wired sensors": ("two outputs",), "two actuators": ("two inputs",),
     "actuators of a wired sensor": ("two inputs",), "four nodes": ("two outputs", "two inputs"),
     "weights of the set-point": ("controller's set-point",), "controller per second": ("linear controller",),

@@ -373,7 +373,7 @@ def _unpaid_modes(given: Quadratic) -> Modes:
     after = np.zeros_like(from_here)
     after[:n, :n], after[n : 2 * n, n : 2 * n], after[2 * n :, n : 2 * n] = one, A.T, -B.T
     try:
-        found = eigenvalues(np.linalg.solve(from_here - BETWEEN * after, after))
+        found = eigenvalues(np.asarray(np.linalg.solve(from_here - BETWEEN * after, after), dtype=np.float64))
     except np.linalg.LinAlgError:
         return np.zeros(0, dtype=np.complex128)
     finite = found[np.abs(found) > SCATTER]

@@ -7,14 +7,16 @@ singular. With a singular E, some of the equations are algebraic, and the state 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
-from flint import fmpq, fmpz_mat
+from flint import fmpq, fmpq_mat, fmpz_mat
 
-from taciturn._arrays import Array, ArrayLike, array, semidefinite, square
-from taciturn._rational import nearest, rational
+from taciturn._arrays import Array, ArrayLike, array, is_definite, semidefinite, square
+from taciturn._modes import root
+from taciturn._rational import is_semidefinite, nearest, rational
 from taciturn.errors import ProblemError
+
 
 class Explicit(NamedTuple):
     """The matrices of a plant without E; ``W`` is None if it was."""
@@ -40,8 +42,8 @@ def explicit(E: ArrayLike, A: ArrayLike, B: ArrayLike, W: ArrayLike | None) -> E
     A = square("A", A, "states × states")
     B = array("B", B, (len(A), None), "(states, inputs)")
     inverse = _Inverse.of(E, len(A))
-    noise = None if W is None else inverse.covariance("W", W)
-    return Explicit(inverse.times("A", A), inverse.times("B", B), noise)
+    moved = Explicit(inverse.times("A", A), inverse.times("B", B), None)
+    return moved if W is None else moved._replace(W=inverse.covariance("W", W))
 
 
 def covariance_without(E: ArrayLike, name: str, W: ArrayLike) -> Array:
@@ -56,7 +58,7 @@ def effect_without(E: ArrayLike, name: str, effect: ArrayLike) -> Array:
 
 
 class _Inverse(NamedTuple):
-    """E⁻¹ as a matrix of whole numbers times a rational number: sums of products of whole numbers need no common part."""
+    """E⁻¹ as a matrix of whole numbers times a rational number, whose products need no common divisors."""
 
     whole: fmpz_mat
     factor: fmpq
@@ -65,7 +67,8 @@ class _Inverse(NamedTuple):
     def of(cls, E: ArrayLike, n: int) -> _Inverse:
         matrix, below = rational(array("E", E, (n, n), "(states, states)")).numer_denom()
         try:
-            found = matrix.solve(fmpz_mat(n, n, [int(i == j) for i in range(n) for j in range(n)]))
+            one = fmpz_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
+            found = cast("fmpq_mat", cast("Any", matrix).solve(one))  # its stub leaves the type open
         except ZeroDivisionError:
             raise ProblemError(
                 f"E is singular: its rank is {matrix.rank()} for {n} states, so some equations are algebraic, and the "
@@ -80,7 +83,12 @@ class _Inverse(NamedTuple):
         return _checked(f"E⁻¹{name}", self.whole * whole, self.factor / below)
 
     def covariance(self, name: str, W: ArrayLike) -> Array:
-        whole, below = rational(semidefinite(name, W, self.whole.nrows(), "(states, states)")).numer_denom()
+        stated = semidefinite(name, W, self.whole.nrows(), "(states, states)")
+        exact = rational(stated)
+        if not (is_definite(stated) or is_semidefinite(stated)):  # but for the rounding of its entries
+            part = rational(root(stated))
+            exact = part * part.transpose()
+        whole, below = exact.numer_denom()
         moved = self.whole * whole * self.whole.transpose()
         return _checked(f"E⁻¹·{name}·E'⁻¹", moved, self.factor * self.factor / below)
 

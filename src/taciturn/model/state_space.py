@@ -38,8 +38,8 @@ def plant_from(
     """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
 
     A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
-    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected. If the system has
-    a matrix E, as MATLAB's descriptor systems, W is the covariance of the noise in the equation of E.
+    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected. If the
+    system has a matrix E, as MATLAB's descriptor systems, W is the covariance of the noise in the equation of E.
 
     Args:
         system: an object with attributes A, B, C, D and dt, or with a method ``to_ss`` that returns such an object.

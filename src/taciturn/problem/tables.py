@@ -46,10 +46,10 @@ class PlantTable(Displayed):
 
     A: Rows
     B: Rows
-    E: Rows | None = None
     C: Rows | None = None
     W: Rows | None = None
     V: Rows | None = None
+    E: Rows | None = None
     dt: float | None = None
     input_limit: list[float | list[float]] | None = None
     input_rate: list[float] | None = None
