@@ -244,7 +244,7 @@ def test_one_of_two_inputs_may_cost_nothing():
 def test_a_zero_outside_the_circle_is_mirrored(zero):
     """With R = 0 the output (x₂ − z x₁)² costs nothing after a step if |z| < 1, else as if its zero were 1/z.
 
-    For |z| < 1 the cost-to-go is that of the present output alone. For |z| > 1 its states are worth z², with −z between.
+    For |z| < 1 the cost-to-go is that of the present output alone. For |z| > 1 each state is worth z².
     """
     found = regulate(*zeroed(zero))
     z = zero
