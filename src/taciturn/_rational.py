@@ -6,7 +6,7 @@ A double is a rational number. So whether an input moves a mode of a plant is a 
 from __future__ import annotations
 
 import numpy as np
-from flint import fmpq, fmpq_mat, nmod_mat
+from flint import fmpq, fmpq_mat, fmpz_mat, nmod_mat
 
 from taciturn._arrays import Array, Bits
 
@@ -43,6 +43,21 @@ def rational(values: Array) -> fmpq_mat:
     """Return a matrix of doubles as rational numbers, each exactly."""
     entries = [fmpq(*value.as_integer_ratio()) for value in values.ravel().tolist()]
     return fmpq_mat(len(values), values.shape[1], entries)
+
+
+def nearest(whole: fmpz_mat, factor: fmpq) -> Array:
+    """Return the doubles nearest to the products of whole numbers with a factor; infinite beyond their range."""
+    over, under = int(factor.p), int(factor.q)
+    return np.array([_quotient(int(one) * over, under) for one in whole.entries()]).reshape(
+        whole.nrows(), whole.ncols()
+    )
+
+
+def _quotient(over: int, under: int) -> float:
+    try:
+        return over / under  # Python rounds the quotient of two integers once
+    except OverflowError:
+        return np.inf if over > 0 else -np.inf
 
 
 def above(*parts: fmpq_mat) -> fmpq_mat:
@@ -103,3 +118,23 @@ def right_inverse(matrix: fmpq_mat) -> fmpq_mat:
         for j in range(matrix.nrows()):
             found[row, j] = reduced[i, matrix.ncols() + j]
     return found
+
+
+def is_semidefinite(values: Array) -> bool:
+    """Return whether a symmetric matrix of doubles has no negative eigenvalue, by elimination without rounding."""
+    rest = rational(values)
+    n = len(values)
+    for k in range(n):
+        pivot, row = rest[k, k], [rest[k, j] for j in range(k, n)]
+        if pivot < 0 or (pivot == 0 and any(entry != 0 for entry in row)):
+            return False
+        if pivot == 0:
+            continue
+        for i in range(k + 1, n):
+            factor = row[i - k] / pivot
+            if factor == 0:
+                continue
+            for j in range(i, n):
+                rest[i, j] -= factor * row[j - k]
+                rest[j, i] = rest[i, j]
+    return True

@@ -142,7 +142,7 @@ def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
         ((*WALK, "[1 2 3]"), "W is 1×3; expected one number, 2 for a diagonal, or a matrix 2×2"),
         ((*WALK, "[1 2; 3 4]"), "W is not symmetric"),
         ((*WALK, "1", "-1"), "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
-        ((*WALK, "1", "1", "0"), "R has the eigenvalue 0; expected a positive definite matrix"),
+        ((*WALK, "1", "1", "-1"), "R has the eigenvalue -1; expected a positive semidefinite matrix"),
         ((*WALK, "1", "1", "1", "wifi"), "the network is 'wifi'; expected ideal, tcp or udp"),
         ((*WALK, "1", "1", "1", "udp"), "the network is udp, but the policy for this network, lossy-lqg, requires"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),

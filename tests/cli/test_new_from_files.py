@@ -218,11 +218,16 @@ def test_what_cannot_be_read_is_one_sentence(run: Run) -> None:
 
 
 @pytest.mark.parametrize("name", ["given.mat", "given.npz", "given.v73.mat"])
-def test_a_descriptor_matrix_or_a_delay_is_not_ignored(run: Run, name: str) -> None:
+def test_a_descriptor_matrix_is_kept_and_a_delay_is_not_ignored(run: Run, name: str) -> None:
     """E x⁺ = A x + B u has other poles than A, and a delay other dynamics; an identity and zeros change nothing."""
-    write(name, {**WHOLE, "E": np.diag([0.5, 1.0])})
-    answer = run("new", "made.toml", "--from", name)
-    assert f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E" in answer.sentence
+    E = np.diag([0.5, 1.0])
+    write(name, {**WHOLE, "E": E})
+    found = tables(run, name)
+    assert (found["plant"]["A"], found["plant"]["E"]) == (A, E.tolist())
+    np.testing.assert_array_equal(taciturn.load("new.toml").plant.A, np.linalg.inv(E) @ A)
+    Path("new.toml").unlink()
+    write(name, {**WHOLE, "E": np.zeros((2, 2))})
+    assert "E is singular: its rank is 0 for 2 states" in run("new", "other.toml", "--yes", "--from", name).sentence
     write(name, {**WHOLE, "InputDelay": 2.0})
     assert (
         f"{name} has InputDelay [2.0]; expected a system without delays"

@@ -259,6 +259,7 @@ def compare(
     problem: Problem, found: Evaluation, tables: Tables, folder: Path, seed: int, longer: int
 ) -> dict[str, tuple[str, str, float]]:
     """Return cost and rates by this simulation and by the library, and how far apart they are."""
+    tables = plain.without_descriptor(tables)
     model = resolved(tables, plain.model_of(tables, folder))
     policy, twin = policy_of(tables, model, found.cost_all_time)
     world = plain.with_actual(model, tables, folder)

@@ -344,6 +344,24 @@ def cross(draft: Draft) -> None:
     draft.tables["cost"]["N"] = N.tolist()
 
 
+def free(draft: Draft) -> None:
+    """Let inputs cost nothing by themselves: only what they move does."""
+    cost = draft.tables["cost"]
+    if "R" not in cost or "N" in cost:
+        raise Elsewhere
+    cost["R"] = rows(np.zeros((draft.inputs, draft.inputs)))
+
+
+def low_rank(draft: Draft) -> None:
+    """Let only one combination of inputs cost something by itself, also together with the first state."""
+    cost, r = draft.tables["cost"], np.round(draft.rng.standard_normal(draft.inputs), 2)
+    if "R" not in cost or draft.inputs == 1:
+        raise Elsewhere
+    cost["R"] = rows(np.outer(r, r))
+    if "N" in cost:
+        cost["N"] = rows(0.2 * np.outer(np.eye(draft.states)[0], r))
+
+
 def horizon(draft: Draft) -> None:
     """Let the cost be a total over a few steps."""
     draft.tables["cost"]["horizon"] = HORIZON
@@ -653,6 +671,23 @@ def shares(draft: Draft) -> None:
     draft.policy["shares"] = {free[0]: 2.0}
 
 
+def descriptor(draft: Draft) -> None:
+    """State the equation of the plants times a regular matrix, which the noise and the disturbances are part of."""
+    n = draft.states
+    if "function" in draft.plant or draft.plant.get("jumps", {}).get("distribution", "normal") != "normal":
+        raise Elsewhere
+    E = np.eye(n) + np.tril(draft.rng.integers(-2, 3, (n, n)) / 4, -1)
+    E = E[draft.rng.permutation(n)] * draft.rng.choice([0.25, 1.0, 8.0], n)
+    for plant in (draft.plant, draft.plant["actual"]) if "actual" in draft.plant else (draft.plant,):
+        plant["E"] = E.tolist()
+        plant |= {key: (E @ np.array(plant[key])).tolist() for key in "AB"}
+        for table, key in ((plant, "W"), (plant.get("jumps", {}), "covariance")):
+            if key in table:
+                table[key] = (E @ np.array(table[key]) @ E.T).tolist()
+    for entry in draft.tables.get("disturbance", []):
+        entry["enters"] = (E @ np.array(entry["enters"])).tolist()
+
+
 def features() -> list[Feature]:
     """Return all features in the order in which they are added: sizes first, and options after kinds."""
     kinds = [Feature(f"kind {name}", "kind", kind(name)) for name in own_kinds()]
@@ -714,6 +749,8 @@ def features() -> list[Feature]:
     costs = {
         "drawn weights": ("weights", weights),
         "cross terms": ("cross", cross),
+        "inputs without cost": ("free", free),
+        "some inputs without cost": ("free", low_rank),
         "horizon": ("total", horizon),
         "discount": ("total", discount),
         "terminal weight": ("terminal", terminal),
@@ -779,6 +816,7 @@ def features() -> list[Feature]:
         "controller at the sensor": ("place", option(controller="sensor", zeta=None)),
         "longest silence": ("longest", option(longest=6.0)),
         "violations": ("violations", state_limits),
+        "descriptor": ("descriptor", descriptor),
     }
     ordered = [plants, signals, networks, points, costs, controllers]
     found = [Feature(name, group, add) for table in ordered for name, (group, add) in table.items()]

@@ -190,6 +190,30 @@ def model_of(tables: Tables, folder: Path) -> Model:
     )  # fmt: skip
 
 
+def without_descriptor(tables: Tables) -> Tables:
+    """Return the file with the plants without E; W, jumps and disturbances are those of the equation of E."""
+    found = dict(tables)
+    found["plant"] = dict(tables["plant"])
+    if "actual" in found["plant"]:
+        found["plant"]["actual"] = dict(found["plant"]["actual"])
+    for plant in (found["plant"], found["plant"].get("actual", {})):
+        if "E" not in plant:
+            continue
+        inverse = np.linalg.inv(matrix(plant.pop("E")))
+        plant |= {key: (inverse @ matrix(plant[key])).tolist() for key in "AB"}
+        if "W" in plant:
+            plant["W"] = (inverse @ matrix(plant["W"]) @ inverse.T).tolist()
+        if "jumps" in plant:
+            covariance = inverse @ matrix(plant["jumps"]["covariance"]) @ inverse.T
+            plant["jumps"] = {**plant["jumps"], "covariance": covariance.tolist()}
+        if plant is found["plant"] and "disturbance" in tables:
+            moved = [(inverse @ np.array(one["enters"])).tolist() for one in tables["disturbance"]]
+            found["disturbance"] = [
+                {**one, "enters": enters} for one, enters in zip(tables["disturbance"], moved, strict=True)
+            ]
+    return found
+
+
 def matrix(values: Any) -> Array:
     """Return rows as a matrix."""
     return np.array(values, dtype=float, ndmin=2)

@@ -155,8 +155,9 @@ class Lossy:
         self.Gamma: list[Array] = []
         for _ in range(model.horizon or 100_000):
             M = model.R + B.T @ (K + (0.0 if self.told else a * phi) * P) @ B
-            L = -np.linalg.solve(M, B.T @ K @ A)
-            Gamma = (1 - a) * A.T @ K @ B @ np.linalg.solve(M, B.T @ K @ A)
+            inverse = np.linalg.pinv(M)  # the first M is zero if inputs cost nothing and act late
+            L = -inverse @ B.T @ K @ A
+            Gamma = (1 - a) * A.T @ K @ B @ inverse @ B.T @ K @ A
             new = model.Q + A.T @ K @ A - Gamma, Gamma + b * A.T @ P @ A
             settled = np.abs(new[0] - K).max() + np.abs(new[1] - P).max() <= 1e-13 * np.abs(new[0]).max()
             K, P = new

@@ -116,6 +116,7 @@ REQUIRED: Mapping[str, str] = {
 }  # fmt: skip
 PARTNERS: Mapping[str, tuple[str, ...]] = {
     "terminal weight": ("horizon",), "trajectory": ("horizon", "kind lossy-lqg", "measured state"),
+    "some inputs without cost": ("two inputs",),
     "normal jumps": ("continuous",), "uniform jumps": ("continuous",), "two-point jumps": ("continuous",),
     "two sensors": ("two outputs",), "two wired sensors": ("two outputs",), "two actuators": ("two inputs",),
     "actuators of a wired sensor": ("two inputs",), "four nodes": ("two outputs", "two inputs"),

@@ -228,8 +228,9 @@ def test_units_of_weights_do_not_decide_whether_they_are_definite():
     assert Cost(np.eye(2), np.diag([1e-8, 1e8])).R[0, 0] == 1e-8
     with pytest.raises(ProblemError, match="Q has the eigenvalue -1e-08"):
         Cost(np.diag([1e8, -1e-8]), [[1.0]])
-    with pytest.raises(ProblemError, match=r"R has the eigenvalue .*positive definite"):
-        Cost([[1.0]], [[1e8, 1.0], [1.0, 1e-8]])
+    with pytest.raises(ProblemError, match=r"R has the eigenvalue .*positive semidefinite"):
+        Cost([[1.0]], [[1e8, 1e3], [1e3, 1e-8]])
+    assert Cost([[1.0]], [[1e8, 1.0], [1.0, 1e-8]]).R[0, 1] == 1.0  # singular up to rounding
     with pytest.raises(ProblemError, match="Q is not symmetric"):
         Cost(np.array([[1e9, 0, 0], [0, 1, 0.5], [0, 0, 1]]), [[1.0]])
     column = np.array([[1.0], [1e-12], [0.0]])

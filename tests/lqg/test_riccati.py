@@ -8,6 +8,7 @@ import pytest
 from drawn import law
 from hypothesis import assume
 from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
 
 from taciturn._modes import accumulate, radius
 from taciturn.errors import ProblemError, UnstableError
@@ -198,3 +199,126 @@ def test_states_that_cost_nothing_change_no_cost(draw, seed):
     assert not found.error[n:].any()
     assert found.K[:n, :n] == pytest.approx(one.K, rel=1e-9, abs=1e-12 * np.abs(one.K).max())
     assert found.L[:, :n] == pytest.approx(one.L, rel=1e-8, abs=1e-10 * np.abs(one.L).max())
+
+
+def zeroed(*zeros):
+    """Return a chain of delays whose weight is the square of an output with these zeros, and whose input costs nothing.
+
+    The output is Σ c_i x_i with the coefficients c of the polynomial of the zeros.
+    """
+    c = np.real(np.poly(zeros))[::-1]
+    n = len(c)
+    A = np.diag(np.ones(n - 1), 1)
+    A[-1] = np.arange(1, n + 1) / 4
+    return A, np.eye(n)[:, -1:], np.outer(c, c), np.zeros((1, 1)), np.zeros((n, 1))
+
+
+def test_an_input_that_costs_nothing_removes_the_state_in_a_step():
+    """Deadbeat control: with R = 0 and an invertible B the cost-to-go is Q and the gain −B⁻¹A."""
+    found = regulate([[2.0]], [[4.0]], [[5.0]], [[0.0]], [[0.0]])
+    assert (found.K[0, 0], found.L[0, 0], found.H[0, 0]) == (5.0, -0.5, 80.0)
+    assert found.slowest == 0
+    A, B, Q = np.array([[1.5, 1.0], [0.25, -2.0]]), np.array([[1.0, 1.0], [0.0, 2.0]]), np.array([[2.0, 1.0], [1, 3]])
+    found = regulate(A, B, Q, np.zeros((2, 2)), np.zeros((2, 2)))
+    assert found.K == pytest.approx(Q, rel=1e-14)
+    assert found.L == pytest.approx(-np.linalg.inv(B) @ A, rel=1e-13)
+
+
+def test_a_register_of_a_free_input_lets_the_state_pass_once():
+    """x₁⁺ = 1.5 x₁ + x₂, x₂⁺ = u with Q on x₁ alone: the state costs x₁² + (1.5 x₁ + x₂)² and is zero thereafter."""
+    found = regulate([[1.5, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.diag([1.0, 0.0]), [[0.0]], np.zeros((2, 1)))
+    assert found.K == pytest.approx(np.array([[3.25, 1.5], [1.5, 1.0]]), rel=1e-12)
+    assert found.L == pytest.approx(np.array([[-2.25, -1.5]]), rel=1e-12)
+
+
+def test_one_of_two_inputs_may_cost_nothing():
+    """It alone is used where it suffices; of two copies of an actuator the free one is, and the cheap sum is."""
+    found = regulate([[1.5]], [[1.0, 2.0]], [[1.0]], np.diag([0.0, 1.0]), np.zeros((1, 2)))
+    assert found.K[0, 0] == pytest.approx(1, rel=1e-12)
+    assert found.L == pytest.approx(np.array([[-1.5], [0.0]]), abs=1e-12)
+    found = regulate([[1.5]], [[1.0, 2.0]], [[1.0]], np.ones((2, 2)), np.zeros((1, 2)))  # (u₁ + u₂)² costs
+    assert found.L == pytest.approx(np.array([[1.5], [-1.5]]), abs=1e-12)
+
+
+@pytest.mark.parametrize("zero", [2.0, -3.0, 0.5, -0.25, 1.25])
+def test_a_zero_outside_the_circle_is_mirrored(zero):
+    """With R = 0 the output (x₂ − z x₁)² costs nothing after a step if |z| < 1, else as if its zero were 1/z.
+
+    For |z| < 1 the cost-to-go is that of the present output alone. For |z| > 1 each state is worth z².
+    """
+    found = regulate(*zeroed(zero))
+    z = zero
+    expected = [[z * z, -z], [-z, 1.0]] if abs(z) < 1 else [[z * z, -z], [-z, z * z]]
+    assert found.K == pytest.approx(np.array(expected), rel=1e-9)
+    assert found.slowest == pytest.approx(min(abs(z), 1 / abs(z)), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("zeros", "mode"),
+    [
+        ((1.0,), "1"),
+        ((-1.0,), "-1"),
+        ((1j, -1j), "0-1i"),
+        ((0.625 + 0.7806247498j, 0.625 - 0.7806247498j), "0.6"),
+    ],
+)
+def test_a_motion_on_the_circle_without_cost_is_named(zeros, mode):
+    """No gain is the best one then, and also that of smaller and smaller weights tends to a loop that is not stable."""
+    A, B, Q, R, N = zeroed(*zeros)
+    Q = np.round(Q * 16) / 16  # exactly the square of an exact zero on the circle
+    with pytest.raises(UnstableError, match=rf"^R is singular, and inputs can move the state along the mode {mode}"):
+        regulate(A, B, Q, R, N)
+    with pytest.raises(
+        UnstableError, match="on the edge of the circle of radius 1/√discount = 2 for ever without cost"
+    ):
+        regulate_discounted(*zeroed(-2.0), 0.25)
+
+
+def test_near_the_circle_the_solution_is_found():
+    """The exact statement about the zero decides, not its distance from the circle."""
+    for z in (1 - 2.0**-20, 1 + 2.0**-20):
+        found = regulate(*zeroed(z))
+        assert found.slowest == pytest.approx(min(z, 1 / z), rel=1e-9)
+
+
+def test_a_continuous_regulator_needs_a_definite_weight():
+    """Its gain contains R⁻¹; the message says what does without."""
+    with pytest.raises(
+        ProblemError, match=r"R has the eigenvalue 0, and the gain .* needs a positive definite R.*holds"
+    ):
+        regulate_continuous([[2.0]], [[1.0]], [[1.0]], [[0.0]], [[0.0]])
+
+
+def test_the_last_input_of_a_horizon_may_be_free():
+    """It moves a state that has no weight any more; with a terminal weight, it has a price."""
+    one, none = [[1.0]], [[0.0]]
+    with pytest.raises(ProblemError, match=r"at step 2: .* give R or the terminal weight a positive part"):
+        regulate_finite([[2.0]], one, one, none, none, none, 3)
+    assert regulate_finite([[2.0]], one, one, none, none, one, 3).L.ravel().tolist() == [-2.0, -2.0, -2.0]
+
+
+@law(8, 200, seed=seeds)
+def test_a_singular_weight_is_the_limit_of_definite_ones(seed):
+    """K(R + rI) = K(R) + rX + O(r²) with X = F'XF + L'L, and K is that of scipy's pencil, for R of any rank below m."""
+    draws = np.random.default_rng(seed)
+    n = int(draws.integers(1, 5))
+    m = int(draws.integers(1, n + 1))
+    rank = int(draws.integers(0, m))
+    A, B = draws.normal(size=(n, n)), draws.normal(size=(n, m))
+    A *= draws.uniform(0.4, 1.5) / np.abs(np.linalg.eigvals(A)).max()
+    r = draws.normal(size=(m, rank))
+    D = np.hstack([draws.normal(size=(rank, n)), r.T])  # cross terms of the inputs that cost something
+    M = D.T @ D
+    Q, R, N = M[:n, :n] + np.eye(n), M[n:, n:], M[:n, n:]
+    found = regulate(A, B, Q, R, N)
+    K, L = found.K, found.L
+    assume(radius(A + B @ L) < 0.95)
+    assume(np.linalg.cond(found.H) < 1e4)
+    X = accumulate((A + B @ L).T, L.T @ L)
+    small = 1e-6 / max(1.0, np.abs(X).max())
+    nearby = regulate(A, B, Q, R + small * np.eye(m), N).K
+    assert nearby - K == pytest.approx(
+        small * X, rel=1e-2, abs=1e-4 * small * np.abs(X).max() + 1e-12 * np.abs(K).max()
+    )
+    other = solve_discrete_are(A, B, Q, R, s=N)
+    assert K == pytest.approx(other, rel=1e-6, abs=1e-7 * np.abs(K).max())

@@ -123,14 +123,13 @@ def test_neither_python_control_nor_scipy_signal_is_imported() -> None:
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"E": np.diag([0.5, 1.0])}, "system has a descriptor matrix E, E x⁺ = A x \\+ B u; expected a system without"),
         ({"InputDelay": [2.0]}, r"system has InputDelay \[2.0\]; expected a system without delays"),
         ({"OutputDelay": 0.3}, "system has OutputDelay"),
         ({"input_delay": np.array([1])}, "system has input_delay"),
     ],
 )
-def test_a_descriptor_matrix_or_a_delay_is_not_dropped(more: dict[str, Any], words: str) -> None:
-    """By plants and by controllers; an identity and delays of zero change nothing."""
+def test_a_delay_is_not_dropped(more: dict[str, Any], words: str) -> None:
+    """By plants and by controllers; an identity E and delays of zero change nothing."""
     system = SimpleNamespace(A=A, B=B, C=C, D=D, dt=0.1)
     with pytest.raises(ProblemError, match=words):
         plant_from(SimpleNamespace(**vars(system), **more), W, V)
@@ -138,3 +137,13 @@ def test_a_descriptor_matrix_or_a_delay_is_not_dropped(more: dict[str, Any], wor
         controller_from(SimpleNamespace(**vars(system), **more))
     nothing = SimpleNamespace(**vars(system), E=np.eye(2), InputDelay=[0.0], OutputDelay=None)
     np.testing.assert_array_equal(plant_from(nothing, W, V).A, A)
+
+
+def test_a_descriptor_matrix_is_solved_for_plants_and_refused_for_controllers() -> None:
+    """W is the covariance of the noise in the equation of E."""
+    system = SimpleNamespace(A=A, B=B, C=C, D=D, dt=0.1, E=np.diag([0.5, 1.0]))
+    found, inverse = plant_from(system, W, V), np.diag([2.0, 1.0])
+    for name, expected in (("A", inverse @ A), ("B", inverse @ B), ("W", inverse @ W @ inverse), ("C", np.asarray(C))):
+        np.testing.assert_array_equal(getattr(found, name), expected)
+    with pytest.raises(ProblemError, match="controller has a descriptor matrix E, E x⁺ = A x \\+ B u; expected a sys"):
+        controller_from(system)

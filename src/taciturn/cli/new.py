@@ -151,6 +151,8 @@ class _Interview:
     def _ask_plant(self) -> None:
         draft, per = self.draft, "second" if self.draft.continuous else "step"
         self._take("A", f"A, the dynamics per {per}, for example [1 2; 3 4]")
+        if self._has("E"):
+            self._take("E", "E, the matrix of the derivative, or of the next state")
         self._take("B", "B, the input matrix")
         whole = not self._has("C") and not self._has("V")
         if whole and not self.questions.yes:

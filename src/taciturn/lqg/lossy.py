@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, Bits, frozen, symmetrised
+from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
 from taciturn._progress import check_time
@@ -19,7 +19,7 @@ from taciturn.errors import UnstableError
 from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
-from taciturn.lqg.riccati import regulate, states_with_cost
+from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
 TURNS = 100
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
@@ -91,9 +91,14 @@ def lossy_step(
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
     K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.
 
+    Raises:
+        ProblemError: M is singular.
+
     Source: khashooei2017, schenato2007
     """
-    inverse = price(B, K + channel.coupling * P, R)[1]
+    M, inverse = price(B, K + channel.coupling * P, R)
+    if not (is_definite(R) or is_definite(M)) and np.isfinite(M).all():
+        raise costs_nothing(M, weight="R or the terminal weight")
     cross = B.T @ K @ A
     L = -inverse @ cross
     Gamma = symmetrised((1 - channel.actuator_loss) * cross.T @ inverse @ cross)
@@ -116,7 +121,7 @@ def regulate_lossy_finite(
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         Q: (n, n) semidefinite state weight.
-        R: (m, m) definite input weight.
+        R: (m, m) semidefinite input weight.
         terminal: (n, n) semidefinite weight of the final state.
         horizon: number of steps N, at least 1.
         channel: loss probabilities, acknowledgement and delay.
@@ -125,6 +130,7 @@ def regulate_lossy_finite(
         The gains, indexed by time.
 
     Raises:
+        ProblemError: M is singular, so that an input costs nothing.
         UnstableError: the cost overflows.
 
     Source: khashooei2017, schenato2007
@@ -161,7 +167,7 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         Q: (n, n) semidefinite state weight.
-        R: (m, m) definite input weight.
+        R: (m, m) semidefinite input weight.
         channel: loss probabilities, acknowledgement and delay.
 
     Returns:

@@ -14,14 +14,14 @@ from functools import cached_property
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, symmetrised
+from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import E, UnprovedError, block
 from taciturn.lqg.intervals import Interval, Sampled, Step, sampled
 from taciturn.lqg.quadratic import Quadratic, price
-from taciturn.lqg.riccati import regulate_for
+from taciturn.lqg.riccati import costs_nothing, regulate_for
 from taciturn.lqg.stabilising import Equation
 
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
@@ -186,7 +186,7 @@ class Held:
         """Return the optimal gains and the average cost of a cycle of intervals with held inputs.
 
         Raises:
-            ProblemError: the state overflows within an interval.
+            ProblemError: the state overflows within an interval, or an input costs nothing.
             UnstableError: the plant cannot be stabilised with this cycle.
         """
         stretches = [self.lifted(ticks) for ticks in intervals]
@@ -279,8 +279,14 @@ def _inverse(H: Array) -> Array:
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
-    """Return cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end."""
+    """Return cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end.
+
+    Raises:
+        ProblemError: an input costs nothing, now or later.
+    """
     H, inverse = price(stretch.B, K, stretch.R)
+    if not (is_definite(stretch.R) or is_definite(H)):
+        raise costs_nothing(H)
     L = -inverse @ (stretch.B.T @ K @ stretch.A + stretch.N.T)
     return symmetrised(stretch.Q + stretch.A.T @ K @ stretch.A - L.T @ H @ L), L
 

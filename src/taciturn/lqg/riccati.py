@@ -32,6 +32,8 @@ from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.structure import worth_of
 
+BETWEEN = 0.3137  # a point that is hardly a zero of a problem
+
 __all__ = [
     "FiniteRegulator",
     "Regulator",
@@ -185,7 +187,7 @@ def regulate_finite(
                 "affect that mode"
             )
         if not is_definite(H[k]):
-            raise _singular(H[k], f" at step {k}")
+            raise costs_nothing(H[k], f" at step {k}", "R or the terminal weight")
         L[k] = -np.linalg.solve(H[k], cross)
         closed = A + B @ L[k]
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is detected and reported in the next step
@@ -228,7 +230,13 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
         [[-0.316228, -0.855836]]
     """
     given = Quadratic.checked(A, B, Q, R, N)
-    _arrays.definite("R", given.R, len(given.R), "inputs × inputs")
+    if not is_definite(given.R):
+        smallest = float(np.linalg.eigvalsh(given.R)[0])
+        raise ProblemError(
+            f"R has the eigenvalue {smallest:.3g}, and the gain −R⁻¹(B'K + N') of a continuous-time regulator needs a "
+            "positive definite R, since inputs that cost nothing could move the state at once; expected a positive "
+            "weight of each input, or a policy that holds its input between samples"
+        )
     return _solved(Problem(*exactly(given), continuous=True))
 
 
@@ -305,7 +313,7 @@ def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
             "expected unstable modes that the inputs affect more strongly, or a weight on every state and input"
         ) from None
     if found.free:
-        raise _singular(found.H, "")
+        raise costs_nothing(found.H)
     if not found.held:
         raise not_held("regulator", problem.given.A / unit)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
@@ -327,6 +335,8 @@ def _refuse(problem: Problem, unit: float) -> None:
         unseen = _unseen_modes(*seen)
         unseen = unseen[_to_edge(unseen, continuous) <= near]
         _refuse_unseen(unseen / unit, edge if continuous else "the edge of " + edge)
+    else:
+        _refuse_unpaid(_unpaid_modes(seen) / unit, "the edge of " + edge)
 
 
 def _to_edge(modes: Modes, continuous: bool) -> Array:
@@ -339,6 +349,50 @@ def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
     weight = Q - N @ share
     weight = np.where(np.abs(weight) > 1e-13 * (np.abs(Q) + np.abs(N) @ np.abs(share)), weight, 0.0)
     return uncontrollable_modes((A - B @ share).T, root(symmetrised(weight)))
+
+
+def _unpaid_modes(given: Quadratic) -> Modes:
+    """Return the modes on the unit circle along which inputs can keep the state moving without cost, for singular R.
+
+    With the weight D'D of (x, u), these are the zeros λ of [A − λI, B; D] on the unit circle. The pencil
+
+        [A 0 B; −Q I −N; N' 0 R] − λ [I 0 0; 0 A' 0; 0 −B' 0]
+
+    has each of them twice, so that they scatter; so each is projected on the circle, and the rank tells whether it is
+    a zero. The inverse of the pencil at a point turns its infinite eigenvalues into zeros.
+    """
+    A, B, Q, R, N = given
+    (n, m), one = B.shape, np.eye(len(A))
+    weight = np.block([[Q, N], [N.T, R]])
+    rows = root(weight).T
+    from_here = np.block([
+        [A, np.zeros((n, n)), B],
+        [-Q, one, -N],
+        [N.T, np.zeros((m, n)), R],
+    ])  # fmt: skip
+    after = np.zeros_like(from_here)
+    after[:n, :n], after[n : 2 * n, n : 2 * n], after[2 * n :, n : 2 * n] = one, A.T, -B.T
+    try:
+        found = eigenvalues(np.asarray(np.linalg.solve(from_here - BETWEEN * after, after), dtype=np.float64))
+    except np.linalg.LinAlgError:
+        return np.zeros(0, dtype=np.complex128)
+    finite = found[np.abs(found) > SCATTER]
+    modes = BETWEEN + 1 / finite
+    edge = modes[np.abs(np.abs(modes) - 1) <= np.sqrt(SCATTER)]
+    unpaid: list[complex] = []
+    for mode in edge / np.abs(edge):
+        values = np.linalg.svd(np.block([[A - mode * one, B], [rows]]), compute_uv=False)
+        if values[-1] <= SCATTER * values[0]:
+            unpaid.append(complex(mode))
+    return np.array(unpaid, dtype=np.complex128)
+
+
+def _refuse_unpaid(modes: Modes, edge: str) -> None:
+    if modes.size:
+        raise UnstableError(
+            f"R is singular, and inputs can move the state along the mode {mode_text(complex(modes[0]))} on {edge} for "
+            "ever without cost, so no optimal gain stabilises it; expected a positive weight of this motion in Q or R"
+        )
 
 
 def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None:
@@ -370,10 +424,11 @@ def _disc(unit: float) -> str:
     return "the unit circle" if unit == 1 else f"the circle of radius 1/√discount = {1 / unit:.6g}"
 
 
-def _singular(H: Array, where: str) -> ProblemError:
+def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:
+    """Return the error that the weight H = R + B'KB of the input is singular, so that no gain is the only best one."""
     smallest = float(np.linalg.eigvalsh(H)[0])
     return ProblemError(
         f"R + B'KB is not positive definite{where}: it has the eigenvalue {smallest:.3g}, so an input "
-        "direction is free; expected every input to cost something; give R a positive part, or remove the "
+        f"direction is free; expected every input to cost something; give {weight} a positive part, or remove the "
         "redundant input"
     )

@@ -45,6 +45,7 @@ from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius, root, summed
 from taciturn._precision import precision
 from taciturn._progress import check_time
+from taciturn._rational import is_semidefinite
 from taciturn.errors import UnstableError
 from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
@@ -188,7 +189,7 @@ class Problem(Displayed):
             UnprovedError
         ):  # such as a weight of low rank that is only semidefinite up to the rounding of its entries
             rows = root(weight).T
-            if len(rows) == len(weight):
+            if len(rows) == len(weight) or (not self.sampled and is_semidefinite(weight)):
                 raise
         squared, free = self._squared(rows), free_inputs(self.given, rows)
         return squared._proved(PRECISIONS, False) if free is None else squared._without(free)

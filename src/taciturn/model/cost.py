@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, count, definite, frozen, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
@@ -21,7 +21,7 @@ class Cost(Displayed):
 
     Args:
         Q: state weight, (n, n), positive semidefinite.
-        R: input weight, (m, m), positive definite.
+        R: input weight, (m, m), positive semidefinite; may be zero if every input moves states that have a cost.
         N: cross weight, (n, m); default 0. [[Q, N], [N', R]] must be positive semidefinite.
         horizon: number of steps of a finite horizon; if omitted, the cost is an infinite-horizon average.
         terminal: weight of the final state, (n, n), only with ``horizon``; default Q.
@@ -56,7 +56,7 @@ class Cost(Displayed):
         n = array("Q", Q, (None, None), "(states, states)").shape[0]
         m = array("R", R, (None, None), "(inputs, inputs)").shape[0]
         Q = semidefinite("Q", Q, n, "(states, states)")
-        R = definite("R", R, m, "(inputs, inputs)")
+        R = semidefinite("R", R, m, "(inputs, inputs)")
         N = frozen(np.zeros((n, m))) if N is None else array("N", N, (n, m), "(states, inputs)")
         if N.any():
             semidefinite("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)

@@ -14,7 +14,7 @@ from taciturn.model.controller import ContinuousController, Controller, Method
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.state_space import state_space_of
+from taciturn.model.state_space import refuse_descriptor, state_space_of, vars_of
 
 Kept: TypeAlias = Controller | ContinuousController | PID | PIDLoops
 
@@ -105,6 +105,7 @@ def controller_from(
             raise ProblemError("the controller is empty; expected a gain matrix K, or PID controllers")
         return Controller(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), K, None, None, disturbance, setpoint)
     linear, dt = state_space_of("controller", system)
+    refuse_descriptor("controller", vars_of(linear))
     A, B, C, D = (np.asarray(getattr(linear, name), dtype=np.float64) for name in "ABCD")
     if dt == 0:
         if E is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
@@ -12,6 +12,7 @@ from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import factor, mode_text, symmetric_factor
 from taciturn.errors import ProblemError
+from taciturn.model.descriptor import covariance_without, effect_without, explicit
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.exosystem import Exosystem
@@ -25,6 +26,9 @@ JumpDistribution = Literal["normal", "uniform", "two-point"]
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant(DisplayedPlant):
     """A discrete-time plant x⁺ = A x + B u + w, y = C x + v, with white w ~ N(0, W) and v ~ N(0, V).
+
+    With E it is the descriptor plant E x⁺ = A x + B u + w with the same state x, and its attributes A, B and W are
+    those without E: E⁻¹A, E⁻¹B and E⁻¹W(E⁻¹)', each the double nearest to the exact value.
 
     Args:
         A: state matrix, (n, n).
@@ -47,15 +51,19 @@ class Plant(DisplayedPlant):
         operating_point: state and input around which A and B are given; default 0. Then the arguments mean, input_limit
             and function, the measurements and the inputs are in the units of the plant; the attributes of the plant and
             the cost count deviations from the point.
+        E: matrix of the next state, (n, n), regular; default the identity. The effect of the exosystem on the state is
+            then that on the equation of E. Not with ``function``.
 
     Raises:
-        ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
-            controllable or not observable; or if ``function`` fails, does not rest at the operating point, or is not
-            linearised by A, B.
+        ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if E is singular; if a growing
+            mode is not controllable or not observable; or if ``function`` fails, does not rest at the operating point,
+            or is not linearised by A, B.
 
     Example:
         >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
         1
+        >>> Plant(E=[[4.0]], A=[[2.0]], B=[[1.0]], W=[[0.16]]).W
+        array([[0.01]])
     """
 
     A: Array
@@ -92,8 +100,14 @@ class Plant(DisplayedPlant):
         exosystem: Exosystem | None = None,
         input_rate: ArrayLike | None = None,
         operating_point: OperatingPoint | None = None,
+        E: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
+        if E is not None:
+            if function is not None:
+                raise ProblemError("E is given with function, which returns the next state; expected no E: remove it")
+            A, B, moved = explicit(E, A, B, W)
+            W, exosystem = cast("ArrayLike", moved), _moved(E, exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
         locate(self, operating_point, mean is not None)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
@@ -226,6 +240,8 @@ class JumpNoise(Displayed):
 class ContinuousPlant(DisplayedPlant):
     """A continuous-time plant dx = (A x + B u) dt + noise with the sampled measurement y = C x + v.
 
+    With E it is the descriptor plant E dx = (A x + B u) dt + noise, with attributes A, B and W as for ``Plant``.
+
     Args:
         A: state matrix, (n, n), per second.
         B: input matrix, (n, m).
@@ -241,10 +257,12 @@ class ContinuousPlant(DisplayedPlant):
         input_rate: largest change of each input per second, (m,), ∞ for no limit; default no limit. The input before
             the start is 0. Between the samples the input is held, and changes only at them.
         operating_point: as for ``Plant``.
+        E: matrix of the derivative, (n, n), regular; default the identity. Jumps, which must then be normal, and the
+            exosystem act on the equation of E.
 
     Raises:
-        ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
-            controllable or not observable; or unless exactly one of W and jumps is given.
+        ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if E is singular; if a growing
+            mode is not controllable or not observable; or unless exactly one of W and jumps is given.
 
     Example:
         >>> ContinuousPlant(A=[[0, 1], [0, 0]], B=[[0], [1]], W=[[0, 0], [0, 2.5]]).states
@@ -279,8 +297,12 @@ class ContinuousPlant(DisplayedPlant):
         exosystem: Exosystem | None = None,
         input_rate: ArrayLike | None = None,
         operating_point: OperatingPoint | None = None,
+        E: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
+        if E is not None:
+            A, B, W = explicit(E, A, B, W)
+            jumps, exosystem = _in_states(E, jumps), _moved(E, exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
         locate(self, operating_point, mean is not None)
         if W is None and jumps is None:
@@ -348,6 +370,26 @@ def _set_linear(
     for key, value in values.items():
         object.__setattr__(plant, key, value)
     object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())
+
+
+def _moved(E: ArrayLike, exosystem: Exosystem | None) -> Exosystem | None:
+    """Return disturbances that act on the equation of E as disturbances of the state."""
+    if exosystem is None or not exosystem.E.shape[1]:
+        return exosystem
+    return replace(exosystem, E=effect_without(E, "exosystem.E", exosystem.E))
+
+
+def _in_states(E: ArrayLike, jumps: Jumps | None) -> Jumps | None:
+    """Return jumps of the equation of E as jumps of the state."""
+    if jumps is None:
+        return None
+    instance("jumps", jumps, Jumps)
+    if jumps.distribution != "normal":
+        raise ProblemError(
+            f"jumps.distribution is {jumps.distribution!r}, and E is given, which mixes the jumps of the equations; "
+            "expected 'normal', or A, B and the jumps of a plant without E"
+        )
+    return replace(jumps, covariance=covariance_without(E, "jumps.covariance", jumps.covariance))
 
 
 def _checked(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:

@@ -38,7 +38,8 @@ def plant_from(
     """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
 
     A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
-    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected.
+    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected. If the
+    system has a matrix E, as MATLAB's descriptor systems, W is the covariance of the noise in the equation of E.
 
     Args:
         system: an object with attributes A, B, C, D and dt, or with a method ``to_ss`` that returns such an object.
@@ -53,7 +54,7 @@ def plant_from(
         The plant.
 
     Raises:
-        ProblemError: if the system lacks these attributes, D is not 0, or the time base is unspecified.
+        ProblemError: if the system lacks these attributes, D is not 0, E is singular, or the time base is unspecified.
 
     Example:
         >>> import scipy.signal
@@ -64,13 +65,13 @@ def plant_from(
     expect_unmasked("system.D", linear.D)
     if np.any(np.asarray(linear.D) != 0):
         raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
-    C = linear.C
+    C, E = linear.C, descriptor_of(vars_of(linear))
     if step == 0:
         return ContinuousPlant(
             linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit,
-            input_rate=input_rate,
+            input_rate=input_rate, E=E,
         )  # fmt: skip
-    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate)
+    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate, E=E)
 
 
 def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:
@@ -79,7 +80,7 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
     The step is 0 for continuous time, and None for discrete time without seconds.
 
     Raises:
-        ProblemError: the system has no state space, a descriptor matrix or delays, or its time base is unspecified.
+        ProblemError: the system has no state space, delays, or its time base is unspecified.
     """
     if not isinstance(system, StateSpaceLike):
         to_state_space = getattr(system, "to_ss", None)  # transfer functions and zero-pole-gain systems
@@ -95,7 +96,7 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
                 f"{name} is a {type(system).__name__} without a state space ({error}); "
                 "expected an object with A, B, C, D, or a proper transfer function"
             ) from None
-    refuse_descriptor(name, vars_of(system))
+    refuse_delays(name, vars_of(system))
     dt: float | bool | None = getattr(system, "dt", None)
     if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
         raise ProblemError(
@@ -112,24 +113,40 @@ def vars_of(system: object) -> dict[str, object]:
     return {name: getattr(system, name) for name in ("E", *DELAYS) if getattr(system, name, None) is not None}
 
 
+def descriptor_of(held: Mapping[str, object]) -> npt.NDArray[np.float64] | None:
+    """Return the descriptor matrix E of a system, or None if it has none, or the identity.
+
+    Args:
+        held: the attributes of the system by name.
+    """
+    matrix = np.asarray(held.get("E", ()), dtype=np.float64)
+    one = matrix.ndim == 2 and np.array_equal(matrix, np.eye(len(matrix)))
+    return None if one or not matrix.size else matrix
+
+
 def refuse_descriptor(name: str, held: Mapping[str, object]) -> None:
-    """Raise an error for a descriptor matrix E that is not the identity, or for delays.
+    """Raise an error for the descriptor matrix E of a controller, unless it is the identity.
+
+    Raises:
+        ProblemError: the controller has such a matrix.
+    """
+    if descriptor_of(held) is not None:
+        raise ProblemError(
+            f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E: for a regular E, "
+            "use the matrices E⁻¹A and E⁻¹B"
+        )
+
+
+def refuse_delays(name: str, held: Mapping[str, object]) -> None:
+    """Raise an error for delays.
 
     Args:
         name: name of the system, for messages.
-        held: E and delays by name, of those that the system has.
+        held: delays by name, of those that the system has.
 
     Raises:
-        ProblemError: the system has such a matrix, or a delay that is not zero.
+        ProblemError: a delay is not zero.
     """
-    E = held.get("E")
-    if E is not None:
-        matrix = np.asarray(E, dtype=np.float64)
-        if matrix.size and not (matrix.ndim == 2 and np.array_equal(matrix, np.eye(len(matrix)))):
-            raise ProblemError(
-                f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E: for a regular E, "
-                "use the matrices E⁻¹A and E⁻¹B"
-            )
     for delay in DELAYS:
         if np.any(np.asarray(held.get(delay, 0.0), dtype=np.float64)):
             raise ProblemError(

@@ -13,13 +13,14 @@ from taciturn._arrays import array
 from taciturn._display import Displayed
 from taciturn._matlab import Foreign, Variable, read_variables
 from taciturn.errors import ProblemError
-from taciturn.model.state_space import DELAYS, refuse_descriptor
+from taciturn.model.state_space import DELAYS, descriptor_of, refuse_delays
 
 NAMES = {
     "A": ("A",),
     "B": ("B",),
     "C": ("C",),
     "D": ("D",),
+    "E": ("E",),
     "W": ("W", "Phi_w"),
     "V": ("V", "Phi_v"),
     "Q": ("Q",),
@@ -37,7 +38,7 @@ class Given(Displayed):
     """The part of a problem that a file contains.
 
     Args:
-        arrays: matrices by key of the problem file: A, B, C, W, V, Q, R, N.
+        arrays: matrices by key of the problem file: A, B, E, C, W, V, Q, R, N.
         dt: seconds per step, 0 for a continuous-time plant, None if the file does not specify the time base.
         ignored: names of the other variables in the file.
     """
@@ -51,11 +52,11 @@ def read_given(path: Path) -> Given:
     """Return the part of a problem that a ``.mat`` or ``.npz`` file contains.
 
     Args:
-        path: file with variables A, B, C, D (must be 0), W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
+        path: file with variables A, B, C, D (must be 0), E, W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
 
     Raises:
         ProblemError: if the file cannot be read, a variable is not an array or has two names, D is not 0, the time base
-            is unspecified, there is a descriptor matrix or a delay, or the file contains a system object that only
+            is unspecified, there is a delay, or the file contains a system object that only
             MATLAB can open.
     """
     held = read_variables(path)
@@ -72,8 +73,10 @@ def read_given(path: Path) -> Given:
         raise ProblemError(_only_matlab(path, *systems[0]))
     if "D" in found and found.pop("D").any():
         raise ProblemError(f"D in {path} is not zero; expected no direct feedthrough from input to measurement")
-    changes = {name: _expect_array(path, name, held[name]) for name in ("E", *DELAYS) if name in held}
-    refuse_descriptor(str(path), changes)
+    if "E" in found and descriptor_of(found) is None:
+        del found["E"]
+    changes = {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held}
+    refuse_delays(str(path), changes)
     known = {name for names in NAMES.values() for name in names} | set(changes)
     dt = found.pop("dt", None)
     return Given(found, None if dt is None else _step(path, dt), tuple(sorted(set(held) - known)))
@@ -104,7 +107,7 @@ def read_controller(place: str) -> tuple[dict[str, npt.NDArray[Any]], float | No
     if not found:
         message = _only_matlab(path, *objects[0]) if objects else f"{path} has no A, B, C, D; expected a controller"
         raise ProblemError(message)
-    refuse_descriptor(str(path), {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held})
+    refuse_delays(str(path), {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held})
     steps = [name for name in NAMES["dt"] if name in held]
     return found, _step(path, _expect_array(path, steps[0], held[steps[0]])) if steps else None
 

@@ -86,7 +86,7 @@ def plant_of(
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
             table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
-            input_rate=table.input_rate, operating_point=point,
+            input_rate=table.input_rate, operating_point=point, E=table.E,
         )  # fmt: skip
     if table.jumps is not None:
         raise ProblemError(
@@ -97,7 +97,7 @@ def plant_of(
     function = None if table.function is None else read_function(table.function, known)
     return Plant(
         table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
-        function, input_rate=table.input_rate, operating_point=point,
+        function, input_rate=table.input_rate, operating_point=point, E=table.E,
     )  # fmt: skip
 
 

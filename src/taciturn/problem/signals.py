@@ -13,13 +13,14 @@ from taciturn._modes import pace
 from taciturn._text import backslash_text
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
+from taciturn.model.descriptor import effect_without
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.reference import Reference
 from taciturn.model.set_points import Changes, RandomSteps, SetPoint, Timetable
-from taciturn.problem.tables import DisturbanceEntry, File, ReferenceTable
+from taciturn.problem.tables import DisturbanceEntry, File, ReferenceTable, Rows
 
 LARGEST = 2**24  # bytes of a timetable: more than 500,000 set-points
 SLOW = 1e-3  # distance from a mode of a constant, relative to the pace of the plant
@@ -54,9 +55,16 @@ def reference_of(table: ReferenceTable | None) -> Reference | None:
 
 
 def with_exosystem(
-    plant: Plant | ContinuousPlant | None, file: File, network: Network
+    plant: Plant | ContinuousPlant | None, E: Rows | None, file: File, network: Network
 ) -> Plant | ContinuousPlant | None:
-    """Return a plant with the disturbances and set-points of a file, if it states any."""
+    """Return a plant with the disturbances and set-points of a file, if it states any.
+
+    Args:
+        plant: the plant, without E.
+        E: the descriptor matrix of the equation on which disturbances act, or None.
+        file: all tables.
+        network: the network, which says what a node measures.
+    """
     table = file.reference
     points = table if table is not None and table.states is None else None
     if plant is None or (points is None and not file.disturbance):
@@ -67,15 +75,16 @@ def with_exosystem(
     acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
     rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
     target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value, _changes(points))
-    given = [_disturbance(place, one) for place, one in enumerate(file.disturbance or ())]
+    given = [_disturbance(place, one, E) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
     return follow(plant, target.outputs, points.value, given, target.changes)
 
 
-def _disturbance(place: int, one: DisturbanceEntry) -> ExternalDisturbance:
+def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
-        return ExternalDisturbance(one.enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
+        enters = one.enters if E is None else effect_without(E, "disturbance.enters", np.c_[one.enters])[:, 0]
+        return ExternalDisturbance(enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 

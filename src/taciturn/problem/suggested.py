@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from taciturn._modes import radius
+from taciturn._arrays import is_definite
+from taciturn._modes import pace, radius
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind, Setting
 from taciturn.design.kinds.all_time import all_time
@@ -69,8 +70,10 @@ def suggest_value(
         return kind.usual[name]
     try:
         if name == "period" and isinstance(plant, ContinuousPlant):
-            L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
-            fastest = radius(plant.A + plant.B @ L)
+            fastest = pace(plant.A)
+            if is_definite(cost.R):  # otherwise the loop is as fast as the period allows
+                L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
+                fastest = radius(plant.A + plant.B @ L)
             return _digit(1 / (LOOKS * fastest)) if fastest > 0 else None
         if name in ("price", "zeta"):
             always = all_time(plant, cost, period=period)

@@ -49,6 +49,7 @@ class PlantTable(Displayed):
     C: Rows | None = None
     W: Rows | None = None
     V: Rows | None = None
+    E: Rows | None = None
     dt: float | None = None
     input_limit: list[float | list[float]] | None = None
     input_rate: list[float] | None = None

@@ -30,7 +30,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     kind = find_kind(policy["kind"], "the kind")
     continuous = "dt" not in plant
     per = PER[continuous]
-    rule = "dx/dt = A x + B u + w" if continuous else "x⁺ = A x + B u + w"
+    rule = f"{'E ' if 'E' in plant else ''}{'dx/dt' if continuous else 'x⁺'} = A x + B u + w"
     measured = ",  y = C x + v" if "C" in plant else ",  y = x: the full state is measured"
     noise = "intensity per second" if continuous else "covariance per step"
     sizes = (len(plant["A"]), len(plant["B"][0]))
@@ -49,6 +49,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         "dt": "seconds per step; without this key the plant is continuous in time",
         "A": f"dynamics, {per}",
         "B": f"effect of the inputs, {per}",
+        "E": "matrix of the derivative of the state" if continuous else "matrix of the next state",
         "C": "output matrix",
         "W": f"noise w: {noise}, in the units of the states squared",
         "V": "measurement noise v: covariance per sample, in the units of the outputs squared",
