@@ -4,8 +4,8 @@ A double is a rational number. The modes that the input through B does not move 
 rational coefficients: the characteristic polynomial of A on the states modulo those that B, AB, A²B, … span. By
 duality, the modes of A' that C' does not move are those that the outputs Cx do not show.
 
-A root λ lies on the stability limit if and only if it is its own mirror image there: ρ²/λ* for a circle of radius ρ, and
-−λ* for the imaginary axis. The mirror images are the roots of the reflected polynomial. So roots on the limit are
+A root λ lies on the stability limit if and only if it is its own mirror image there: ρ²/λ* for a circle of radius ρ,
+and −λ* for the imaginary axis. The mirror images are the roots of the reflected polynomial. So roots on the limit are
 common roots of both, which a greatest common divisor finds exactly; all other roots are separated from the limit by
 balls of growing precision.
 
@@ -19,7 +19,7 @@ Source: trentelman2001, kalman1963
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from flint import acb, arb, fmpq, fmpq_mat, fmpq_poly
@@ -33,7 +33,7 @@ BITS = 128  # first precision of the roots; it doubles until the limit separates
 
 
 class Lost(NamedTuple):
-    """Modes that no input moves, the ones that grow fastest first.
+    """Modes of which it is known whether they decay, the fastest ones first, with their multiplicities.
 
     Args:
         growing: those outside the stability limit.
@@ -75,6 +75,11 @@ class Limit(NamedTuple):
             return "the imaginary axis" if at == 0 else f"the line Re s = {at:.6g}"
         at = 1 / float(np.sqrt(self.discount))
         return "the unit circle" if at == 1 else f"the circle of radius 1/√discount = {at:.6g}"
+
+    @property
+    def region(self) -> str:
+        """The region of the modes that decay, as text."""
+        return "the open left half-plane" if self.continuous and self.discount == 1 else str(self)
 
     @property
     def reaching(self) -> bool:
@@ -131,7 +136,12 @@ def unmoved_by(A: fmpq_mat, B: fmpq_mat, limit: Limit) -> Lost:
     quotient = _rows(late, rest)
     if kept:
         quotient = quotient - _rows(reached, rest) * _rows(late, kept)
-    return _split(quotient.charpoly(), limit)
+    return modes_of(quotient, limit)
+
+
+def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
+    """Return all modes of a matrix of rational numbers."""
+    return _split(A.charpoly(), limit)
 
 
 def _rows(matrix: fmpq_mat, chosen: list[int]) -> fmpq_mat:
@@ -144,13 +154,18 @@ def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
     on, bits = None if limit.reaching else 0, BITS
     while True:
         with precision(bits):
-            found = polynomial.complex_roots()
+            found = _roots(polynomial)
             sides = [limit.side(root) for root, _ in found]
             if 0 in sides and on is None:
                 on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
             if sides.count(0) == (on or 0):
                 return Lost(*(_values(found, sides, side) for side in (1, 0, -1)))
         bits *= 2
+
+
+def _roots(polynomial: fmpq_poly) -> list[tuple[acb, int]]:
+    """Return the different roots with their multiplicities, which the types of python-flint leave out."""
+    return cast("list[tuple[acb, int]]", polynomial.complex_roots())  # pyright: ignore[reportUnknownMemberType]
 
 
 def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
@@ -160,7 +175,7 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
         common: a polynomial that has the mirror images of its roots as roots.
         limit: the mirror.
     """
-    roots, count = [root for root, _ in common.complex_roots()] if common.degree() else [], 0
+    roots, count = [root for root, _ in _roots(common)] if common.degree() else [], 0
     for k, root in enumerate(roots):
         near = [j for j, other in enumerate(roots) if limit.image(root).overlaps(other)]
         if len(near) != 1:

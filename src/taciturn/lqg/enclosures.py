@@ -27,6 +27,7 @@ UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
 
 Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
 
+
 class UnprovedError(ArithmeticError):
     """A property that does not follow from the enclosures at this precision."""
 

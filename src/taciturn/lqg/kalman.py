@@ -10,14 +10,16 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, Modes, lost_modes, mode_text, radius, root, uncontrollable_modes
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import mode_text, radius, root
+from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.quadratic import Quadratic, price
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import closure, worth_of
+from taciturn.lqg.structure import closure, free_inputs, unpaid, worth_of
 from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding
@@ -278,7 +280,8 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
     given = _dual(A, C, W, V)
     if not W.any() and not V.any():  # nothing is random: the gain is computed as for noise on all states and outputs
         moving = ~worth_of(given).resting
-        unit = _filter(*exactly(_dual(A, C, np.diag(moving.astype(np.float64)), np.eye(p))))
+        noisy = _dual(A, C, np.diag(moving.astype(np.float64)), np.eye(p))
+        unit = _filter(*exactly(noisy), noisy, Limit(False))
         none = np.zeros((n, n))
         return _frozen(replace(unit, prior=none, posterior=none, innovation=np.zeros((p, p)), error=none))
 
@@ -289,7 +292,14 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
         return Equation(A.T, arithmetic.exact(C.T), W, arithmetic.exact(V), arithmetic.exact(np.zeros((n, p))))
 
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _filter(*exactly(given)) if exact is None else _filter(given, recipe, True)
+        if exact is None:
+            found = _filter(*exactly(given), given, Limit(False))
+        elif exact.source is None:
+            found = _filter(given, recipe, given, Limit(False), True)
+        else:
+            states, source = slice(n), exact.source
+            before = _dual(source.given.A[states, states], C, source.W[states, states], V)
+            found = _filter(given, recipe, before, Limit(True), True)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
@@ -303,16 +313,13 @@ def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
     return Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape))
 
 
-def _filter(given: Quadratic, recipe: Recipe, sampled: bool = False) -> Filter:
-    """Return the filter by duality with the regulator of (A', C', W, V)."""
-    A, C, W, V, _ = (part.T for part in given)
+def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, sampled: bool = False) -> Filter:
+    """Return the filter by duality with the regulator of (A', C', W, V), given also as it was before sampling."""
+    A, C, V = given.A.T, given.B.T, given.R
     try:
         found = Problem(given, recipe, sampled=sampled, dual=True).solve()
     except UnprovedError as error:
-        unknown = worth_of(given).states
-        place = np.ix_(unknown, unknown)
-        _refuse_unseen(A[place], C[:, unknown])
-        _refuse_unreached(A[place], W[place])
+        _refuse(before.among(worth_of(given).states), limit)
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
             f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"
@@ -338,30 +345,32 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
     return half @ half.T
 
 
-def _refuse_unseen(A: Array, C: Array) -> None:
-    unseen = lost_modes(A.T, C.T, False)
-    if unseen.size:
-        on_edge = "; it lies on the unit circle and noise W reaches it" if _on_circle(unseen[:1]).all() else ""
+def _refuse(seen: Quadratic, limit: Limit) -> None:
+    """Raise an error if a mode is the reason why there is no stable filter, of the dual regulator problem ``seen``."""
+    lost = unmoved(seen.A, seen.B, limit)
+    if lost.lasting.size:
+        on_edge = "" if lost.growing.size else f"; it lies on {limit} and noise W reaches it"
         raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not observe{on_edge}; expected (A, C) "
-            "detectable: every eigenvalue on or outside the unit circle must be observable; add a sensor, or remove "
+            f"A has the eigenvalue {mode_text(complex(lost.lasting[0]))}, which C does not observe{on_edge}; expected "
+            f"(A, C) detectable: every eigenvalue on or outside {limit} must be observable; add a sensor, or remove "
             "the state of this mode from the problem"
         )
-
-
-def _refuse_unreached(A: Array, W: Array) -> None:
-    still = uncontrollable_modes(A, root(W))
-    still = still[_on_circle(still)]
+    noisy = is_definite(seen.R)
+    if limit.continuous and not noisy:
+        return
+    weight = block_diagonal(seen.Q, seen.R)
+    rows = rational(weight if is_semidefinite(weight) else root(weight).T)
+    if not noisy and free_inputs(seen, rows) is not None:
+        return
+    still = unpaid(seen, rows, limit).staying
     if still.size:
         raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(still[0]))} on the unit circle, which the noise W does "
-            "not reach, so the optimal gain tends to zero and no steady filter is stable; give W a small "
-            "positive part"
+            f"A has the eigenvalue {mode_text(complex(still[0]))} on {limit}, which the noise W does not reach, so the "
+            "optimal gain tends to zero and no steady filter is stable; give W a small positive part"
+            if noisy
+            else f"outputs without noise V leave the mode {mode_text(complex(still[0]))} on {limit}, so no steady "
+            "filter is stable; give V a small positive part"
         )
-
-
-def _on_circle(modes: Modes) -> Bits:
-    return np.asarray(np.abs(np.abs(modes) - 1) <= SCATTER, dtype=np.bool_)
 
 
 def _frozen(found: Filter) -> Filter:

@@ -23,7 +23,7 @@ from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Deviations, Discrete
 from taciturn.lqg.enclosures import E, block
-from taciturn.lqg.intervals import Exact, Step
+from taciturn.lqg.intervals import Exact, Source, Step
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.sampling import Sampled, sample, sample_moving
 from taciturn.lqg.structure import paths

@@ -9,30 +9,19 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import (
-    COST_ERROR,
-    SCATTER,
-    Modes,
-    eigenvalues,
-    lost_modes,
-    mode_text,
-    pace,
-    root,
-    uncontrollable_modes,
-)
+from taciturn._exact_modes import Limit, Lost, unmoved
+from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, root, uncontrollable_modes
 from taciturn._progress import check_time
-from taciturn._rational import reaches_all
+from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg._followed import followed
 from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.enclosures import E, UnprovedError
-from taciturn.lqg.intervals import Exact
+from taciturn.lqg.intervals import Exact, Source
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import worth_of
-
-BETWEEN = 0.3137  # a point that is hardly a zero of a problem
+from taciturn.lqg.structure import free_inputs, unpaid, worth_of
 
 __all__ = [
     "FiniteRegulator",
@@ -237,7 +226,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
             "positive definite R, since inputs that cost nothing could move the state at once; expected a positive "
             "weight of each input, or a policy that holds its input between samples"
         )
-    return _solved(Problem(*exactly(given), continuous=True))
+    return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
 
 
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
@@ -275,7 +264,9 @@ def regulate_sampled(
 ) -> Regulator:
     """Return the regulator of a problem that is known to any precision, whose doubles are given; or of the doubles."""
     given = Quadratic(A, B, Q, R, N)
-    return _regulated(*exactly(given), discount) if exact is None else _regulated(given, exact.equation, discount, True)
+    if exact is None:
+        return _regulated(*exactly(given), discount)
+    return _regulated(given, exact.equation, discount, True, exact.source)
 
 
 def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
@@ -284,7 +275,9 @@ def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
     return _regulated(given, recipe, 1.0)
 
 
-def _regulated(given: Quadratic, recipe: Recipe, discount: float, sampled: bool = False) -> Regulator:
+def _regulated(
+    given: Quadratic, recipe: Recipe, discount: float, sampled: bool = False, source: Source | None = None
+) -> Regulator:
     """Return the optimal regulator, or raise an error with the reason why there is none."""
     root = float(np.sqrt(discount))
     scaled = given._replace(A=root * given.A, B=root * given.B)
@@ -299,15 +292,18 @@ def _regulated(given: Quadratic, recipe: Recipe, discount: float, sampled: bool 
         factor = arithmetic.root(discount, len(given.A))
         return Equation(factor @ A, factor @ B, Q, R, N)
 
-    return _solved(Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled), root)
+    problem = Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled)
+    if source is None:
+        return _solved(problem, given, Limit(False, discount))
+    return _solved(problem, source.given, Limit(True, discount, source.period))
 
 
-def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
-    """Return the regulator of a problem whose A and B were multiplied by ``unit``, which messages leave out."""
+def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
+    """Return the regulator of a problem, given its matrices before sampling and discount, and the edge of decay."""
     try:
         found = problem.solve()
     except UnprovedError as error:
-        _refuse(problem, unit)
+        _refuse(problem, given, limit)
         raise UnstableError(
             f"the Riccati equation of the regulator has no stabilising solution that could be proved: {error}; "
             "expected unstable modes that the inputs affect more strongly, or a weight on every state and input"
@@ -315,113 +311,61 @@ def _solved(problem: Problem, unit: float = 1.0) -> Regulator:
     if found.free:
         raise costs_nothing(found.H)
     if not found.held:
-        raise not_held("regulator", problem.given.A / unit)
+        raise not_held("regulator", problem.given.A / np.sqrt(limit.discount))
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
     return Regulator(K, L, H, error, found.slowest)
 
 
-def _refuse(problem: Problem, unit: float) -> None:
-    """Raise an error if a mode is the reason why there is no stabilising solution."""
-    given, continuous = problem.given, problem.continuous
-    seen = given.among(worth_of(given, continuous).states)
-    region = "the open left half-plane" if continuous else _disc(unit)
-    edge = "the imaginary axis" if continuous else region
-    near = SCATTER * pace(given.A) if continuous else SCATTER
-    lost = lost_modes(seen.A, seen.B, continuous)
-    if not problem.sampled and reaches_all(seen.A, seen.B):  # hardly, but it moves them
-        lost = lost[:0]
-    _refuse_unmoved(lost / unit, region, _to_edge(lost, continuous) <= near, edge)
-    if is_definite(given.R):
-        unseen = _unseen_modes(*seen)
-        unseen = unseen[_to_edge(unseen, continuous) <= near]
-        _refuse_unseen(unseen / unit, edge if continuous else "the edge of " + edge)
-    else:
-        _refuse_unpaid(_unpaid_modes(seen) / unit, "the edge of " + edge)
+def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
+    """Raise an error if a mode is the reason why there is no stabilising solution.
 
-
-def _to_edge(modes: Modes, continuous: bool) -> Array:
-    return np.asarray(np.abs(modes.real) if continuous else np.abs(np.abs(modes) - 1), dtype=np.float64)
-
-
-def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
-    """Return the modes that do not affect the cost under the input −R^{-1}N'x plus a free part, for definite R."""
-    share = np.linalg.solve(R, N.T)
-    weight = Q - N @ share
-    weight = np.where(np.abs(weight) > 1e-13 * (np.abs(Q) + np.abs(N) @ np.abs(share)), weight, 0.0)
-    return uncontrollable_modes((A - B @ share).T, root(symmetrised(weight)))
-
-
-def _unpaid_modes(given: Quadratic) -> Modes:
-    """Return the modes on the unit circle along which inputs can keep the state moving without cost, for singular R.
-
-    With the weight D'D of (x, u), these are the zeros λ of [A − λI, B; D] on the unit circle. The pencil
-
-        [A 0 B; −Q I −N; N' 0 R] − λ [I 0 0; 0 A' 0; 0 −B' 0]
-
-    has each of them twice, so that they scatter; so each is projected on the circle, and the rank tells whether it is
-    a zero. The inverse of the pencil at a point turns its infinite eigenvalues into zeros.
+    Args:
+        problem: the problem that was not solved.
+        given: its matrices before sampling and discount, which are known exactly.
+        limit: the edge of the modes that decay, or whose growth the discount outweighs.
     """
-    A, B, Q, R, N = given
-    (n, m), one = B.shape, np.eye(len(A))
-    weight = np.block([[Q, N], [N.T, R]])
-    rows = root(weight).T
-    from_here = np.block([
-        [A, np.zeros((n, n)), B],
-        [-Q, one, -N],
-        [N.T, np.zeros((m, n)), R],
-    ])  # fmt: skip
-    after = np.zeros_like(from_here)
-    after[:n, :n], after[n : 2 * n, n : 2 * n], after[2 * n :, n : 2 * n] = one, A.T, -B.T
-    try:
-        found = eigenvalues(np.asarray(np.linalg.solve(from_here - BETWEEN * after, after), dtype=np.float64))
-    except np.linalg.LinAlgError:
-        return np.zeros(0, dtype=np.complex128)
-    finite = found[np.abs(found) > SCATTER]
-    modes = BETWEEN + 1 / finite
-    edge = modes[np.abs(np.abs(modes) - 1) <= np.sqrt(SCATTER)]
-    unpaid: list[complex] = []
-    for mode in edge / np.abs(edge):
-        values = np.linalg.svd(np.block([[A - mode * one, B], [rows]]), compute_uv=False)
-        if values[-1] <= SCATTER * values[0]:
-            unpaid.append(complex(mode))
-    return np.array(unpaid, dtype=np.complex128)
+    seen = given.among(worth_of(problem.given, problem.continuous).states)
+    lost = unmoved(seen.A, seen.B, limit)
+    _refuse_unmoved(lost, limit)
+    if limit.continuous and not is_definite(given.R):
+        return  # free inputs move the state at once, but not an input that is held
+    weight = np.block([[seen.Q, seen.N], [seen.N.T, seen.R]])
+    rows = rational(weight if is_semidefinite(weight) else root(weight).T)
+    definite = is_definite(given.R)
+    if definite or free_inputs(seen, rows) is None:
+        _refuse_unpaid(unpaid(seen, rows, limit).staying, limit, definite)
 
 
-def _refuse_unpaid(modes: Modes, edge: str) -> None:
-    if modes.size:
-        raise UnstableError(
-            f"R is singular, and inputs can move the state along the mode {mode_text(complex(modes[0]))} on {edge} for "
-            "ever without cost, so no optimal gain stabilises it; expected a positive weight of this motion in Q or R"
-        )
-
-
-def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None:
-    """Reject uncontrollable modes; for a marginally stable one, the message adds that it affects the cost."""
-    if not modes.size:
+def _refuse_unmoved(lost: Lost, limit: Limit) -> None:
+    """Reject modes that no input moves; for one on the edge, the message adds that it affects the cost."""
+    if not lost.lasting.size:
         return
-    named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which is uncontrollable through B"
-    if on_edge[0]:
+    named = f"A has the eigenvalue {mode_text(complex(lost.lasting[0]))}, which is uncontrollable through B"
+    if not lost.growing.size:
         raise UnstableError(
-            f"{named}; this mode lies on {edge} and affects the cost, so that the cost is infinite or depends on exact "
-            "cancellation; expected (A, B) stabilisable, or no weight in Q and N on the state of this mode and on the "
-            "states that it affects; make the mode stable, or remove it from the problem"
+            f"{named}; this mode lies on {limit} and affects the cost, so that the cost is infinite or depends on "
+            "exact cancellation; expected (A, B) stabilisable, or no weight in Q and N on the state of this mode and "
+            "on the states that it affects; make the mode stable, or remove it from the problem"
         )
     raise UnstableError(
-        f"{named}; expected (A, B) stabilisable: every eigenvalue outside {region} must be controllable; add an "
+        f"{named}; expected (A, B) stabilisable: every eigenvalue outside {limit.region} must be controllable; add an "
         "actuator, or remove the state of this mode from the problem"
     )
 
 
-def _refuse_unseen(modes: Modes, edge: str) -> None:
-    if modes.size:
+def _refuse_unpaid(modes: Modes, limit: Limit, definite: bool) -> None:
+    if not modes.size:
+        return
+    mode = mode_text(complex(modes[0]))
+    if definite:
         raise UnstableError(
-            f"the mode {mode_text(complex(modes[0]))} on {edge} does not affect the cost, so no optimal gain "
-            "stabilises it; give Q a small positive weight there"
+            f"the mode {mode} on {limit} does not affect the cost, so no optimal gain stabilises it; give Q a small "
+            "positive weight there"
         )
-
-
-def _disc(unit: float) -> str:
-    return "the unit circle" if unit == 1 else f"the circle of radius 1/√discount = {1 / unit:.6g}"
+    raise UnstableError(
+        f"R is singular, and inputs can move the state along the mode {mode} on {limit} for ever without cost, so no "
+        "optimal gain stabilises it; expected a positive weight of this motion in Q or R"
+    )
 
 
 def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:

@@ -45,7 +45,7 @@ from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius, root, summed
 from taciturn._precision import precision
 from taciturn._progress import check_time
-from taciturn._rational import is_semidefinite
+from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import UnstableError
 from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
@@ -180,7 +180,7 @@ class Problem(Displayed):
             if self.continuous or is_definite(self.given.R):
                 return self._proved(PRECISIONS[1:], False)
         weight = np.block([[self.given.Q, self.given.N], [self.given.N.T, self.given.R]])
-        free = free_inputs(self.given, weight)
+        free = free_inputs(self.given, rational(weight))
         if free is not None:
             return self._without(free)
         try:
@@ -191,7 +191,7 @@ class Problem(Displayed):
             rows = root(weight).T
             if len(rows) == len(weight) or (not self.sampled and is_semidefinite(weight)):
                 raise
-        squared, free = self._squared(rows), free_inputs(self.given, rows)
+        squared, free = self._squared(rows), free_inputs(self.given, rational(rows))
         return squared._proved(PRECISIONS, False) if free is None else squared._without(free)
 
     def _squared(self, rows: Array) -> Problem:

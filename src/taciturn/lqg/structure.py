@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from flint import fmpq_mat
 
-from taciturn._arrays import Array, Bits
+from taciturn._arrays import Bits
 from taciturn._display import Displayed
+from taciturn._exact_modes import NONE, Limit, Lost, modes_of
 from taciturn._modes import SCATTER, Modes, eigenvalues
 from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
@@ -73,7 +74,8 @@ def worth_of(given: Quadratic, continuous: bool = False) -> Worth:
         modes = eigenvalues(given.A[np.ix_(cycle, cycle)])
         cycles.append((cycle, modes))
         highest = float((modes.real if continuous else np.abs(modes) - 1).max())
-        if highest >= -margin and (highest > SCATTER or reached[cycle].any()):
+        scatter = SCATTER if cycle.sum() > 1 else 0.0
+        if highest >= -margin and (highest > scatter or reached[cycle].any()):
             needed = needed | leads[:, state]
     for cycle, modes in cycles:
         if not needed[cycle].any():
@@ -132,24 +134,52 @@ class Free(Displayed):
     others: Bits
 
 
-def free_inputs(given: Quadratic, rows: Array) -> Free | None:
+def unpaid(given: Quadratic, rows: fmpq_mat, limit: Limit) -> Lost:
+    """Return the modes along which inputs can keep the state moving at no cost, for a problem without free inputs.
+
+    They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
+    invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an optimal
+    gain has them, mirrored into the region of decay. So none of them may lie on its edge.
+
+    Args:
+        given: the problem, of which A and B are used.
+        rows: combinations of states and inputs that are zero if and only if these cost nothing, (any, n + m).
+        limit: the edge of the modes that count as decaying.
+    """
+    safe, A, B, state, push = _kept_for_nothing(given, rows)
+    r = safe.ncols()
+    if not r:
+        return NONE
+    after = fmpq_mat(rows.nrows(), r)
+    found = kernel(above(beside(state * safe, push, after), beside(A * safe, B, safe * -1)))
+    now, later = lines(found, range(r)), lines(found, range(found.nrows() - r, found.nrows()))
+    return modes_of(later * now.inv(), limit)
+
+
+def _kept_for_nothing(given: Quadratic, rows: fmpq_mat) -> tuple[fmpq_mat, fmpq_mat, fmpq_mat, fmpq_mat, fmpq_mat]:
+    """Return a basis of the states that inputs keep at no cost for ever; A and B; rows of the states and the inputs."""
+    n, A, B, turned = len(given.A), rational(given.A), rational(given.B), rows.transpose()
+    state, push = (lines(turned, some).transpose() for some in (range(n), range(n, turned.nrows())))
+    safe, nothing = rational(np.eye(n)), fmpq_mat(rows.nrows(), n)
+    while True:
+        found = kernel(above(beside(state, push, nothing), beside(A, B, safe * -1)))
+        smaller = basis(lines(found, range(n)))
+        nothing = fmpq_mat(rows.nrows(), smaller.ncols())
+        if smaller.ncols() == safe.ncols():
+            return safe, A, B, state, push
+        safe = smaller
+
+
+def free_inputs(given: Quadratic, rows: fmpq_mat) -> Free | None:
     """Return the inputs of a problem that cost nothing, now or later; None if there is none.
 
     Args:
         given: the problem, of which A and B are used.
         rows: combinations of states and inputs that are zero if and only if these cost nothing, (any, n + m).
     """
-    (n, m), z = given.B.shape, len(rows)
-    A, B, state, push = (rational(part) for part in (given.A, given.B, rows[:, :n], rows[:, n:]))
-    safe, nothing = rational(np.eye(n)), fmpq_mat(z, n)
-    while True:  # states that inputs keep at no cost for ever
-        found = kernel(above(beside(state, push, nothing), beside(A, B, safe * -1)))
-        smaller = basis(lines(found, range(n)))
-        nothing = fmpq_mat(z, smaller.ncols())
-        if smaller.ncols() == safe.ncols():
-            break
-        safe = smaller
-    inside, keeping = fmpq_mat(n, 0), fmpq_mat(m, 0)
+    (n, m), z = given.B.shape, rows.nrows()
+    safe, A, B, state, push = _kept_for_nothing(given, rows)
+    inside, keeping, nothing = fmpq_mat(n, 0), fmpq_mat(m, 0), fmpq_mat(z, safe.ncols())
     while True:  # states that they reach from zero meanwhile
         r = inside.ncols()
         found = kernel(above(beside(state * inside, push, nothing), beside(A * inside, B, safe * -1)))

@@ -1,0 +1,109 @@
+"""Modes that no input moves, and on which side of the stability limit they lie, decided without a tolerance."""
+
+import numpy as np
+import pytest
+from flint import fmpq_mat
+
+from taciturn import ContinuousPlant, Cost, UnstableError, design
+from taciturn._exact_modes import Limit, Lost, modes_of, unmoved
+from taciturn._rational import rational
+from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.structure import unpaid
+
+CIRCLE, AXIS = Limit(False), Limit(True)
+TINY = 2.0**-50  # of 1, far below the scatter of computed eigenvalues
+
+
+def split(found: Lost) -> list[list[complex]]:
+    """The modes outside, on and inside the limit, rounded."""
+    return [np.round(part, 9).tolist() for part in found]
+
+
+def no_input(A: list[list[float]], limit: Limit) -> list[list[complex]]:
+    """The modes of a matrix on which no input acts."""
+    return split(unmoved(np.array(A, dtype=np.float64), np.zeros((len(A), 1)), limit))
+
+
+def mixed(A: np.ndarray, draws: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return T A T⁻¹ and T for a random matrix T of whole numbers whose inverse has whole numbers too."""
+    n = len(A)
+    lower, upper = (np.tril(draws.integers(-2, 3, (n, n)), -1).astype(float) + np.eye(n) for _ in range(2))
+    T, inverse = lower @ upper.T, np.round(np.linalg.inv(lower @ upper.T))
+    assert np.array_equal(T @ inverse, np.eye(n))
+    return T @ A @ inverse, T
+
+
+def test_by_hand():
+    """Diagonal and triangular matrices, and an oscillator."""
+    assert no_input([[2, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]], CIRCLE) == [[2], [1], [0.5, 0]]
+    assert no_input([[0, 1], [-1, 0]], AXIS) == [[], [1j, -1j], []]
+    assert no_input([[0.75, 1], [0, 2]], Limit(False, 0.25)) == [[], [2], [0.75]]
+    # the line at −ln(0.9)/(2·0.5) = 0.10536
+    assert no_input([[0.11, 1], [0, 0.1]], Limit(True, 0.9, 0.5)) == [[0.11], [], [0.1]]
+
+
+def test_hardly_inside_and_hardly_outside():
+    """Double modes at a distance at which computed eigenvalues scatter a million times farther."""
+    at = [1 + TINY, 1.0, 1 - TINY]
+    for one, side in zip(at, range(3), strict=True):
+        found = unmoved(np.array([[one, 1.0], [0.0, one]]), np.zeros((2, 1)), CIRCLE)  # a Jordan block: √ of rounding
+        assert [len(part) for part in found] == [2 * (k == side) for k in range(3)]
+    for rate, side in ((TINY, 0), (0.0, 1), (-TINY, 2)):
+        found = unmoved(np.array([[rate, 1.0], [0.0, rate]]), np.zeros((2, 1)), AXIS)
+        assert [len(part) for part in found] == [2 * (k == side) for k in range(3)]
+
+
+def test_a_polynomial_without_factors_on_both_sides():
+    """Modes on the circle and off it may be roots of one irreducible polynomial."""
+    # z⁴ − z³ − z² − z + 1 (of Salem) has two roots on the circle, and 1.7221 and its inverse; it does not factor
+    found = no_input([[0, 0, 0, -1], [1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 1]], CIRCLE)
+    assert [len(part) for part in found] == [1, 2, 1]
+    assert found[0][0] == pytest.approx(1.722083806)
+    assert found[2][0] == pytest.approx(1 / 1.722083806)
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_in_any_coordinates(continuous: bool):
+    """Oscillators on known sides of the limit, with states that the input moves, in whole-number coordinates."""
+    draws = np.random.default_rng(5)
+    for _ in range(40):
+        count = draws.integers(0, 3, 3)
+        sides = np.repeat([1, 0, -1], count)
+        parts = list[np.ndarray]()
+        for side in sides:  # oscillators: λ² − 2cλ + d, with |λ|² = d or Re λ = c
+            c = draws.integers(-7, 8) / 8
+            c, d = (side * abs(c) + side / 8, 4.0) if continuous else (c, 1 + side * 2.0 ** -draws.integers(3, 25))
+            parts.append(np.array([[0.0, -d], [1.0, 2 * c]]))
+        n, moved = 2 * len(parts), int(draws.integers(1, 3))
+        A = np.zeros((n + moved, n + moved))
+        for k, part in enumerate(parts):
+            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = part
+        A[n:] = draws.integers(-3, 4, (moved, n + moved)) / 2  # what the input moves depends on the others
+        A[n:, n:] += np.diag(np.arange(moved))
+        B = np.zeros((n + moved, moved))
+        B[n:] = np.eye(moved)
+        turned, T = mixed(A, draws)
+        found = unmoved(turned, T @ B, AXIS if continuous else CIRCLE)
+        assert [len(part) for part in found] == (2 * count).tolist()
+
+
+def test_zeros_are_those_of_the_transfer_function():
+    """The input moves y = Cx as (z − 1)(z − 0.5)/(…): it keeps the state moving along 1 and 0.5 at no cost."""
+    A = np.array([[0.0, 1, 0], [0, 0, 1], [0.25, 0.5, -0.75]])
+    B, C = np.array([[0.0], [0], [1]]), np.array([[0.5, -1.5, 1.0]])
+    given = Quadratic(A, B, C.T @ C, np.zeros((1, 1)), np.zeros((3, 1)))
+    weight = np.pad(given.Q, (0, 1))
+    assert split(unpaid(given, rational(weight), CIRCLE)) == [[], [1], [0.5]]
+    definite = Quadratic(A, B, C.T @ C, np.eye(1), np.zeros((3, 1)))
+    whole = np.pad(definite.Q, (0, 1)) + np.diag([0.0, 0, 0, 1])
+    assert split(unpaid(definite, rational(whole), CIRCLE)) == split(modes_of(fmpq_mat(0, 0), CIRCLE)) == [[], [], []]
+
+
+def test_the_plant_before_it_was_sampled_gives_the_reason():
+    """An oscillator, a drift of a state that no input moves: e^{Ah} in doubles has its modes beside the circle."""
+    A, B = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[0.0], [1.0]])
+    with pytest.raises(UnstableError, match=r"the mode 0\+1i on the imaginary axis does not affect the cost"):
+        design.all_time(ContinuousPlant(A, B, np.eye(2)), Cost(np.zeros((2, 2)), [[1.0]]), period=0.3)
+    both = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    with pytest.raises(UnstableError, match=r"A has the eigenvalue 0\+1i, which is uncontrollable.*imaginary axis"):
+        design.all_time(ContinuousPlant(both, [[0.0], [0.0], [1.0]], np.eye(3)), Cost(np.eye(3), [[1.0]]), period=0.3)
