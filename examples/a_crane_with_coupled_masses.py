@@ -21,8 +21,7 @@ problem = taciturn.Problem(
 found = taciturn.evaluate(problem, seed=1)
 rate = found.rates["actuator"].value
 print(f"{rate:.1f} packets per second instead of {found.base_rate:g}")
-print(
-    f"deviation of the load {found.cost.value**0.5 * 1000:.1f} mm, {found.cost_all_time**0.5 * 1000:.1f} with all packets"
-)
+reached, all_packets = (1000 * value**0.5 for value in (found.cost.value, found.cost_all_time))
+print(f"deviation of the load {reached:.2f} mm, {all_packets:.2f} with all packets")
 assert rate < 0.8 * found.base_rate
 assert found.cost.value < found.cost_bound
