@@ -15,10 +15,13 @@ crane = taciturn.ContinuousPlant(E=E, A=A, B=B, W=W, C=[[1, 0, 0, 0], [0, 1, 0, 
 
 hook = np.array([[1.0, rope, 0.0, 0.0]])  # only the position of the load has a cost: R = 0
 cost = taciturn.Cost(Q=hook.T @ hook, R=[[0.0]])
-problem = taciturn.Problem(crane, cost, taciturn.Network(), "excess", {"theta": 0.5, "actuation": "model", "period": 0.05})
+problem = taciturn.Problem(
+    crane, cost, taciturn.Network(), "excess", {"theta": 0.5, "actuation": "model", "period": 0.05}
+)
 found = taciturn.evaluate(problem, seed=1)
 rate = found.rates["actuator"].value
 print(f"{rate:.1f} packets per second instead of {found.base_rate:g}")
-print(f"deviation of the load {found.cost.value**0.5 * 1000:.1f} mm, {found.cost_all_time**0.5 * 1000:.1f} with all packets")
+reached, all_packets = (1000 * value**0.5 for value in (found.cost.value, found.cost_all_time))
+print(f"deviation of the load {reached:.2f} mm, {all_packets:.2f} with all packets")
 assert rate < 0.8 * found.base_rate
 assert found.cost.value < found.cost_bound

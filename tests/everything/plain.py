@@ -426,6 +426,10 @@ def regulator(A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float 
     root = np.sqrt(discount)
     try:
         K = np.asarray(solve_discrete_are(root * A, root * B, Q, R, s=N))
+        for _ in range(20000):  # an entry of 1e-17 in A can let scipy err by the size of K
+            K, before = riccati(A, B, Q, R, N, K, discount)[0], K
+            if np.abs(K - before).max() <= 1e-13 * np.abs(K).max():
+                break
     except (np.linalg.LinAlgError, ValueError) as error:
         K = np.zeros_like(Q)  # with modes that the cost does not see: the recursion from 0
         for _ in range(20000):

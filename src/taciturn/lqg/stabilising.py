@@ -188,7 +188,7 @@ class Problem(Displayed):
         except (
             UnprovedError
         ):  # such as a weight of low rank that is only semidefinite up to the rounding of its entries
-            rows = root(weight).T
+            rows = root(weight).T  # its square may have a solution although a semidefinite weight itself has none
             if len(rows) == len(weight) or (not self.sampled and is_semidefinite(weight)):
                 raise
         squared, free = self._squared(rows), free_inputs(self.given, rational(rows))
