@@ -18,7 +18,7 @@ SOURCE = ROOT / "src" / "taciturn"
 SATELLITES = ("taciturn_boards", "taciturn_thesis", "taciturn_twins")
 FLOORS = {
     "errors": 0, "_arrays": 0, "_cycles": 0, "_plugins": 0, "_pydantic": 0, "_modes": 0, "_subspaces": 0,
-    "_rational": 0, "_growth": 0,
+    "_rational": 0, "_precision": 0, "_exact_modes": 0, "_growth": 0,
     "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0, "_grid": 0, "_files": 0, "_dask": 0, "_control": 0,
     "_matlab": 0, "_version": 0, "_progress": 0, "_blas": 0, "_ending": 0, "_text": 0, "_display": 0,
     "model": 1,
@@ -35,7 +35,8 @@ FLOORS = {
 MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_figure", "_text"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_modes", "_cycles"), ("_cycles", "_arrays"), ("_subspaces", "_arrays"), ("_rational", "_arrays"),
-    ("_growth", "_arrays"),
+    ("_growth", "_arrays"), ("_exact_modes", "_arrays"), ("_exact_modes", "_modes"), ("_exact_modes", "_precision"),
+    ("_exact_modes", "_rational"),
     ("_scipy", "_arrays"),
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
