@@ -62,6 +62,9 @@ def new(
         text = _Interview(Questions(yes), given, source, out.name).complete(dt, kind)
     refuse_to_overwrite()
     write_whole(out, text.encode())
+    if given is not None and "D" in given.arrays:
+        read = "y = C x + D u with the input u of the step before, as each sample is taken before the input changes"
+        typer.echo(f"D in {source} is read as a direct feedthrough, {read}")
     if given is not None and given.ignored:
         typer.echo(f"ignored in {source}: {', '.join(given.ignored)}")
     typer.echo(f"written: {out}\nnext: taciturn show {out}, taciturn evaluate {out}")
@@ -152,7 +155,7 @@ class _Interview:
         draft, per = self.draft, "second" if self.draft.continuous else "step"
         self._take("A", f"A, the dynamics per {per}, for example [1 2; 3 4]")
         self._take("B", "B, the input matrix")
-        whole = not self._has("C") and not self._has("V")
+        whole = not self._has("C") and not self._has("V") and not self._has("D")
         if whole and not self.questions.yes:
             question = "Is the whole state measured without noise?"
             whole = self.questions.choose("what is measured", question, ("yes", "no"), "yes") == "yes"
@@ -161,6 +164,8 @@ class _Interview:
                 draft.measure_all()
             else:
                 self._take("C", "C, the measurements y = Cx + v")
+            if self._has("D"):
+                self._take("D", "D")
             self._take(
                 "V",
                 f"V, the covariance of v per sample: {SQUARE}; or ± and the deviation of each output, ± 0.1 0.2",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,6 +14,7 @@ from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg._followed import Followed, followed
+from taciturn.lqg.feedthrough import fed_inputs, with_registers
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
@@ -32,6 +33,10 @@ INSTANTS = (
     "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
     "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
     "at the sampling instants; nothing is claimed for the integral, or for another period"
+)
+FED = (
+    "the plant has a direct feedthrough D: y = C x + D u, with the input u that it applied in the step before, as each "
+    "sample is taken before the input changes"
 )
 SHORTEST = 1e-100  # period whose inverse and squares are numbers
 HIDDEN = "source", "rest", "instants", "exact", "deviations"
@@ -174,14 +179,21 @@ class Discrete(Displayed):
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states], exact=None, deviations=None)
 
     @property
+    def terminal(self) -> Array | None:
+        """The weight of the states after the last step, (n, n), or None; states that were added have none."""
+        given = self.cost.terminal
+        return None if given is None else np.pad(given, (0, self.plant.states - len(given)))
+
+    @property
     def gaussian(self) -> bool:
         """True if all noise is Gaussian: the plant has no jumps, and no set-points that change."""
         return self.jumps is None and self.plant.changes is None
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """A remark on what the cost counts, if it is not the integral of the stage cost."""
-        return (INSTANTS,) if self.instants else ()
+        """Remarks on what the cost counts, if it is not the integral of the stage cost, and on a direct feedthrough."""
+        fed = self.source is not None and self.source.D is not None
+        return ((INSTANTS,) if self.instants else ()) + ((FED,) if fed else ())
 
     @property
     def ticks(self) -> float:
@@ -201,7 +213,11 @@ class Discrete(Displayed):
 
 
 def discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None = None,
+    registers: Sequence[int] = (),
 ) -> Discrete:
     """Return the discrete-time control problem of a plant and a cost; a continuous plant is sampled exactly.
 
@@ -210,6 +226,7 @@ def discretise(
         cost: cost per step of a discrete plant, or per second of a continuous one.
         period: seconds between steps; only for a continuous plant.
         prediction: model that the actuator runs between steps; the input is then the state of this model.
+        registers: inputs whose values in the step before are states, in addition to those that an output shows by D.
 
     Returns:
         The discrete plant with the weights of one step.
@@ -223,6 +240,9 @@ def discretise(
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
+    fed = sorted({*registers, *fed_inputs(plant)})
+    if fed:
+        return _with_feedthrough(plant, cost, period, prediction, fed)
     if plant.exosystem is not None:
         return _with_exosystem(plant, plant.exosystem, cost, period, prediction)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
@@ -296,6 +316,23 @@ def discretise(
         plant,
         exact=sampled.exact,
     )
+
+
+def _with_feedthrough(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None, fed: Sequence[int]
+) -> Discrete:
+    """Return the problem of a plant with registers of some inputs."""
+    refused = {
+        "the actuator predicts between sampling instants; expected a held input": prediction is not None,
+        "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
+        and plant.jumps is not None,
+    }
+    for got in (got for got, given in refused.items() if given):
+        raise ProblemError(f"the outputs have a direct feedthrough D, and {got}")
+    alone = copy(plant)
+    object.__setattr__(alone, "D", None)
+    object.__setattr__(alone, "full_state", False)
+    return with_registers(discretise(alone, cost, period), plant, fed)
 
 
 def _with_exosystem(
