@@ -331,12 +331,14 @@ def resolved(tables: Tables, model: Model) -> Model:
         return model
     if model.continuous:
         raise NotModelledError("weights as the controller of a continuous plant")
-    Q, R = weights_as_kept(tables, model)
+    Q, R, N = weights_as_kept(tables, model)
     n, m, size = model.n, model.m, len(model.A)
     stage, pushed = np.zeros_like(model.stage), np.zeros_like(model.pushed)
     stage[:n, :n], stage[size:, size:] = Q, R
+    stage[:n, size:], stage[size:, :n] = N, N.T
     pushed[:n, :n], pushed[n + m :, n + m :] = Q, R
-    return replace(model, Q=Q, R=R, stage=stage, pushed=pushed)
+    pushed[:n, n + m :], pushed[n + m :, :n] = N, N.T
+    return replace(model, Q=Q, R=R, N=N, stage=stage, pushed=pushed)
 
 
 def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tuple[Controller, Controller | None]:
