@@ -343,9 +343,9 @@ def _set_linear(
     p = C.shape[0]
     if p == 0:
         raise ProblemError("C has no rows; expected at least one measured output (omit C to measure the full state)")
-    D = None if D is None else array("D", D, (p, B.shape[1]), "(outputs, inputs)")
-    if D is not None and D.any() and not given:
+    if D is not None and not given and array("D", D, (None, None), "(outputs, inputs)").any():
         raise ProblemError("D is given without C; expected C (and V), as a direct feedthrough adds to measured outputs")
+    D = None if D is None else array("D", D, (p, B.shape[1]), "(outputs, inputs)")
     limit = None if input_limit is None else limits_from(input_limit, B.shape[1])
     values: dict[str, object] = {
         "A": A,

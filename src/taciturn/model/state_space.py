@@ -64,7 +64,7 @@ def plant_from(
     """
     linear, step = state_space_of("system", system)
     expect_unmasked("system.D", linear.D)
-    C, D = linear.C, linear.D
+    C, D = linear.C, linear.D if np.any(np.asarray(linear.D) != 0) else None
     if step == 0:
         return ContinuousPlant(
             linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit,
