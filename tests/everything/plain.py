@@ -112,6 +112,13 @@ class Model:
         return found
 
     @property
+    def own(self) -> Array:
+        """A mask of z: 0 for the inputs of the step before, which are no states of a file, else 1."""
+        found = np.ones(len(self.A))
+        found[self.n - self.before : self.n] = 0.0
+        return found
+
+    @property
     def m(self) -> int:
         """Number of inputs."""
         return self.B.shape[1]

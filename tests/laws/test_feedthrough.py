@@ -71,6 +71,18 @@ def shown(plant: Plant | ContinuousPlant, run: taciturn.Trajectory, start: np.nd
     return run.state[:, : plant.states] @ plant.C.T + before @ plant.D.T
 
 
+def sends_by_hand(plant: Plant, policy: taciturn.Policy) -> list[bool]:
+    """Return whether the nodes of a policy send, on a plant that is written here."""
+    nodes, draws = Nodes(policy, seed=1), np.random.default_rng(5)
+    x, u, sent = np.zeros(2), np.zeros(1), []
+    for _ in range(300):
+        seen = C @ x + (0.0 if plant.D is None else plant.D @ u) + np.sqrt(V[0, 0]) * draws.standard_normal(1)
+        u = np.asarray(nodes.step(seen))
+        sent.append(bool(nodes.sent["actuator"]))
+        x = A @ x + B @ u + np.sqrt(0.1) * draws.standard_normal(2)
+    return sent
+
+
 CASES: dict[str, tuple[Plant | ContinuousPlant, dict[str, Any]]] = {
     "inputs that are held": (FED, {}),
     "losses": (FED, {"network": Network("tcp", actuator_loss=0.4)}),
@@ -311,3 +323,41 @@ def test_registers_are_no_states_of_the_user() -> None:
     loops = [close(one, design.excess(one, COST, theta=0.3)) for one in (FED, Plant(A, B, W, C, V))]
     first, second = (violations(loop, limits, accuracy=0.3).total.per_step for loop in loops)
     assert abs(first.value - second.value) < 5 * np.hypot(first.standard_error, second.standard_error)
+
+
+@pytest.mark.parametrize("kind", few(["relative", "mixed", "dynamic", "downsampled", "stochastic", "absolute"], 6))
+def test_triggers_on_the_state_do_not_count_registers(kind: str) -> None:
+    """Over ideal links the sends, the cost and the bound are those without D."""
+    given: dict[str, dict[str, Any]] = {
+        "relative": {"sigma": 0.2},
+        "mixed": {"sigma": 0.2, "threshold": 0.3},
+        "dynamic": {"sigma": 0.2, "rho": 0.8, "gain": 2.0},
+        "downsampled": {"fast": 1, "slow": 3, "threshold": 0.8},
+        "stochastic": {"scale": 1.0, "weight": np.diag([1.0, 0.5])},
+        "absolute": {"threshold": 0.8, "error": "state", "weight": np.diag([1.0, 0.5])},
+    }
+    plants = FED, Plant(A, B, W, C, V)
+    first, second = (getattr(design, kind)(plant, COST, actuation="model", **given[kind]) for plant in plants)
+    runs = [sends_by_hand(plant, policy) for plant, policy in zip(plants, (first, second), strict=True)]
+    assert runs[0] == runs[1]
+    assert 0 < sum(runs[0]) < len(runs[0])
+    if second.guarantee is None:
+        assert first.guarantee is None
+    else:
+        assert first.guarantee is not None
+        assert first.guarantee.cost == pytest.approx(second.guarantee.cost, rel=1e-7)
+
+
+def test_certificates_and_separate_triggers_do_not_count_registers() -> None:
+    """The mean square of the state, and the least eigenvalue of Q + L'RL + U, are those of the states of the plant."""
+    plants = FED, Plant(A, B, W, C, V)
+    first, second = (design.lqg(plant, COST, theta=0.3, trigger="separate") for plant in plants)
+    trigger = [policy.decisions["send"].options["silent"].Psi for policy in (first, second)]
+    assert trigger[0] is not None
+    assert trigger[1] is not None
+    np.testing.assert_allclose(trigger[0][:2, :2], trigger[1][:2, :2], rtol=1e-8)
+    assert not trigger[0][2].any()
+    found = [taciturn.certify(taciturn.Problem(plant, COST, Network(), "excess", {"theta": 0.3})) for plant in plants]
+    for name in ("cost_bound", "mean_square_bound", "mean_square_all_time"):
+        one, other = (getattr(certificate, name) for certificate in found)
+        assert one == pytest.approx(other, rel=1e-3)

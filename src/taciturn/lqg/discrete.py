@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array, Bits, frozen, instance, number, symmetrised
+from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg._followed import Followed, followed
-from taciturn.lqg.feedthrough import fed_inputs, with_registers
+from taciturn.lqg.feedthrough import fed_inputs, registers_from, with_registers
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
@@ -143,6 +143,27 @@ class Discrete(Displayed):
         and their variance may grow without bound.
         """
         return ~closure(self.lasting, np.asarray(self.plant.A != 0, dtype=np.bool_))
+
+    @cached_property
+    def registers(self) -> Bits:
+        """Mask of the registers, (n,), which hold inputs of the step before and are no states of the user's plant."""
+        found = np.zeros(self.plant.states, dtype=np.bool_)
+        first = registers_from(self)
+        found[first : first + len(self.plant.registers)] = True
+        return found
+
+    def weight(self, given: ArrayLike | None = None) -> Array:
+        """Return a weight of the states of the user's plant, (n, n): the identity, or a given one, without registers.
+
+        Raises:
+            ProblemError: the weight has another size, or is not positive semidefinite.
+        """
+        size, own = self.plant.stated, ~self.registers
+        found = np.zeros((len(own), len(own)))
+        found[np.ix_(own, own)] = (
+            np.eye(size) if given is None else semidefinite("weight", given, size, "(states, states)")
+        )
+        return frozen(found)
 
     @cached_property
     def lasting(self) -> Bits:
