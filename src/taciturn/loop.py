@@ -401,13 +401,13 @@ def close(
     if assumed is not None and len(cost.Q) == policy.model.stated - policy.model.inputs:
         cost = padded(cost, policy.model.inputs)
     period, model = policy.tick if isinstance(plant, ContinuousPlant) else None, policy.model
-    problem = discretise(plant, cost, period, policy.prediction, model.registers)
+    problem = discretise(plant, cost, period, policy.prediction)
     for name, size in (("states", "stated"), ("inputs", "inputs"), ("outputs", "outputs")):
         got, expected = getattr(problem.plant, size), getattr(model, size)
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
     problem = replace(problem, plant=about(problem.plant, point_with(problem, model)))
-    problem = with_same_start(problem, model) if model.registers else problem
+    problem = with_same_start(problem, model) if model.registers and problem.plant.registers else problem
     SIMULATED.check(network, policy.parts, policy.designed_for)
     policy = with_intervals(policy, network)
     check_network(policy, network)

@@ -41,6 +41,7 @@ from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.limits import Limits
 from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.set_points import RandomSteps
 from taciturn.problem import parse
 from taciturn.simulation.violations import violations
 from taciturn.study.describe import describe
@@ -183,7 +184,10 @@ def test_set_points_are_those_of_the_measured_outputs() -> None:
         assert abs(run.measurement[-1, 0] - run.state[-1, 0]) > 0.1
     kept = PID(kp=0.1, ki=0.1, setpoint=2.0)
     policy = design.excess(quiet, COST, theta=0.0, controller=kept)
-    assert simulate(close(quiet, policy), ticks=400, seed=1).measurement[-1, 0] == pytest.approx(2.0, abs=1e-6)
+    run = simulate(close(quiet, policy), ticks=400, seed=1)
+    assert run.measurement[-1, 0] == pytest.approx(2.0, abs=1e-6)
+    assert run.state[-1, 0] == pytest.approx(2.0 - 0.7 * run.input[-1, 0], abs=1e-6)
+    assert abs(run.input[-1, 0]) > 0.1
 
 
 @pytest.mark.parametrize("steps", few([False, True], 2))
@@ -209,6 +213,45 @@ def test_an_operating_point_is_in_the_outputs(steps: bool) -> None:
     run = simulate(close(plant, nodes.policy), ticks=20, seed=1)
     np.testing.assert_allclose(run.measurement[:, 0], 10.0 + 0.7 * 3.0, atol=1e-6)
     np.testing.assert_allclose(nodes.step([12.1]), [3.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("kept", few([True, False], 2))
+def test_a_set_point_at_an_operating_point_is_in_the_units_of_the_outputs(kept: bool) -> None:
+    """Of a given controller and of LQG, and as an operator changes it."""
+    point = OperatingPoint([10.0, 4.0], [3.0])
+    quiet = Plant(0.7 * A, B, QUIET * np.eye(2), C, [[QUIET]], dt=1.0, operating_point=point, D=D)
+    if kept:
+        plant, given = quiet, PID(kp=0.1, ki=0.1, setpoint=14.0)
+        policy = design.excess(quiet, COST, theta=0.0, controller=given)
+    else:
+        plant = follow(quiet, value=[14.0], changes=RandomSteps(1e-9, [[1e-9]]))
+        policy = design.all_time(plant, COST)
+        assert policy.model.operating_point is not None
+        assert policy.model.operating_point.x[-1] == pytest.approx(12.1)
+    run = simulate(close(plant, policy), ticks=400, seed=1)
+    assert run.measurement[-1, 0] == pytest.approx(14.0, abs=1e-5)
+    assert run.measurement[0, 0] == pytest.approx(12.1, abs=1e-5)
+    assert run.state[-1, 0] == pytest.approx(14.0 - 0.7 * run.input[-1, 0], abs=1e-5)
+    none = Plant(0.7 * A, B, QUIET * np.eye(2), C, [[QUIET]], dt=1.0, operating_point=point)
+    for one, other in ((none, quiet), (quiet, none)):
+        loop = close(other, design.all_time(one, COST))
+        assert loop.violated_assumptions == ("the plant is not the one of the design",)
+        expected = 12.1 if other is quiet else 10.0
+        assert simulate(loop, ticks=1, seed=1).measurement[0, 0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("given", few([{"horizon": 12, "terminal": 5 * np.eye(2)}, {"discount": 0.9}], 2))
+def test_a_total_cost_weighs_the_last_state_of_the_plant(given: dict[str, Any]) -> None:
+    """And nothing of its registers: the costs are those without D."""
+    cost, start = Cost(np.eye(2), [[1.0]], **given), {"mean": [3.0, 1.0]}
+    plants = Plant(A, B, W, C, V, D=D, **start), Plant(A, B, W, C, V, **start)
+    policies = [design.excess(plant, cost, theta=0.2) for plant in plants]
+    assert policies[0].cost_all_time == pytest.approx(policies[1].cost_all_time, rel=1e-8)
+    found = [
+        taciturn.average(close(plant, policy), steps=60_000).cost
+        for plant, policy in zip(plants, policies, strict=True)
+    ]
+    assert abs(found[0].value - found[1].value) < 5 * np.hypot(found[0].standard_error, found[1].standard_error)
 
 
 def test_the_input_before_the_start_is_in_the_first_measurement() -> None:

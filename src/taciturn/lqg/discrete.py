@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +14,7 @@ from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg._followed import Followed, followed
-from taciturn.lqg.feedthrough import fed_inputs, registers_from, with_registers
+from taciturn.lqg.feedthrough import registers_from, with_registers
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
@@ -238,7 +238,6 @@ def discretise(
     cost: Cost,
     period: float | None,
     prediction: Prediction | None = None,
-    registers: Sequence[int] = (),
 ) -> Discrete:
     """Return the discrete-time control problem of a plant and a cost; a continuous plant is sampled exactly.
 
@@ -247,7 +246,6 @@ def discretise(
         cost: cost per step of a discrete plant, or per second of a continuous one.
         period: seconds between steps; only for a continuous plant.
         prediction: model that the actuator runs between steps; the input is then the state of this model.
-        registers: inputs whose values in the step before are states, in addition to those that an output shows by D.
 
     Returns:
         The discrete plant with the weights of one step.
@@ -261,9 +259,8 @@ def discretise(
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
-    fed = sorted({*registers, *fed_inputs(plant)})
-    if fed:
-        return _with_feedthrough(plant, cost, period, prediction, fed)
+    if plant.D is not None:
+        return _with_feedthrough(plant, cost, period, prediction)
     if plant.exosystem is not None:
         return _with_exosystem(plant, plant.exosystem, cost, period, prediction)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
@@ -340,9 +337,9 @@ def discretise(
 
 
 def _with_feedthrough(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None, fed: Sequence[int]
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
 ) -> Discrete:
-    """Return the problem of a plant with registers of some inputs."""
+    """Return the problem of a plant with registers of the inputs that its outputs show."""
     refused = {
         "the actuator predicts between sampling instants; expected a held input": prediction is not None,
         "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
@@ -353,7 +350,7 @@ def _with_feedthrough(
     alone = copy(plant)
     object.__setattr__(alone, "D", None)
     object.__setattr__(alone, "full_state", False)
-    return with_registers(discretise(alone, cost, period), plant, fed)
+    return with_registers(discretise(alone, cost, period), plant)
 
 
 def _with_exosystem(

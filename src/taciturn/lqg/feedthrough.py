@@ -12,7 +12,6 @@ limits, since it is fed as the plant is. At the start it contains the input of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -33,20 +32,19 @@ if TYPE_CHECKING:
     from taciturn.lqg.discrete import Discrete
 
 
-def fed_inputs(plant: Plant | ContinuousPlant) -> tuple[int, ...]:
+def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
     """Return the inputs that an output shows directly: those with a column of D that is not zero."""
-    return () if plant.D is None else tuple(np.flatnonzero(plant.D.any(axis=0)).tolist())
+    return [] if plant.D is None else np.flatnonzero(plant.D.any(axis=0)).tolist()
 
 
-def with_registers(problem: Discrete, source: Plant | ContinuousPlant, inputs: Sequence[int]) -> Discrete:
-    """Return a problem with registers of some inputs, which the outputs show by D.
+def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
+    """Return a problem with registers of the inputs that the outputs show.
 
     Args:
         problem: the problem of the plant without D, with disturbances and set-points.
-        source: the plant before it was sampled.
-        inputs: the inputs that get a register, at least those that an output shows.
+        source: the plant before it was sampled, with D.
     """
-    n, fed, B = source.states, [*inputs], problem.plant.B
+    n, fed, B = source.states, fed_inputs(source), problem.plant.B
     r, end = len(fed), len(B) - n
     push: Array = np.eye(B.shape[1])[fed]
     own = problem.deviations
@@ -59,7 +57,7 @@ def with_registers(problem: Discrete, source: Plant | ContinuousPlant, inputs: S
         own = replace(own, T=T, U=_rows(own.U.T, n, np.zeros_like(push)).T, problem=more, exact=exact)
     return replace(
         problem,
-        plant=registered(problem.plant, source, inputs),
+        plant=registered(problem.plant, source),
         Q=_square(problem.Q, n, r),
         N=_rows(problem.N, n, np.zeros_like(push)),
         exact=None if problem.exact is None else _extended(problem.exact, n, end, push),
@@ -68,13 +66,12 @@ def with_registers(problem: Discrete, source: Plant | ContinuousPlant, inputs: S
     )
 
 
-def registered(plant: Plant, source: Plant | ContinuousPlant, inputs: Sequence[int]) -> Plant:
-    """Return a plant with registers of some inputs, which the outputs show by the D of the plant before sampling."""
-    n, fed, D = source.states, [*inputs], source.D
-    r = len(fed)
-    shown = np.zeros((plant.outputs, r))
-    if D is not None:
-        shown[: len(D)] = D[:, fed]
+def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
+    """Return a plant with registers of the inputs that its outputs show by the D of the plant before sampling."""
+    n, fed, D = source.states, fed_inputs(source), source.D
+    assert D is not None, "only a plant with D needs registers"
+    r, shown = len(fed), np.zeros((plant.outputs, len(fed)))
+    shown[: len(D)] = D[:, fed]
     push: Array = np.eye(plant.inputs)[fed]
     found = Plant(
         _square(plant.A, n, r), _rows(plant.B, n, push), _square(plant.W, n, r), _rows(plant.C.T, n, shown.T).T,

@@ -12,7 +12,7 @@ from taciturn._arrays import Array, ArrayLike, instance
 from taciturn._control import is_linear, nonlinear_system, state_space
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.lqg.feedthrough import fed_inputs, registered
+from taciturn.lqg.feedthrough import registered
 from taciturn.model.coverage import PLANTS, POINT, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import REFERENCE, Network
@@ -88,7 +88,7 @@ def to_control(
     if isinstance(thing, ContinuousPlant):
         return state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
     if isinstance(thing, Plant) and thing.D is not None:
-        thing = registered(thing, thing, fed_inputs(thing))
+        thing = registered(thing, thing)
     if isinstance(thing, Plant) and thing.function is not None:
         return _moving(thing, thing.function)
     if isinstance(thing, Plant):
