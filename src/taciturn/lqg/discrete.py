@@ -349,7 +349,6 @@ def _with_feedthrough(
         raise ProblemError(f"the outputs have a direct feedthrough D, and {got}")
     alone = copy(plant)
     object.__setattr__(alone, "D", None)
-    object.__setattr__(alone, "full_state", False)
     return with_registers(discretise(alone, cost, period), plant)
 
 
