@@ -362,6 +362,11 @@ def test_registers_are_no_states_of_the_user() -> None:
     assert policy.model.states == 3
     run = simulate(close(FED, policy), ticks=50, seed=1)
     np.testing.assert_array_equal(run.state[1:, 2], run.input[:-1, 0])
+
+
+@pytest.mark.evidence
+def test_limits_of_states_are_violated_as_often_as_without_a_feedthrough() -> None:
+    """They are limits of the states of the plant."""
     limits = Limits([[1.0, 0.0]], high=[3.0])
     loops = [close(one, design.excess(one, COST, theta=0.3)) for one in (FED, Plant(A, B, W, C, V))]
     first, second = (violations(loop, limits, accuracy=0.3).total.per_step for loop in loops)
@@ -391,8 +396,8 @@ def test_triggers_on_the_state_do_not_count_registers(kind: str) -> None:
         assert first.guarantee.cost == pytest.approx(second.guarantee.cost, rel=1e-7)
 
 
-def test_certificates_and_separate_triggers_do_not_count_registers() -> None:
-    """The mean square of the state, and the least eigenvalue of Q + L'RL + U, are those of the states of the plant."""
+def test_a_separate_trigger_does_not_count_registers() -> None:
+    """The least eigenvalue of Q + L'RL + U is that of the states of the plant."""
     plants = FED, Plant(A, B, W, C, V)
     first, second = (design.lqg(plant, COST, theta=0.3, trigger="separate") for plant in plants)
     trigger = [policy.decisions["send"].options["silent"].Psi for policy in (first, second)]
@@ -400,6 +405,12 @@ def test_certificates_and_separate_triggers_do_not_count_registers() -> None:
     assert trigger[1] is not None
     np.testing.assert_allclose(trigger[0][:2, :2], trigger[1][:2, :2], rtol=1e-8)
     assert not trigger[0][2].any()
+
+
+@pytest.mark.evidence
+def test_a_certificate_does_not_count_registers() -> None:
+    """Its mean square is that of the states of the plant."""
+    plants = FED, Plant(A, B, W, C, V)
     found = [taciturn.certify(taciturn.Problem(plant, COST, Network(), "excess", {"theta": 0.3})) for plant in plants]
     for name in ("cost_bound", "mean_square_bound", "mean_square_all_time"):
         one, other = (getattr(certificate, name) for certificate in found)
