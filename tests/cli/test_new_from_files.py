@@ -102,7 +102,7 @@ def test_a_feedthrough_is_written_with_a_note(run: Run, name: str) -> None:
     """Its input is that of the step before; a zero one is none."""
     told = run("new", "new.toml", "--yes", "--from", write(name, {**WHOLE, "D": [[0.5]]}))
     assert told.out.splitlines()[0] == (
-        f"D in {name} is read as a direct feedthrough, y = C x + D u with the input u of the step before, as each "
+        f"D in {name} is read as a direct feedthrough: y = C x + D u + v, with the input u of the step before, as each "
         "sample is taken before the input changes"
     )
     text = Path("new.toml").read_text(encoding="utf-8")

@@ -63,8 +63,9 @@ def new(
     refuse_to_overwrite()
     write_whole(out, text.encode())
     if given is not None and "D" in given.arrays:
-        read = "y = C x + D u with the input u of the step before, as each sample is taken before the input changes"
-        typer.echo(f"D in {source} is read as a direct feedthrough, {read}")
+        from taciturn.model.display import FED
+
+        typer.echo(f"D in {source} is read as a direct feedthrough: {FED}")
     if given is not None and given.ignored:
         typer.echo(f"ignored in {source}: {', '.join(given.ignored)}")
     typer.echo(f"written: {out}\nnext: taciturn show {out}, taciturn evaluate {out}")

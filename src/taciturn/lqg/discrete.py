@@ -24,6 +24,7 @@ from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.display import FED
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
@@ -33,10 +34,6 @@ INSTANTS = (
     "the disturbances change the input that they need between samples, which a held input cannot follow, and they grow "
     "without limit: the integral of the cost has no average. All costs, and the guarantee, are those of the deviations "
     "at the sampling instants; nothing is claimed for the integral, or for another period"
-)
-FED = (
-    "the plant has a direct feedthrough D: y = C x + D u, with the input u that it applied in the step before, as each "
-    "sample is taken before the input changes"
 )
 SHORTEST = 1e-100  # period whose inverse and squares are numbers
 HIDDEN = "source", "rest", "instants", "exact", "deviations"
@@ -214,7 +211,9 @@ class Discrete(Displayed):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on what the cost counts, if it is not the integral of the stage cost, and on a direct feedthrough."""
         fed = self.source is not None and self.source.D is not None
-        return ((INSTANTS,) if self.instants else ()) + ((FED,) if fed else ())
+        return ((INSTANTS,) if self.instants else ()) + (
+            (f"the plant has a direct feedthrough D: {FED}",) if fed else ()
+        )
 
     @property
     def ticks(self) -> float:
