@@ -13,13 +13,13 @@ Function: TypeAlias = Callable[[float, Array, Array, object], Array]
 """Function from time, state, input and parameters to the next state, or to the output."""
 
 
-def state_space(A: Array, B: Array, C: Array, dt: float | bool, name: str) -> Any:
-    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x.
+def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
+    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None.
 
     Raises:
         ProblemError: python-control is missing.
     """
-    return _control().StateSpace(A, B, C, 0, dt, name=name)
+    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
 
 
 def nonlinear_system(

@@ -58,7 +58,7 @@ class _Sizes:
         if self._sum > LARGEST:
             raise ProblemError(
                 f"{str(self._path)!r} expands to {self._sum:,} bytes or more (counted up to {name}); "
-                f"expected at most {LARGEST:,} bytes: save only the matrices A, B, C, W, V, Q, R, N and dt"
+                f"expected at most {LARGEST:,} bytes: save only the matrices A, B, C, D, W, V, Q, R, N and dt"
             )
 
     def add_array(self, name: str, shape: Iterable[int], itemsize: int) -> None:

@@ -15,6 +15,7 @@ from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.feedthrough import point_with, with_same_start
 from taciturn.model.coordinates import about
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED, uncovered
@@ -253,7 +254,7 @@ class Loop(Displayed):
             program: a program with the state ``x``.
             states: its states after the last step, (states, paths).
         """
-        terminal, tracking = self.problem.cost.terminal, self.policy.tracking
+        terminal, tracking = self.problem.terminal, self.policy.tracking
         if terminal is None:
             return None
         x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == "x"])
@@ -395,16 +396,18 @@ def close(
     network = policy.network if network is None else network
     instance("plant", plant, Plant, ContinuousPlant)
     assumed = policy.disturbance
-    if assumed is not None and plant.states == policy.model.states - policy.model.inputs:
+    if assumed is not None and plant.states == policy.model.stated - policy.model.inputs:
         plant = assumed.added_to(plant, cost.mission)
-    if assumed is not None and len(cost.Q) == policy.model.states - policy.model.inputs:
+    if assumed is not None and len(cost.Q) == policy.model.stated - policy.model.inputs:
         cost = padded(cost, policy.model.inputs)
-    problem = discretise(plant, cost, policy.tick if isinstance(plant, ContinuousPlant) else None, policy.prediction)
-    for name in ("states", "inputs", "outputs"):
-        got, expected = getattr(problem.plant, name), getattr(policy.model, name)
+    period, model = policy.tick if isinstance(plant, ContinuousPlant) else None, policy.model
+    problem = discretise(plant, cost, period, policy.prediction)
+    for name, size in (("states", "stated"), ("inputs", "inputs"), ("outputs", "outputs")):
+        got, expected = getattr(problem.plant, size), getattr(model, size)
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
-    problem = replace(problem, plant=about(problem.plant, policy.model.operating_point))
+    problem = replace(problem, plant=about(problem.plant, point_with(problem, model)))
+    problem = with_same_start(problem, model) if model.registers and problem.plant.registers else problem
     SIMULATED.check(network, policy.parts, policy.designed_for)
     policy = with_intervals(policy, network)
     check_network(policy, network)

@@ -173,7 +173,7 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         ("kind=nonsense", "the changed problem: policy.kind is 'nonsense'; expected one of absolute, all-time"),
         ("plant.dt=x", "the changed problem: plant.dt is 'x'; expected a number"),
         ("plant.dt=0", "the changed problem: dt is 0; expected 0 < dt"),
-        ("plant.foo=1", "the changed problem: plant.foo is not a known key; expected one of A, B, C, W, V, E, dt,"),
+        ("plant.foo=1", "the changed problem: plant.foo is not a known key; expected one of A, B, C, D, W, V, E, dt,"),
         ("foo.bar=1", "the changed problem: foo is not a known key; expected one of plant, cost, network,"),
         ("plant.dt.x=1", "plant.dt.x is not a key: dt is 1.0; expected a key such as plant.dt"),
         ("plant.A.0=1", "plant.A.0 is not a key: A is [[1.2]]; expected a key such as plant.dt"),

@@ -97,6 +97,22 @@ def test_what_else_a_file_holds_is_said(run: Run) -> None:
     assert told.out.splitlines()[0] == "ignored in more.mat: a, note, s, x0"
 
 
+@pytest.mark.parametrize("name", ["plant.mat", "plant.npz"])
+def test_a_feedthrough_is_written_with_a_note(run: Run, name: str) -> None:
+    """Its input is that of the step before; a zero one is none."""
+    told = run("new", "new.toml", "--yes", "--from", write(name, {**WHOLE, "D": [[0.5]]}))
+    assert told.out.splitlines()[0] == (
+        f"D in {name} is read as a direct feedthrough: y = C x + D u + v, with the input u of the step before, as each "
+        "sample is taken before the input changes"
+    )
+    text = Path("new.toml").read_text(encoding="utf-8")
+    assert "y = C x + v + D u, u of the step before" in text
+    assert tomllib.loads(text)["plant"]["D"] == [[0.5]]
+    assert taciturn.load("new.toml").design().model.registers == (0,)
+    Path("new.toml").unlink()
+    assert "D" not in tables(run, write(name, {**WHOLE, "D": [[0.0]]}))["plant"]
+
+
 def test_what_is_missing_is_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """And nothing else: not A, B, the time base or Q."""
     write("part.mat", {"A": A, "B": B, "Q": 1, "Ts": 0.1})
@@ -176,7 +192,7 @@ def test_a_system_object_beside_its_matrices_is_ignored(run: Run) -> None:
     ("changes", "sentence"),
     [
         ({"W": None, "R": None, "dt": None}, "plant.npz lacks W, R, dt (or Ts; 0 for continuous time); expected"),
-        ({"D": [[0.5]]}, "D in plant.npz is not zero; expected no direct feedthrough from input to measurement"),
+        ({"D": [[0.5], [0.5]]}, "plant.npz: D has shape (2, 1); expected (1, 1) = (outputs, inputs)"),
         ({"Phi_w": 1.0}, "plant.npz has W and Phi_w; expected only one of them, since both specify W"),
         ({"dt": None, "Ts": -1.0}, "the time base in plant.npz is -1; expected the seconds per step, or 0 for a"),
         ({"dt": [0.1, 0.2]}, "the time base in plant.npz is an array of shape (2,); expected the seconds per step"),

@@ -148,6 +148,12 @@ def hide(draft: Draft, count: int) -> None:
     draft.tables["cost"]["Q"] = rows(np.diag([1.0] * (n - draft.unseen) + [0.0] * draft.unseen))
 
 
+def feedthrough(draft: Draft) -> None:
+    """Let the outputs show the inputs of the step before."""
+    need(draft, "C")
+    draft.plant["D"] = rows(0.4 * draft.rng.standard_normal((draft.outputs, draft.inputs)))
+
+
 def continuous(draft: Draft) -> None:
     """Make the plant continuous in time, with about the same plant in a step."""
     plant, n = draft.plant, draft.states
@@ -196,6 +202,13 @@ def actual(draft: Draft) -> None:
     plant = draft.plant
     kept = {key: value for key, value in plant.items() if key not in ("initial", "operating_point")}
     plant["actual"] = {**kept, "A": rows(draft.matrix("A") * 0.97), "B": rows(draft.matrix("B") * 1.05)}
+
+
+def another_feedthrough(draft: Draft) -> None:
+    """Simulate a plant whose outputs show the inputs otherwise than those of the design."""
+    need(draft, "C", "actual")
+    feed = 0.2 * draft.rng.standard_normal((draft.outputs, draft.inputs))
+    draft.plant["actual"]["D"] = rows(feed + (draft.matrix("D") if "D" in draft.plant else 0.0))
 
 
 def function(bent: float) -> Callable[[Draft], None]:
@@ -268,7 +281,9 @@ def follow(draft: Draft) -> Tables:
 def rest(draft: Draft) -> Array:
     """Return the outputs at the operating point."""
     need(draft, "C")
-    return draft.matrix("C") @ np.array(draft.plant.get("operating_point", {}).get("x", [0.0] * draft.states))
+    point = draft.plant.get("operating_point", {"x": [0.0] * draft.states, "u": [0.0] * draft.inputs})
+    direct = draft.matrix("D") @ np.array(point["u"]) if "D" in draft.plant else 0.0
+    return draft.matrix("C") @ np.array(point["x"]) + direct
 
 
 def set_point(draft: Draft) -> None:
@@ -708,6 +723,7 @@ def features() -> list[Feature]:
         "unseen integral": ("counter", counter),
         "measured state": ("measured", measured),
         "exact outputs": ("measured", exact),
+        "feedthrough": ("feedthrough", feedthrough),
         "continuous": ("time", continuous),
         "half a second": ("time", half_second),
         "normal jumps": ("jumps", jumps("normal")),
@@ -716,6 +732,7 @@ def features() -> list[Feature]:
         "start": ("start", initial),
         "operating point": ("point", operating_point),
         "another plant": ("actual", actual),
+        "another feedthrough": ("other feedthrough", another_feedthrough),
         "linear function": ("function", function(0.0)),
         "bent function": ("function", function(0.3)),
         "limited input": ("limit", limited(lambda u, size: size if u == 0 else [u - size, u + size])),

@@ -168,7 +168,7 @@ class Base:
         q = m if given.deviation is not None else 0
         self.sizes = (n, q, k, p, m if link == "actuator" else p)
         A, B, C = model.A[:n, :n], model.B[:n], model.C[:, :n]
-        A, B_d = A, B[:, :q]
+        B_d = model.pushing[:n, :q]
         size = sum(self.sizes)
         x, d, c, y, h = np.split(np.eye(size), np.cumsum(self.sizes)[:-1])  # rows that pick a part of w
 
@@ -263,7 +263,7 @@ class KeptPolicy:
         self.exact = None if base is None or not always else base.exact
         n, q = model.n, model.m if given.deviation is not None else 0
         self.q = q
-        self.F = np.block([[model.A[:n, :n], model.B[:n, :q]], [np.zeros((q, n)), given.pole * np.eye(q)]])
+        self.F = np.block([[model.A[:n, :n], model.pushing[:n, :q]], [np.zeros((q, n)), given.pole * np.eye(q)]])
         self.B = np.vstack([model.B[:n], np.zeros((q, model.m))])
         self.C = np.hstack([model.C[:, :n], np.zeros((len(model.C), q))])
         W = model.W[:n, :n]
@@ -424,8 +424,8 @@ def kept_policy(tables: Tables, model: Model, nodes: Nodes) -> tuple[KeptPolicy,
     return own, twin
 
 
-def weights_as_kept(tables: Tables, model: Model) -> tuple[Array, Array]:
-    """Return Q and R with which each output and input of the present loop contributes 1."""
+def weights_as_kept(tables: Tables, model: Model) -> tuple[Array, Array, Array]:
+    """Return Q, R and N with which each output and input of the present loop contributes 1."""
     given = given_of(tables, model, model.seconds if model.continuous else float(tables["plant"]["dt"]))
     base = Base(model, given, "actuator", "hold", Law(), 1)
     F, size = base.arrives[0], len(base.noise)
@@ -435,7 +435,10 @@ def weights_as_kept(tables: Tables, model: Model) -> tuple[Array, Array]:
         if np.abs(new - S).max() <= 1e-13 * np.abs(new).max():
             break
         S = new
-    n = model.n
-    outputs = np.diag(model.C[:, :n] @ S[:n, :n] @ model.C[:, :n].T)
-    inputs = np.diag(S[-model.m :, -model.m :])
-    return model.C[:, :n].T @ np.diag(1 / outputs) @ model.C[:, :n], np.diag(1 / inputs)
+    n, before, m = model.n, model.before, model.m
+    C = np.hstack([model.C[:, : n - before], np.zeros((len(model.C), before))])
+    _, _, c, y, _ = np.split(np.eye(size), np.cumsum(base.sizes)[:-1])
+    seen = np.hstack([C, np.zeros((len(C), size - n))]) + model.D @ (given.C @ c + given.D @ y)  # with the new input
+    one = np.diag(1 / np.diag(seen @ S @ seen.T))
+    R = np.diag(1 / np.diag(S[-m:, -m:])) + model.D.T @ one @ model.D
+    return C.T @ one @ C, R, C.T @ one @ model.D

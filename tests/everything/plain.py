@@ -9,7 +9,8 @@ Precision comes from a twin: the same controller, with every packet, runs on the
 exactly. The answer is the exact cost plus the mean difference of the two.
 
 Everything that a plant cannot influence is a part of one state z = (x, d, r): the plant, disturbances that the filter
-estimates, and set-points, which the controller is told.
+estimates, and set-points, which the controller is told. Where outputs show inputs directly, x also has the inputs that
+were applied in the step before.
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ class Model:
         seconds: of a step if the plant is continuous, else 1.
         continuous: whether costs and rates are per second.
         n, q, s: numbers of states of the plant, of disturbances and of set-points.
+        before: number of the states of the plant, the last ones, that are the inputs of the step before.
+        D: direct feedthrough.
         Q, R, N: weights of the deviations of plant and inputs from X d, U d.
         X, U: where the plant is at its set-points: x = X (d, r), u = U (d, r).
         mean, covariance: of x at the start.
@@ -98,6 +101,22 @@ class Model:
     slew: Array
     point: tuple[Array, Array]
     function: Callable[[Array, Array, Array], Array] | None
+    before: int
+    D: Array
+
+    @property
+    def pushing(self) -> Array:
+        """Effect of a disturbance that adds to the inputs, which are not changed by it themselves."""
+        found = self.B.copy()
+        found[self.n - self.before : self.n] = 0.0
+        return found
+
+    @property
+    def own(self) -> Array:
+        """A mask of z: 0 for the inputs of the step before, which are no states of a file, else 1."""
+        found = np.ones(len(self.A))
+        found[self.n - self.before : self.n] = 0.0
+        return found
 
     @property
     def m(self) -> int:
@@ -139,11 +158,12 @@ def model_of(tables: Tables, folder: Path) -> Model:
     initial = plant.get("initial", {})
     mean = np.array(initial.get("mean", x0), dtype=float) - x0
     covariance = matrix(initial.get("covariance", np.zeros((n, n))))
-    Q, R, N = weights_of(cost, C, n, m)
+    D = matrix(plant.get("D", np.zeros((len(C), m))))
+    Q, R, N = weights_of(cost, C, D, n, m)
     jumps = plant.get("jumps")
     W = matrix(plant["W"]) if jumps is None else jumps["rate"] * matrix(jumps["covariance"])
     E, S, G, Wd = exosystem_of(tables, continuous, n, len(C))
-    Cz, value, changes = set_points_of(tables, plant, C, x0, h, folder)
+    Cz, Dz, value, changes = set_points_of(tables, plant, C, D, x0, u0, h, folder)
     q, s = len(S), len(Cz)
     if (q or s) and full:
         raise NotModelledError("disturbances of a plant whose state is measured")
@@ -163,7 +183,7 @@ def model_of(tables: Tables, folder: Path) -> Model:
     Ed, Sd = Fd[:n, n:], Fd[n:, n:]
     Sa, Ea = block(Sd, np.eye(s)), np.hstack([Ed, np.zeros((n, s))])
     target = np.hstack([np.zeros((len(Cz), q)), -np.eye(s)])
-    X, U = regulator_equations(Ad, Bd, Ea, Sa, Cz, target, block2(Q, N, R)) if q + s else (np.zeros((n, 0)),
+    X, U = regulator_equations(Ad, Bd, Ea, Sa, Cz, Dz, target, block2(Q, N, R)) if q + s else (np.zeros((n, 0)),
                                                                                          np.zeros((m, 0)))  # fmt: skip
     Aa = np.block([[Ad, Ea], [np.zeros((q + s, n)), Sa]])
     Ba, Ca = np.vstack([Bd, np.zeros((q + s, m))]), np.hstack([C, G, np.zeros((len(C), s))])
@@ -184,9 +204,45 @@ def model_of(tables: Tables, folder: Path) -> Model:
         exec((folder / plant["function"].partition(":")[0]).read_text(encoding="utf-8"), scope)
         function = scope[plant["function"].partition(":")[2]]
     terminal = matrix(cost.get("terminal", Q))
-    return Model(
+    found = Model(
         Aa, Ba, Ca, V, draw, Wa, stage, pushed, rest, h, continuous, n, q, s, Qd, Rd, Nd, X, U, mean, covariance, value,
         changes, cost.get("horizon"), float(cost.get("discount", 1.0)), terminal, low, high, slew, (x0, u0), function,
+        0, D,
+    )  # fmt: skip
+    fed = "D" in plant or "D" in plant.get("actual", {})
+    return showing(found, Sa) if fed else found
+
+
+def showing(model: Model, S: Array) -> Model:
+    """Return a model whose outputs show the inputs of the step before, which are further states of its plant.
+
+    Args:
+        model: the model without them.
+        S: dynamics of disturbances and set-points.
+    """
+    n, m = model.n, model.m
+
+    def wide(one: Array) -> Array:
+        return np.insert(one, [n] * m, 0.0, axis=1)
+
+    def tall(one: Array) -> Array:
+        return np.insert(one, [n] * m, 0.0, axis=0)
+
+    B, C = tall(model.B), wide(model.C)
+    B[n : n + m], C[:, n : n + m] = np.eye(m), model.D
+    X = np.vstack([model.X, model.U @ np.linalg.inv(S)]) if len(S) else np.zeros((n + m, 0))
+    (x0, u0), f = model.point, model.function
+
+    def function(x: Array, u: Array, w: Array) -> Array:
+        assert f is not None
+        return np.concatenate([f(x[:n], u, w[:n]), u])
+
+    return replace(
+        model, A=wide(tall(model.A)), B=B, C=C, noise=lambda rng, paths: wide(model.noise(rng, paths)),
+        W=wide(tall(model.W)), stage=wide(tall(model.stage)), pushed=wide(tall(model.pushed)), n=n + m,
+        Q=wide(tall(model.Q)), N=tall(model.N), X=X, mean=np.concatenate([model.mean, np.zeros(m)]),
+        covariance=wide(tall(model.covariance)), terminal=wide(tall(model.terminal)),
+        point=(np.concatenate([x0, u0]), u0), function=None if f is None else function, before=m,
     )  # fmt: skip
 
 
@@ -234,17 +290,14 @@ def block2(Q: Array, N: Array, R: Array) -> Array:
     return np.block([[Q, N], [N.T, R]])
 
 
-def weights_of(cost: Tables, C: Array, n: int, m: int) -> tuple[Array, Array, Array]:
+def weights_of(cost: Tables, C: Array, D: Array, n: int, m: int) -> tuple[Array, Array, Array]:
     """Return Q, R and N."""
     N = matrix(cost.get("N", np.zeros((n, m))))
     if "Q" in cost:
         return matrix(cost["Q"]), matrix(cost["R"]), N
     if "output_variance" in cost:
-        return (
-            C.T @ np.diag(1 / np.array(cost["output_variance"])) @ C,
-            np.diag(1 / np.array(cost["input_variance"])),
-            N,
-        )
+        outputs, inputs = (np.diag(1 / np.array(cost[f"{name}_variance"])) for name in ("output", "input"))
+        return C.T @ outputs @ C, inputs + D.T @ outputs @ D, C.T @ outputs @ D
     return np.eye(n), np.eye(m), N  # as the controller: computed from its loop
 
 
@@ -273,17 +326,18 @@ def exosystem_of(tables: Tables, continuous: bool, n: int, p: int) -> tuple[Arra
 
 
 def set_points_of(
-    tables: Tables, plant: Tables, C: Array, x0: Array, h: float, folder: Path
-) -> tuple[Array, Array, Changes]:
-    """Return what is kept at set-points, these as deviations, and how they change."""
+    tables: Tables, plant: Tables, C: Array, D: Array, x0: Array, u0: Array, h: float, folder: Path
+) -> tuple[Array, Array, Array, Changes]:
+    """Return what is kept at set-points, C_z x + D_z u, these as deviations, and how they change."""
     table = tables.get("reference")
     if table is None and "disturbance" not in tables:
-        return np.zeros((0, C.shape[1])), np.zeros(0), Changes()
+        return np.zeros((0, C.shape[1])), np.zeros((0, len(u0))), np.zeros(0), Changes()
     table = table or {}
     if "states" in table:
         raise NotModelledError("a trajectory")
     Cz = matrix(table.get("outputs", C))
-    at = Cz @ x0
+    Dz = np.zeros((len(Cz), len(u0))) if "outputs" in table else D
+    at = Cz @ x0 + Dz @ u0
     value, changes = np.array(table.get("value", at), dtype=float) - at, Changes()
     if "steps" in table:
         rate = table["steps"]["rate"] * (h if "dt" not in plant else 1.0)
@@ -293,7 +347,7 @@ def set_points_of(
         times = np.rint(rows[:, 0] / h).astype(int)
         levels = np.repeat(rows[:-1, 1:] - at, np.diff(times), axis=0)
         value, changes = levels[0], Changes(levels=levels)
-    return Cz, value, changes
+    return Cz, Dz, value, changes
 
 
 def limits_of(plant: Tables, u0: Array, h: float, continuous: bool) -> tuple[Array, Array, Array]:
@@ -395,9 +449,9 @@ def noise_between(A: Array, B: Array, weight: Array, spread: Array, h: float) ->
 
 
 def regulator_equations(
-    A: Array, B: Array, E: Array, S: Array, Cz: Array, F: Array, weight: Array
+    A: Array, B: Array, E: Array, S: Array, Cz: Array, Dz: Array, F: Array, weight: Array
 ) -> tuple[Array, Array]:
-    """Return X and U with A X + B U + E = X S and Cz X + F = 0, of several those with the least tr [X; U]'weight[X; U].
+    """Return X and U with A X + B U + E = X S, Cz X + Dz U + F = 0, and of several the least tr [X; U]'weight[X; U].
 
     Raises:
         NotModelledError: there are none.
@@ -406,7 +460,7 @@ def regulator_equations(
     q = E.shape[1]
     unit = np.eye(q)
     upper = np.hstack([np.kron(unit, A) - np.kron(S.T, np.eye(n)), np.kron(unit, B)])
-    lower = np.hstack([np.kron(unit, Cz), np.zeros((len(Cz) * q, m * q))])
+    lower = np.hstack([np.kron(unit, Cz), np.kron(unit, Dz)])
     M, right = np.vstack([upper, lower]), -np.concatenate([E.T.reshape(-1), F.T.reshape(-1)])
     found = np.linalg.lstsq(M, right, rcond=None)[0]
     if M.size and np.abs(M @ found - right).max(initial=0.0) > 1e-8 * (1 + np.abs(right).max(initial=0.0)):
@@ -524,7 +578,7 @@ class World:
             joint, weight = np.hstack([z[:, : model.n], u[:, model.m :], u[:, : model.m]]), model.pushed
         else:
             joint, weight = np.hstack([z, u]), model.stage
-        u = u[:, -model.m :]
+        given, u = u[:, : model.m], u[:, -model.m :]
         cost = np.einsum("pi,ij,pj->p", joint, weight, joint) + model.rest
         if model.function is None:
             self.z = z @ model.A.T + u @ model.B.T + w
@@ -533,6 +587,7 @@ class World:
             moved = zip(z[:, :n] + x0, u + u0, w[:, :n], strict=True)
             self.z = z @ model.A.T + w
             self.z[:, :n] = np.array([model.function(*one) for one in moved]) - x0 + z[:, n:] @ model.A[:n, n:].T
+        self.z[:, model.n - model.before : model.n] = given[:, : model.before]
         self.z[:, model.known] += dr
         return cost
 
@@ -605,7 +660,8 @@ def with_actual(model: Model, tables: Tables, folder: Path) -> Model:
     if actual is None:
         return model
     kept = {"operating_point": tables["plant"]["operating_point"]} if "operating_point" in tables["plant"] else {}
-    other = model_of({**tables, "plant": {**kept, **actual}}, folder)
+    fed = {"D": np.zeros((len(model.C), model.m))} if model.before else {}
+    other = model_of({**tables, "plant": {**kept, **fed, **actual}}, folder)
     if model.q + model.s or model.continuous:
         if "weights" in tables["cost"]:
             raise NotModelledError("weights as a controller's for another plant that is sampled or follows set-points")

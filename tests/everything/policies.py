@@ -233,9 +233,10 @@ class Rules:
             raise NotModelledError("the separate trigger with disturbances")
         U = Na @ L + L.T @ Na.T
         M = Qa + L.T @ Ra @ L + U
-        epsilon = policy.get("epsilon", 0.5 * np.linalg.eigvalsh(M)[0])
+        least = np.linalg.eigvalsh(M[np.ix_(model.own > 0, model.own > 0)])[0]
+        epsilon = policy.get("epsilon", 0.5 * least)
         B, K = model.B, base.K
-        Y = theta * (M - epsilon * np.eye(size))
+        Y = theta * (M - epsilon * np.diag(model.own))
         Z = Ra + (1 + theta) * B.T @ K @ B + theta / epsilon * (Ra @ L + Na.T) @ (L.T @ Ra + Na)
         return lambda loop: quadratic(loop.error, Z) > quadratic(loop.estimate, Y) + gamma
 
@@ -243,23 +244,23 @@ class Rules:
     def absolute(policy: Tables, base: Certainty) -> Rule:
         """Send iff e'We > Y²."""
         state = policy.get("error", "input") == "state"
-        size = len(base.model.A) if state else base.model.m
+        unit = np.diag(base.model.own) if state else np.eye(base.model.m)
         if state and base.model.q + base.model.s:
             raise NotModelledError("the error of a state with disturbances")
-        W = np.array(policy.get("weight", np.eye(size)), dtype=float)
+        W = np.array(policy.get("weight", unit), dtype=float)
         return lambda loop: quadratic(loop.deviation if state else loop.error, W) > policy["threshold"] ** 2
 
     @staticmethod
     def relative(policy: Tables, base: Certainty) -> Rule:
         """Send iff |x̃ − x̂| > σ|x̂|."""
         sigma = policy["sigma"] ** 2
-        return lambda loop: squares(loop.deviation) > sigma * squares(loop.estimate)
+        return lambda loop: squares(loop.model, loop.deviation) > sigma * squares(loop.model, loop.estimate)
 
     @staticmethod
     def mixed(policy: Tables, base: Certainty) -> Rule:
         """Send iff |x̃ − x̂|² > σ²|x̂|² + Y²."""
         sigma, Y = policy["sigma"] ** 2, policy["threshold"] ** 2
-        return lambda loop: squares(loop.deviation) > sigma * squares(loop.estimate) + Y
+        return lambda loop: squares(loop.model, loop.deviation) > sigma * squares(loop.model, loop.estimate) + Y
 
     @staticmethod
     def dynamic(policy: Tables, base: Certainty) -> Rule:
@@ -271,7 +272,7 @@ class Rules:
         """Send iff ½ s e'We > ξ."""
         if base.model.q + base.model.s:
             raise NotModelledError("the error of a state with disturbances")
-        W = policy.get("scale", 1.0) * np.array(policy.get("weight", np.eye(len(base.model.A))), dtype=float)
+        W = policy.get("scale", 1.0) * np.array(policy.get("weight", np.diag(base.model.own)), dtype=float)
         return lambda loop: 0.5 * quadratic(loop.deviation, W) > loop.rng.standard_exponential(len(loop.command))
 
     @staticmethod
@@ -282,9 +283,9 @@ class Rules:
         return Downsampled(policy["fast"], policy["slow"], policy["threshold"])
 
 
-def squares(rows: Array) -> Array:
-    """Return the squared lengths of rows."""
-    return np.einsum("pi,pi->p", rows, rows)
+def squares(model: Model, rows: Array) -> Array:
+    """Return the squared lengths of states, of which inputs of the step before are no part."""
+    return np.einsum("pi,pi->p", rows, rows @ np.diag(model.own))
 
 
 class Dynamic:
@@ -297,11 +298,13 @@ class Dynamic:
     def __call__(self, loop: Certainty) -> Array:
         """Decide."""
         eta = loop.memory.setdefault("credit", np.zeros(len(loop.command)))
-        return self.gain * (squares(loop.deviation) - self.sigma * squares(loop.estimate)) > eta
+        return self.gain * (squares(loop.model, loop.deviation) - self.sigma * squares(loop.model, loop.estimate)) > eta
 
     def update(self, loop: Certainty, sends: Array) -> None:
         """Add what was not used."""
-        left = self.sigma * squares(loop.estimate) - np.where(sends, 0.0, squares(loop.deviation))
+        left = self.sigma * squares(loop.model, loop.estimate) - np.where(
+            sends, 0.0, squares(loop.model, loop.deviation)
+        )
         loop.memory["credit"] = self.rho * loop.memory["credit"] + left
 
 
@@ -315,7 +318,7 @@ class Downsampled:
     def __call__(self, loop: Certainty) -> Array:
         """Decide."""
         wait = loop.memory.setdefault("wait", np.zeros(len(loop.command)))
-        return (wait <= 0) & (squares(loop.deviation) > self.limit)
+        return (wait <= 0) & (squares(loop.model, loop.deviation) > self.limit)
 
     def update(self, loop: Certainty, sends: Array) -> None:
         """Count the steps to the next check."""
@@ -331,12 +334,14 @@ def resolved(tables: Tables, model: Model) -> Model:
         return model
     if model.continuous:
         raise NotModelledError("weights as the controller of a continuous plant")
-    Q, R = weights_as_kept(tables, model)
+    Q, R, N = weights_as_kept(tables, model)
     n, m, size = model.n, model.m, len(model.A)
     stage, pushed = np.zeros_like(model.stage), np.zeros_like(model.pushed)
     stage[:n, :n], stage[size:, size:] = Q, R
+    stage[:n, size:], stage[size:, :n] = N, N.T
     pushed[:n, :n], pushed[n + m :, n + m :] = Q, R
-    return replace(model, Q=Q, R=R, stage=stage, pushed=pushed)
+    pushed[:n, n + m :], pushed[n + m :, :n] = N, N.T
+    return replace(model, Q=Q, R=R, N=N, stage=stage, pushed=pushed)
 
 
 def policy_of(tables: Tables, model: Model, all_time: float | None = None) -> tuple[Controller, Controller | None]:

@@ -32,6 +32,7 @@ FIXED = (
     ("continuous", "normal jumps", "kind all-time"),
     ("two outputs", "one sensor by name", "lossy probes", "kind distributed"),
     ("linear controller", "kind excess"),
+    ("feedthrough", "operating point", "another plant", "another feedthrough", "acknowledged losses", "kind excess"),
 )
 
 

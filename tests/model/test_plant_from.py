@@ -98,11 +98,13 @@ def test_what_is_no_system_is_refused(system: object) -> None:
         plant_from(system, W)
 
 
-def test_a_feedthrough_is_refused() -> None:
-    """D ≠ 0 would let a measurement see the input of its own step."""
-    with pytest.raises(ProblemError) as found:
-        plant_from(SimpleNamespace(A=A, B=B, C=C, D=[[0.5]], dt=0.1), W)
-    assert str(found.value) == "D is not zero; expected no direct feedthrough from input to measurement"
+def test_a_feedthrough_is_that_of_the_input_of_the_step_before() -> None:
+    """With C; a measurement never sees the input of its own step."""
+    plant = plant_from(SimpleNamespace(A=A, B=B, C=C, D=[[0.5]], dt=0.1), W)
+    assert plant.D is not None
+    assert plant.D.tolist() == [[0.5]]
+    with pytest.raises(ProblemError, match="D has shape"):
+        plant_from(SimpleNamespace(A=A, B=B, C=C, D=[[0.5, 0.5]], dt=0.1), W)
 
 
 def test_the_checks_of_a_plant_hold_for_a_converted_one() -> None:

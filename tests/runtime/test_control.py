@@ -283,6 +283,19 @@ def test_a_transfer_function_is_realised() -> None:
     np.testing.assert_allclose(to_control(plant)(points), given(points), rtol=1e-9)
 
 
+def test_a_feedthrough_goes_to_python_control_and_back() -> None:
+    """A discrete plant takes its inputs one step late, so its system has the response C(zI − A)⁻¹B + D/z."""
+    given = control.ss([[0.5, 0.2], [0.0, 0.4]], [[1.0], [2.0]], [[1.0, 0.0]], [[0.7]], dt=0.5)
+    plant = from_control(given, np.eye(2))
+    points = np.exp(1j * np.array([0.1, 1.0, 2.0]))
+    found = to_control(plant)
+    assert not found.D.any()
+    late = (given(points) - 0.7) + 0.7 / points
+    np.testing.assert_allclose(found(points), late, rtol=1e-9)
+    moving = control.ss(-np.eye(1), np.eye(1), np.eye(1), [[0.7]], dt=0)
+    np.testing.assert_array_equal(to_control(from_control(moving, np.eye(1))).D, [[0.7]])
+
+
 def test_what_is_no_linear_system_is_refused() -> None:
     """Systems of scipy, nonlinear ones, tables of frequencies, and linear ones that no plant is."""
     crooked = control.nlsys(lambda t, x, u, params: -(x**3) + u, None, inputs=1, states=1)
@@ -290,8 +303,6 @@ def test_what_is_no_linear_system_is_refused() -> None:
     for system in (scipy.signal.dlti([1.0], [1.0, 0.5]), crooked, table, TWO, None):
         with pytest.raises(ProblemError, match=f"system is a {type(system).__name__}; expected a control.StateSpace"):
             from_control(system, [[1.0]])
-    with pytest.raises(ProblemError, match="D is not zero"):
-        from_control(control.ss(0.5, 1, 1, 1, dt=True), [[1.0]])
     with pytest.raises(ProblemError, match="which is unspecified"):
         from_control(control.StateSpace(0.5, 1, 1, 0, None), [[1.0]])
 

@@ -62,6 +62,10 @@ def new(
         text = _Interview(Questions(yes), given, source, out.name).complete(dt, kind)
     refuse_to_overwrite()
     write_whole(out, text.encode())
+    if given is not None and "D" in given.arrays:
+        from taciturn.model.display import FED
+
+        typer.echo(f"D in {source} is read as a direct feedthrough: {FED}")
     if given is not None and given.ignored:
         typer.echo(f"ignored in {source}: {', '.join(given.ignored)}")
     typer.echo(f"written: {out}\nnext: taciturn show {out}, taciturn evaluate {out}")
@@ -154,7 +158,7 @@ class _Interview:
         if self._has("E"):
             self._take("E", "E, the matrix of the derivative, or of the next state")
         self._take("B", "B, the input matrix")
-        whole = not self._has("C") and not self._has("V")
+        whole = not self._has("C") and not self._has("V") and not self._has("D")
         if whole and not self.questions.yes:
             question = "Is the whole state measured without noise?"
             whole = self.questions.choose("what is measured", question, ("yes", "no"), "yes") == "yes"
@@ -163,6 +167,8 @@ class _Interview:
                 draft.measure_all()
             else:
                 self._take("C", "C, the measurements y = Cx + v")
+            if self._has("D"):
+                self._take("D", "D")
             self._take(
                 "V",
                 f"V, the covariance of v per sample: {SQUARE}; or ± and the deviation of each output, ± 0.1 0.2",

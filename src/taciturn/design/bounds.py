@@ -121,7 +121,7 @@ def bound_by_state(
         )
     mu = float(np.linalg.eigvalsh(certainty.square)[-1])
     least = problem.Q - problem.N @ np.linalg.pinv(problem.R, hermitian=True) @ problem.N.T
-    q = least_eigenvalue(symmetrised(least))
+    q = least_eigenvalue(symmetrised(least[np.ix_(~problem.registers, ~problem.registers)]))
     if q <= 0:
         return None, ("no bound is known: Q − NR^{-1}N' is not positive definite",) if sigma else ()
     share = sigma**2 * mu / q

@@ -49,7 +49,8 @@ def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | Non
     problem, controller, _ = disturbed(plant, usual, period, kept)
     base = actuator_base(problem, controller)
     F, n = base.Phi + base.Gamma @ base.K, plant.states
-    rows = {"output_variance": np.pad(plant.C, ((0, 0), (0, len(F) - n))), "input_variance": base.K}
+    seen = np.pad(plant.C, ((0, 0), (0, len(F) - n))) + (0.0 if plant.D is None else plant.D @ base.K)
+    rows = {"output_variance": seen, "input_variance": base.K}
     found: dict[str, list[float]] = {}
     for name, signals in rows.items():
         found[name] = []
@@ -67,7 +68,7 @@ def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | Non
                     "that moves it, or output_variance and input_variance in place of weights"
                 )
             found[name].append(variance)
-    return Cost.of_variances(plant.C, **found)
+    return Cost.of_variances(plant.C, **found, D=plant.D)
 
 
 def disturbed(
@@ -147,7 +148,7 @@ def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest:
     """
     if disturbance is None:
         return None
-    modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), plant.B.shape
+    modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), (plant.stated, plant.inputs)
     slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
     rest = np.delete(modes, slow)
     return float(1 / (1 - max(slowest, *rest[rest < 1 - LASTING])))

@@ -97,8 +97,8 @@ def price_control(problem: Discrete) -> Prices:
     if cost.horizon is None:
         best = problem.regulator()
         return Prices(problem, best.K, best.L, best.H, best.error)
-    assert cost.terminal is not None
-    finite = regulate_finite(*problem.quadratic, cost.terminal, cost.horizon)
+    assert problem.terminal is not None
+    finite = regulate_finite(*problem.quadratic, problem.terminal, cost.horizon)
     return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
 
 

@@ -15,6 +15,7 @@ from taciturn._display import Displayed
 from taciturn.design.estimation import HELD
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.feedthrough import registers_from, with_inputs_before
 from taciturn.lqg.regulation import beyond_limits
 from taciturn.model.controller import Controller
 from taciturn.model.coordinates import about
@@ -49,11 +50,14 @@ class Rest(Displayed):
 
     def deviations(self, problem: Discrete) -> Discrete:
         """Return the problem of the deviations from the point."""
-        if not (self.state.any() or self.input.any()):
-            return problem
-        here = problem.plant.operating_point
-        x, u = (0.0, 0.0) if here is None else (here.x, here.u)
-        return replace(problem, plant=about(problem.plant, OperatingPoint(x + self.state, u + self.input)))
+        plant = problem.plant
+        if self.state.any() or self.input.any():
+            here = plant.operating_point
+            x, u = (0.0, 0.0) if here is None else (here.x, here.u)
+            plant = about(plant, OperatingPoint(x + self.state, u + self.input))
+        if plant.registers and self.before.any():
+            plant = with_inputs_before(plant, registers_from(problem), self.before)
+        return replace(problem, plant=plant)
 
     def begun(self, policy: Policy) -> Policy:
         """Return a policy whose memories of the input start with the input before the start."""
@@ -96,6 +100,8 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
     if controller.start_input is not None:
         _expect_within_limits(plant, controller.start_input)
         before = controller.start_input - steady
+        if plant.registers:
+            plant = with_inputs_before(plant, registers_from(problem), controller.start_input)
         start = _bumpless(controller, plant.C @ plant.mean - r, before)
     return Rest(state, steady, start, before)
 

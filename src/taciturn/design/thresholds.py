@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from taciturn._arrays import block_diagonal, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
@@ -29,7 +27,7 @@ def relative_to_state(
     sigma = number("sigma", sigma, 0.0, LARGEST_PARAMETER, closed=True)
     threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
-    certainty, unit = design_certainty(kind, problem), np.eye(problem.plant.states)
+    certainty, unit = design_certainty(kind, problem), problem.weight()
     silent = Form((DEVIATION, ESTIMATE), block_diagonal(unit, -(sigma**2) * unit))
     rule = Trigger({"silent": silent, SEND: Form(constant=threshold**2)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)

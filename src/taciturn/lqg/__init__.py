@@ -16,7 +16,7 @@ Read the modules in this order:
    doubles with bounds on their rounding. ``structure`` leaves out states whose cost-to-go is zero, and inputs that cost
    nothing.
 2. ``sampling``, ``intervals`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between
-   samples, to the precision that a proof asks for.
+   samples, to the precision that a proof asks for; ``feedthrough``: inputs that the outputs show one step later.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``_mean_square``: control over links that drop packets, and the critical loss probabilities.
 5. ``queries`` and ``_flow``: the value of a measurement, and the resulting schedule of measurements; ``variances``:

@@ -9,11 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array, Bits, frozen, instance, number, symmetrised
+from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg._followed import Followed, followed
+from taciturn.lqg.feedthrough import registers_from, with_registers
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
@@ -23,6 +24,7 @@ from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.display import FED
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
@@ -140,6 +142,27 @@ class Discrete(Displayed):
         return ~closure(self.lasting, np.asarray(self.plant.A != 0, dtype=np.bool_))
 
     @cached_property
+    def registers(self) -> Bits:
+        """Mask of the registers, (n,), which hold inputs of the step before and are no states of the user's plant."""
+        found = np.zeros(self.plant.states, dtype=np.bool_)
+        first = registers_from(self)
+        found[first : first + len(self.plant.registers)] = True
+        return found
+
+    def weight(self, given: ArrayLike | None = None) -> Array:
+        """Return a weight of the states of the user's plant, (n, n): the identity, or a given one, without registers.
+
+        Raises:
+            ProblemError: the weight has another size, or is not positive semidefinite.
+        """
+        size, own = self.plant.stated, ~self.registers
+        found = np.zeros((len(own), len(own)))
+        found[np.ix_(own, own)] = (
+            np.eye(size) if given is None else semidefinite("weight", given, size, "(states, states)")
+        )
+        return frozen(found)
+
+    @cached_property
     def lasting(self) -> Bits:
         """Mask of the states, (n,), that do not decay, that no input moves, and that leave the cost finite.
 
@@ -174,14 +197,23 @@ class Discrete(Displayed):
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states], exact=None, deviations=None)
 
     @property
+    def terminal(self) -> Array | None:
+        """The weight of the states after the last step, (n, n), or None; states that were added have none."""
+        given = self.cost.terminal
+        return None if given is None else np.pad(given, (0, self.plant.states - len(given)))
+
+    @property
     def gaussian(self) -> bool:
         """True if all noise is Gaussian: the plant has no jumps, and no set-points that change."""
         return self.jumps is None and self.plant.changes is None
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """A remark on what the cost counts, if it is not the integral of the stage cost."""
-        return (INSTANTS,) if self.instants else ()
+        """Remarks on what the cost counts, if it is not the integral of the stage cost, and on a direct feedthrough."""
+        fed = self.source is not None and self.source.D is not None
+        return ((INSTANTS,) if self.instants else ()) + (
+            (f"the plant has a direct feedthrough D: {FED}",) if fed else ()
+        )
 
     @property
     def ticks(self) -> float:
@@ -201,7 +233,10 @@ class Discrete(Displayed):
 
 
 def discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    period: float | None,
+    prediction: Prediction | None = None,
 ) -> Discrete:
     """Return the discrete-time control problem of a plant and a cost; a continuous plant is sampled exactly.
 
@@ -223,6 +258,8 @@ def discretise(
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
+    if plant.D is not None:
+        return _with_feedthrough(plant, cost, period, prediction)
     if plant.exosystem is not None:
         return _with_exosystem(plant, plant.exosystem, cost, period, prediction)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
@@ -296,6 +333,22 @@ def discretise(
         plant,
         exact=sampled.exact,
     )
+
+
+def _with_feedthrough(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
+) -> Discrete:
+    """Return the problem of a plant with registers of the inputs that its outputs show."""
+    refused = {
+        "the actuator predicts between sampling instants; expected a held input": prediction is not None,
+        "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
+        and plant.jumps is not None,
+    }
+    for got in (got for got, given in refused.items() if given):
+        raise ProblemError(f"the outputs have a direct feedthrough D, and {got}")
+    alone = copy(plant)
+    object.__setattr__(alone, "D", None)
+    return with_registers(discretise(alone, cost, period), plant)
 
 
 def _with_exosystem(

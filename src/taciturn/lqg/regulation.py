@@ -44,9 +44,9 @@ STILL = 1e-9  # relative rate of change of an input that counts as zero
 
 
 def regulator_equations(
-    A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array
+    A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array, D: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return X and U with A X + B U + E = X S and C_z X + F = 0, of which the cost of x = X d and u = U d is least.
+    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, of least cost of x = X d and u = U d.
 
     Args:
         A: (n, n) dynamics.
@@ -56,6 +56,7 @@ def regulator_equations(
         outputs: C_z, (z, n).
         F: (z, q) effect of d on the output.
         weight: [[Q, N], [N', R]], (n + m, n + m), which decides if more than one solution exists.
+        D: D_z, the effect of the input on the output, (z, m), or None for zero.
 
     Raises:
         ProblemError: no input keeps some output at zero.
@@ -66,8 +67,11 @@ def regulator_equations(
     state, unit = reach(A, B)  # so that the result does not depend on the units
     units = np.concatenate([state, unit])
     A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
-    sizes = np.maximum(np.abs(outputs * state).max(axis=1, initial=0.0), 1e-300)
-    Cz: Array = outputs * state / sizes[:, None]
+    direct = np.zeros((len(outputs), m)) if D is None else D
+    both: Array = np.hstack([outputs * state, direct * unit])
+    sizes = np.maximum(np.abs(both).max(axis=1, initial=0.0), 1e-300)
+    Cz: Array = both[:, :n] / sizes[:, None]
+    Dz: Array = both[:, n:] / sizes[:, None]
     F = F / sizes[:, None]
     same: Array = np.eye(q)
     moves = np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])
@@ -75,11 +79,12 @@ def regulator_equations(
     found = np.linalg.lstsq(matrix, right, rcond=None)[0]
     for i in range(-1, len(Cz)):
         if i >= 0:
-            row = np.hstack([np.kron(same, Cz[[i]]), np.zeros((q, q * m))])
+            row = np.hstack([np.kron(same, Cz[[i]]), np.kron(same, Dz[[i]])])
             matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
             found = np.linalg.lstsq(matrix, right, rcond=None)[0]
         if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):
-            what = "the state" if i < 0 else f"output {i} of the reference, {outputs[i].tolist()} x,"
+            more = "" if D is None else f" + {direct[i].tolist()} u"
+            what = "the state" if i < 0 else f"output {i} of the reference, {outputs[i].tolist()} x{more},"
             more = "" if i < m else f" ({i + 1} outputs, {m} inputs)"
             raise ProblemError(
                 f"no input keeps {what} free of the disturbances and at its set-point{more}; expected at most as many "
@@ -97,8 +102,8 @@ def regulator_equations(
     if free.shape[1]:
         found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
     X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
-    both = np.asarray(np.vstack([X, U]), dtype=np.float64)
-    least = CRUMB * _sizes(both, S)
+    solved = np.asarray(np.vstack([X, U]), dtype=np.float64)
+    least = CRUMB * _sizes(solved, S)
     X, U = (np.where(np.abs(part) > least, part, 0.0) for part in (X, U))  # the cost has no weight on crumbs of d
     return X * state[:, None], U * unit[:, None]
 
@@ -130,7 +135,7 @@ def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
 def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array, Array]:
     """Return X and U of the plant in continuous time, which do not depend on the sampling period."""
     weights = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
-    return regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
+    return regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
 
 
 def _is_still(U: Array, S: Array) -> bool:
@@ -180,7 +185,8 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         X, U = _equations(source, e, base.cost)
         instants = not _is_still(U, e.S)
         if instants:
-            X, U = regulator_equations(plant.A, plant.B, sampled.A[n:, n:], sampled.A[:n, n:], e.outputs, e.F, weights)
+            late, acting = sampled.A[n:, n:], sampled.A[:n, n:]
+            X, U = regulator_equations(plant.A, plant.B, late, acting, e.outputs, e.F, weights, e.D)
             noise_cost = 0.0
         else:
             within = _within_a_period(source, e, base.cost, X, U, given, base.tick)
@@ -189,7 +195,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
         A, W, exact = sampled.A, sampled.W, sampled.exact
     else:
-        X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights)
+        X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(A, seen, n, e)
@@ -203,7 +209,8 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
         free = np.where(np.vstack([e.E, e.G]).any(axis=0), 0.0, e.F)
-        at_rest += np.linalg.lstsq(free, -e.outputs @ point.x, rcond=None)[0] if free.any() else 0.0
+        z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
+        at_rest += np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else 0.0
     function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
     with_all = Plant(
         A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,

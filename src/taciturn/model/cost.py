@@ -81,13 +81,18 @@ class Cost(Displayed):
             object.__setattr__(self, key, value)
 
     @classmethod
-    def of_variances(cls, C: ArrayLike, output_variance: ArrayLike, input_variance: ArrayLike) -> Cost:
+    def of_variances(
+        cls, C: ArrayLike, output_variance: ArrayLike, input_variance: ArrayLike, D: ArrayLike | None = None
+    ) -> Cost:
         """Return the average cost Σ y_i²/(variance of y_i) + Σ u_j²/(variance of u_j), with y = C x (Bryson's rule).
+
+        With a direct feedthrough D, y = C x + D u are the outputs after the input has changed.
 
         Args:
             C: output matrix of the plant, (p, n).
             output_variance: variance of each output that counts as much as the others, (p,).
             input_variance: variance of each input that counts as much, (m,).
+            D: direct feedthrough of the plant, (p, m); default 0.
 
         Raises:
             ProblemError: a variance is not positive, or their number is not that of the outputs.
@@ -104,7 +109,11 @@ class Cost(Displayed):
         for name, values in (("output_variance", outputs), ("input_variance", inputs)):
             if (values <= 0).any():
                 raise ProblemError(f"{name} contains {values.min():g}; expected positive variances")
-        return cls(C.T @ (C / outputs[:, None]), np.diag(1 / inputs))
+        Q, R = C.T @ (C / outputs[:, None]), np.diag(1 / inputs)
+        if D is None:
+            return cls(Q, R)
+        D = array("D", D, (len(C), len(inputs)), "(outputs, inputs)")
+        return cls(Q, R + D.T @ (D / outputs[:, None]), C.T @ (D / outputs[:, None]))
 
     def summary(self) -> Mapping[str, str | Array | None]:
         """Return the type and the weights of the cost by name."""

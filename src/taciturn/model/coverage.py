@@ -46,10 +46,12 @@ def names(owner: str, properties: str) -> frozenset[str]:
 POINT = names("operating_point", "x u") | {"plant.operating_point"}
 # stated_limit is input_limit in the units of the plant, so input_limit alone tells whether the inputs are limited
 LINEAR_PLANT = names("plant", "A B C W V dt mean covariance full_state stated_limit") | POINT
+FEEDTHROUGH = frozenset({"plant.D", "plant.registers"})
+ALONE = frozenset({"plant.alone"})  # the plant without the states that were added to it, whose properties are looked at
 DRIFT = frozenset({"plant.drift"})
 FUNCTION, LIMIT = frozenset({"plant.function"}), frozenset({"plant.input_limit", "plant.input_rate"})
 JUMPS = names("jumps", "rate covariance distribution") | {"plant.jumps"}
-EXOSYSTEM = names("exosystem", "S E G W start outputs F changes") | {"plant.exosystem", "plant.alone"}
+EXOSYSTEM = names("exosystem", "S E G W start outputs F changes D") | {"plant.exosystem"}
 CHANGES = (
     names("RandomSteps", "rate covariance")
     | names("Timetable", "times values")
@@ -85,9 +87,9 @@ FIRST = frozenset({"Trigger.limit"})
 FUNCTIONS = names("Apply", "at signals function reads")
 INTERVALS = frozenset({"links.min_interval", "links.max_interval", "Trigger.excluded"})
 
-LINEAR_LOOP = LINEAR_PLANT | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
+LINEAR_LOOP = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | WEIGHTS | LINKS | GRAPH | LINEAR_STEPS
 STEPS = LINEAR_STEPS | MEMORIES | BELLS | DRAWS | FIRST | FUNCTIONS
-PLANTS = LINEAR_PLANT | EXOSYSTEM | CHANGES | FUNCTION | LIMIT | JUMPS | DRIFT
+PLANTS = LINEAR_PLANT | FEEDTHROUGH | ALONE | EXOSYSTEM | CHANGES | FUNCTION | LIMIT | JUMPS | DRIFT
 NETWORKS = LINKS | GRAPH | LOSSES | BURSTS | ROUNDING
 LOOPS = PLANTS | WEIGHTS | ENDING | NETWORKS | TRACKING | CONTROLLER | STEPS | INTERVALS
 # a theory of a linear loop with Gaussian noise; a theory with a claim refuses functions (Apply) by itself

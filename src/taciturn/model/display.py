@@ -18,6 +18,7 @@ from taciturn.model.trigger import Matrix, Scheduled
 BLUR = 1e-6  # relative difference below which poles are considered equal
 WIDEST = 12  # largest number of columns of a matrix that is printed in full
 NARROW = 6  # most columns of four digits that fit a line
+FED = "y = C x + D u + v, with the input u of the step before, as each sample is taken before the input changes"
 NamedRows = dict[str, str | Array | None]
 
 
@@ -41,6 +42,7 @@ class DisplayedPlant(Displayed):
     input_rate: Array | None
     full_state: bool
     operating_point: OperatingPoint | None
+    D: Array | None
     continuous: ClassVar[bool] = True
 
     @property
@@ -76,6 +78,14 @@ class DisplayedPlant(Displayed):
         return found
 
     @property
+    def rest_outputs(self) -> Array:
+        """The outputs at the operating point, (p,); zeros without a point."""
+        point = self.operating_point
+        if point is None:
+            return np.zeros(len(self.C))
+        return self.C @ point.x if self.D is None else self.C @ point.x + self.D @ point.u
+
+    @property
     def stated_mean(self) -> Array:
         """The mean of the initial state in the units of the plant, (n,)."""
         return self.mean if self.operating_point is None else self.mean + self.operating_point.x
@@ -96,11 +106,12 @@ class DisplayedPlant(Displayed):
             "size": self.short(),
             "time": self.time,
             "poles": _poles(self.A, self.continuous),
-            "measured": "the full state, exactly" if self.full_state else "y = C x + v",
+            "measured": "the full state, exactly" if self.full_state else FED if self.D is not None else "y = C x + v",
             "noise": self.noise,
             "A": self.A,
             "B": self.B,
             "C": None if self.full_state else self.C,
+            "D": self.D,
             "W": self.W,
             "V": None if self.full_state else self.V,
             "operating point": None if self.operating_point is None else self.operating_point.short(),

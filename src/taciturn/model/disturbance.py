@@ -123,12 +123,12 @@ class Disturbance(Displayed):
 
     def removed_from(self, plant: Plant) -> Plant:
         """Return the plant with the state x, the inverse of ``added_to``."""
-        n = plant.states - plant.inputs
+        n = plant.stated - plant.inputs
         function = None if plant.function is None else cast("_Disturbed", plant.function.function).function
         point = plant.operating_point
         alone = Plant(
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
-            plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate,
+            plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate, D=plant.D,
         )  # fmt: skip
         return counted_from(alone, None if point is None else OperatingPoint(point.x[:n], point.u), plant)
 
@@ -164,10 +164,14 @@ def _with(
                 "the plant has jumps, and a slow disturbance needs Gaussian noise; expected W instead of jumps, or no "
                 "disturbance"
             )
-        found = ContinuousPlant(A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate)
+        found = ContinuousPlant(
+            A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate, D=plant.D
+        )
         return counted_from(found, point, plant)
     function = None if plant.function is None else _Disturbed(plant.function, n, kept)
-    found = Plant(A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate)
+    found = Plant(
+        A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate, D=plant.D
+    )
     return counted_from(found, point, plant)
 
 

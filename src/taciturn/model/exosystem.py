@@ -2,9 +2,10 @@
 
 The exosystem d⁺ = S d + w_d (or ḋ = S d + noise) acts on the plant:
 
-    x⁺ = A x + B u + E d + w,   y = C x + G d + v,   z = C_z x + F d,
+    x⁺ = A x + B u + E d + w,   y = C x + G d + v,   z = C_z x + D_z u + F d,
 
-and z is to be zero. A constant disturbance is S = 1, and a set-point r of the output C_z x is a state of d with F = −1.
+and z is to be zero. D_z is zero, except for measured outputs of a plant with a direct feedthrough. A constant
+disturbance is S = 1, and a set-point r of the output z is a state of d with F = −1.
 """
 
 from __future__ import annotations
@@ -137,8 +138,9 @@ class Exosystem(Displayed):
         W: covariance per step, or intensity per second, of the noise that moves d, (q, q).
         start: initial value of d, (q,).
         outputs: C_z, (z, n).
-        F: effect on z = C_z x + F d, (z, q).
+        F: effect on z = C_z x + D_z u + F d, (z, q).
         changes: how the last states of d change, the set-points that the controller is given; None for constant ones.
+        D: D_z, (z, m), or None for zero.
     """
 
     S: Array
@@ -149,6 +151,7 @@ class Exosystem(Displayed):
     outputs: Array
     F: Array
     changes: Changes | None = None
+    D: Array | None = None
 
     def __post_init__(self) -> None:
         """Check the sizes and the covariance."""
@@ -201,4 +204,5 @@ class Exosystem(Displayed):
             outputs=target.outputs,
             F=np.hstack([np.zeros((z, q)), -np.eye(z)[:, :r]]),
             changes=target.changes,
+            D=target.D,
         )

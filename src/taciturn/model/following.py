@@ -27,7 +27,7 @@ def follow(
     Args:
         plant: the plant.
         outputs: C_z of the outputs z = C_z x that are to be at their set-points in spite of the disturbances, (z, n);
-            default: the measured outputs C x.
+            default: the measured outputs, C x + D u for a plant with a direct feedthrough.
         value: the set-points, (z,), in the units of the plant; default: z at its operating point. With steps at random
             times, those at the start.
         disturbances: the disturbances, or the only one.
@@ -55,14 +55,26 @@ def follow(
         raise ProblemError(
             "the plant already has disturbances or set-points; expected all of them in one call, for the plant without"
         )
-    target = SetPoint(plant.C if outputs is None else outputs, value, changes)
+    fed = plant.D if outputs is None else None
+    target = SetPoint(plant.C if outputs is None else outputs, value, changes, D=fed)
+    return with_target(plant, target, listed, value is not None)
+
+
+def with_target(
+    plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance], valued: bool
+) -> AnyPlant:
+    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or a timetable.
+
+    Raises:
+        ProblemError: a size does not fit the plant.
+    """
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(
             f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
         )
     point = plant.operating_point
-    if point is not None and (value is not None or isinstance(changes, Timetable)):
-        target = target.relative_to(point.x)
+    if point is not None and (valued or isinstance(target.changes, Timetable)):
+        target = target.relative_to(point.x, point.u)
     found = copy(plant)
-    object.__setattr__(found, "exosystem", Exosystem.of(listed, target, len(plant.C), plant.continuous))
+    object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
     return found

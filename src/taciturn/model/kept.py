@@ -32,7 +32,7 @@ def relative_to(kept: Kept, plant: Plant | ContinuousPlant) -> Kept:
     point = plant.operating_point
     if point is None:
         return kept
-    y = plant.C @ point.x
+    y = plant.rest_outputs
     if isinstance(kept, PID | PIDLoops):
         first, found = set[int](), list[PID]()
         for one in pids_of(kept):

@@ -51,6 +51,8 @@ class Plant(DisplayedPlant):
         operating_point: state and input around which A and B are given; default 0. Then the arguments mean, input_limit
             and function, the measurements and the inputs are in the units of the plant; the attributes of the plant and
             the cost count deviations from the point.
+        D: direct feedthrough, (p, m), of the input that the plant applied in the step before: y_k = C x_k + D û_{k−1}
+            + v_k; default 0. Only with C.
         E: matrix of the next state, (n, n), regular; default the identity. The effect of the exosystem on the state is
             then that on the equation of E. Not with ``function``.
 
@@ -80,7 +82,9 @@ class Plant(DisplayedPlant):
     full_state: bool
     exosystem: Exosystem | None
     operating_point: OperatingPoint | None
-    alone: Plant | None = None  # the plant without its disturbances and set-points, if these are states of this one
+    D: Array | None
+    alone: Plant | None = None  # the plant without its disturbances, set-points and registers, if these are states here
+    registers: tuple[int, ...] = ()  # inputs whose values in the step before are states, after those of the plant
     changes: RandomSteps | SampledChanges | None = None  # of set-points, the last states, which are also outputs
     drift: Array | None = None  # what the state moves by at the point that states and inputs are relative to
     continuous: ClassVar[bool] = False
@@ -100,6 +104,7 @@ class Plant(DisplayedPlant):
         exosystem: Exosystem | None = None,
         input_rate: ArrayLike | None = None,
         operating_point: OperatingPoint | None = None,
+        D: ArrayLike | None = None,
         E: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
@@ -108,7 +113,7 @@ class Plant(DisplayedPlant):
                 raise ProblemError("E is given with function, which returns the next state; expected no E: remove it")
             A, B, moved = explicit(E, A, B, W)
             W, exosystem = cast("ArrayLike", moved), _moved(E, exosystem)
-        _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
         locate(self, operating_point, mean is not None)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
@@ -125,6 +130,11 @@ class Plant(DisplayedPlant):
     def outputs(self) -> int:
         """Number of measured outputs p."""
         return self.C.shape[0]
+
+    @property
+    def stated(self) -> int:
+        """Number of states without registers, which hold the inputs of the step before for a direct feedthrough."""
+        return self.states - len(self.registers)
 
     @property
     def sensed(self) -> int:
@@ -153,6 +163,7 @@ class Plant(DisplayedPlant):
             "operating_point",
             "alone",
             "changes",
+            "registers",
         }
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
@@ -257,6 +268,7 @@ class ContinuousPlant(DisplayedPlant):
         input_rate: largest change of each input per second, (m,), ∞ for no limit; default no limit. The input before
             the start is 0. Between the samples the input is held, and changes only at them.
         operating_point: as for ``Plant``.
+        D: direct feedthrough, (p, m), as for ``Plant``: each sample is taken before the input changes.
         E: matrix of the derivative, (n, n), regular; default the identity. Jumps, which must then be normal, and the
             exosystem act on the equation of E.
 
@@ -282,6 +294,7 @@ class ContinuousPlant(DisplayedPlant):
     full_state: bool
     exosystem: Exosystem | None
     operating_point: OperatingPoint | None
+    D: Array | None
 
     def __init__(
         self,
@@ -297,13 +310,14 @@ class ContinuousPlant(DisplayedPlant):
         exosystem: Exosystem | None = None,
         input_rate: ArrayLike | None = None,
         operating_point: OperatingPoint | None = None,
+        D: ArrayLike | None = None,
         E: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
         if E is not None:
             A, B, W = explicit(E, A, B, W)
             jumps, exosystem = _in_states(E, jumps), _moved(E, exosystem)
-        _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem)
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
         locate(self, operating_point, mean is not None)
         if W is None and jumps is None:
             raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
@@ -336,6 +350,7 @@ def _set_linear(
     input_limit: ArrayLike | None,
     input_rate: ArrayLike | None,
     exosystem: Exosystem | None,
+    D: ArrayLike | None,
 ) -> None:
     """Check and set the attributes that both plant classes share."""
     A = array("A", A, (None, None), "(states, states)")
@@ -345,10 +360,14 @@ def _set_linear(
     B = array("B", B, (n, None), "(states, inputs)")
     if B.shape[1] == 0:
         raise ProblemError("B has no columns; expected at least one input")
-    C = frozen(np.eye(n)) if C is None else array("C", C, (None, n), "(outputs, states)")
+    given = C is not None
+    C = array("C", C, (None, n), "(outputs, states)") if given else frozen(np.eye(n))
     p = C.shape[0]
     if p == 0:
         raise ProblemError("C has no rows; expected at least one measured output (omit C to measure the full state)")
+    if D is not None and not given and array("D", D, (None, None), "(outputs, inputs)").any():
+        raise ProblemError("D is given without C; expected C (and V), as a direct feedthrough adds to measured outputs")
+    D = None if D is None else array("D", D, (p, B.shape[1]), "(outputs, inputs)")
     limit = None if input_limit is None else limits_from(input_limit, B.shape[1])
     values: dict[str, object] = {
         "A": A,
@@ -363,13 +382,14 @@ def _set_linear(
         "stated_limit": limit,
         "input_rate": None if input_rate is None else positive("input_rate", input_rate, B.shape[1]),
         "exosystem": exosystem,
+        "D": D if D is not None and D.any() else None,
     }
     if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):
         got = f"{exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs"
         raise ProblemError(f"the exosystem is for {got}; expected {n} and {p}, as in the plant")
     for key, value in values.items():
         object.__setattr__(plant, key, value)
-    object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())
+    object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None)
 
 
 def _moved(E: ArrayLike, exosystem: Exosystem | None) -> Exosystem | None:

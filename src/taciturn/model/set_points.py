@@ -173,6 +173,8 @@ class SetPoint(Displayed):
         changes: how they change while the loop runs; None for constant set-points.
         counted: whether they count from an operating point; then they are states of the exosystem also if all
             are zero, as they are not at another operating point.
+        D: D_z of the combinations z = C_z x + D_z u, (z, m), or None for zero: that of measured outputs of a plant with
+            a direct feedthrough.
 
     Raises:
         ProblemError: the number of set-points is not that of the combinations, or a timetable and a value are given.
@@ -186,6 +188,7 @@ class SetPoint(Displayed):
     value: Array
     changes: Changes | None
     counted: bool
+    D: Array | None
 
     def __init__(
         self,
@@ -193,6 +196,7 @@ class SetPoint(Displayed):
         value: ArrayLike | None = None,
         changes: Changes | None = None,
         counted: bool = False,
+        D: Array | None = None,
     ) -> None:
         """Validate and store the arguments."""
         object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
@@ -213,15 +217,17 @@ class SetPoint(Displayed):
         object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
         object.__setattr__(self, "changes", changes)
         object.__setattr__(self, "counted", counted)
+        object.__setattr__(self, "D", D if D is not None and D.any() else None)
 
     @property
     def moved(self) -> bool:
         """Whether the set-points are states of the exosystem: they are not zero, or they change."""
         return self.counted or bool(self.value.any()) or self.changes is not None
 
-    def relative_to(self, state: Array) -> SetPoint:
-        """Return the set-points relative to the combinations of a state, (n,)."""
-        z = self.outputs @ state
+    def relative_to(self, state: Array, given: Array) -> SetPoint:
+        """Return the set-points relative to the combinations of a state, (n,), and an input, (m,)."""
+        z = self.outputs @ state + (0.0 if self.D is None else self.D @ given)
         if isinstance(self.changes, Timetable):
-            return SetPoint(self.outputs, None, Timetable(self.changes.times, self.changes.values - z), True)
-        return SetPoint(self.outputs, self.value - z, self.changes, True)
+            moved = Timetable(self.changes.times, self.changes.values - z)
+            return SetPoint(self.outputs, None, moved, True, self.D)
+        return SetPoint(self.outputs, self.value - z, self.changes, True, self.D)

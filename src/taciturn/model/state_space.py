@@ -38,7 +38,9 @@ def plant_from(
     """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
 
     A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
-    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected. If the
+    Plant. A feedthrough D is read as that of the input in the step before, y_k = C x_k + D û_{k−1}, because a sensor
+    samples before the input changes; the results of such a plant contain a note that says so. In scipy, ``dt=None``
+    means continuous time; python-control's ``dt=None`` (unspecified) is rejected. If the
     system has a matrix E, as MATLAB's descriptor systems, W is the covariance of the noise in the equation of E.
 
     Args:
@@ -54,7 +56,7 @@ def plant_from(
         The plant.
 
     Raises:
-        ProblemError: if the system lacks these attributes, D is not 0, E is singular, or the time base is unspecified.
+        ProblemError: if the system lacks these attributes, is improper, E is singular, or its time base is unspecified.
 
     Example:
         >>> import scipy.signal
@@ -63,15 +65,14 @@ def plant_from(
     """
     linear, step = state_space_of("system", system)
     expect_unmasked("system.D", linear.D)
-    if np.any(np.asarray(linear.D) != 0):
-        raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
-    C, E = linear.C, descriptor_of(vars_of(linear))
+    C, D = linear.C, linear.D if np.any(np.asarray(linear.D) != 0) else None
+    E = descriptor_of(vars_of(linear))
     if step == 0:
         return ContinuousPlant(
             linear.A, linear.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit,
-            input_rate=input_rate, E=E,
+            input_rate=input_rate, D=D, E=E,
         )  # fmt: skip
-    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate, E=E)
+    return Plant(linear.A, linear.B, W, C, V, step, mean, covariance, input_limit, input_rate=input_rate, D=D, E=E)
 
 
 def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | None]:

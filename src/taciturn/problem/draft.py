@@ -30,7 +30,7 @@ class Draft(Displayed):
 
     Args:
         dt: seconds per step; 0 for a continuous-time plant.
-        plant: matrices A, B, E, C, V, W by name, in the order in which they were stored.
+        plant: matrices A, B, E, C, D, V, W by name, in the order in which they were stored.
         cost: matrices Q, R, N by name.
         network: values of the keys of ``[network]``.
         controller: values of the keys of ``[controller]``.
@@ -64,7 +64,7 @@ class Draft(Displayed):
         """Store a matrix if it fits the known parts; a weight or covariance may be one number or a diagonal.
 
         Args:
-            key: name of the matrix: A, B, E, C, V, W, Q, R or N; A and B must be stored first.
+            key: name of the matrix: A, B, E, C, D, V, W, Q, R or N; A and B must be stored first.
             value: the matrix.
 
         Raises:
@@ -163,11 +163,11 @@ class Draft(Displayed):
         return {"W": states, "Q": states, "R": inputs, "V": len(self.plant["C"]) if "C" in self.plant else states}
 
     def _plant(self, known: Mapping[str, Array]) -> Plant | ContinuousPlant:
-        A, C, V, E = known["A"], known.get("C"), known.get("V"), known.get("E")
+        A, C, V, D, E = known["A"], *(known.get(name) for name in "CVDE")
         B, W = known.get("B", np.eye(len(A))), known.get("W", np.zeros((len(A), len(A))))
         if self.continuous:
-            return ContinuousPlant(A, B, W, C=C, V=V, E=E)
-        return Plant(A, B, W, C, V, self.dt, E=E)
+            return ContinuousPlant(A, B, W, C=C, V=V, D=D, E=E)
+        return Plant(A, B, W, C, V, self.dt, D=D, E=E)
 
     def _cost(self, known: Mapping[str, Array]) -> Cost:
         if not known and self.controller:  # weights by the controller's loop: here only outputs and inputs

@@ -38,7 +38,7 @@ class Given(Displayed):
     """The part of a problem that a file contains.
 
     Args:
-        arrays: matrices by key of the problem file: A, B, E, C, W, V, Q, R, N.
+        arrays: matrices by key of the problem file: A, B, E, C, D if it is not 0, W, V, Q, R, N.
         dt: seconds per step, 0 for a continuous-time plant, None if the file does not specify the time base.
         ignored: names of the other variables in the file.
     """
@@ -52,11 +52,11 @@ def read_given(path: Path) -> Given:
     """Return the part of a problem that a ``.mat`` or ``.npz`` file contains.
 
     Args:
-        path: file with variables A, B, C, D (must be 0), E, W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
+        path: file with variables A, B, C, D, E, W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
 
     Raises:
-        ProblemError: if the file cannot be read, a variable is not an array or has two names, D is not 0, the time base
-            is unspecified, there is a delay, or the file contains a system object that only
+        ProblemError: if the file cannot be read, a variable is not an array or has two names, the time base is
+            unspecified, there is a delay, or the file contains a system object that only
             MATLAB can open.
     """
     held = read_variables(path)
@@ -71,8 +71,8 @@ def read_given(path: Path) -> Given:
     systems = [(name, kind) for name, kind in foreign.items() if kind in SYSTEMS]
     if systems and "A" not in found:
         raise ProblemError(_only_matlab(path, *systems[0]))
-    if "D" in found and found.pop("D").any():
-        raise ProblemError(f"D in {path} is not zero; expected no direct feedthrough from input to measurement")
+    if "D" in found and not found["D"].any():
+        del found["D"]
     if "E" in found and descriptor_of(found) is None:
         del found["E"]
     changes = {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held}

@@ -86,7 +86,7 @@ def plant_of(
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
             table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
-            input_rate=table.input_rate, operating_point=point, E=table.E,
+            input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
         )  # fmt: skip
     if table.jumps is not None:
         raise ProblemError(
@@ -97,7 +97,7 @@ def plant_of(
     function = None if table.function is None else read_function(table.function, known)
     return Plant(
         table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
-        function, input_rate=table.input_rate, operating_point=point, E=table.E,
+        function, input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
     )  # fmt: skip
 
 
@@ -141,11 +141,11 @@ def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept |
             )
         seconds = float(period) if isinstance(period, int | float) else None
         found = cost_as_kept(plant, controller, seconds)
-        return Cost(found.Q, found.R, **ending)
+        return Cost(found.Q, found.R, found.N, **ending)
     for name in (name for name in ("output_variance", "input_variance") if name not in stated):
         raise ProblemError(f"the key cost.{name} is missing; expected it in [cost], with cost.{short[0]}")
-    found = Cost.of_variances(plant.C, stated["output_variance"], stated["input_variance"])
-    return Cost(found.Q, found.R, **ending)
+    found = Cost.of_variances(plant.C, stated["output_variance"], stated["input_variance"], plant.D)
+    return Cost(found.Q, found.R, found.N, **ending)
 
 
 def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kept:
@@ -210,15 +210,20 @@ def limits_of(table: LimitsTable | None, plant: Plant | ContinuousPlant) -> Limi
     """Return the limits of a table, by default of the measured outputs, or None without a table."""
     if table is None:
         return None
+    if table.outputs is None and plant.D is not None:
+        raise ProblemError(
+            "limits.outputs is missing, and the measured outputs have a direct feedthrough plant.D; expected "
+            "limits.outputs, combinations of the states"
+        )
     return Limits(plant.C if table.outputs is None else table.outputs, table.low, table.high)
 
 
 def _expect_stated(table: ControllerTable, plant: Plant | ContinuousPlant) -> None:
     """Raise an error if a set-point is 0 at an operating point, where 0 means the output at this point."""
-    point, p = plant.operating_point, len(plant.C)
+    p = len(plant.C)
     pids = [] if table.pid is None else table.pid if isinstance(table.pid, list) else [table.pid]
     stated = {one.output - 1: one.setpoint for one in pids} | dict(enumerate(table.setpoint or []))
-    y = np.zeros(p) if point is None else plant.C @ point.x
+    y = plant.rest_outputs
     for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
         raise ProblemError(
             f"the controller has the set-point 0 of output {i + 1}, which is {y[i]:g} at plant.operating_point; "

@@ -15,7 +15,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import regulator_equations
 from taciturn.model.descriptor import effect_without
 from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.following import with_target
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.reference import Reference
@@ -74,10 +74,12 @@ def with_exosystem(
         raise ProblemError("reference.integral_action is empty; expected nodes that measure, or no such key")
     acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
     rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
-    target = SetPoint(plant.C[rows] if points.outputs is None else points.outputs, points.value, _changes(points))
+    fed = plant.D[rows] if points.outputs is None and plant.D is not None else None
+    followed = plant.C[rows] if points.outputs is None else points.outputs
+    target = SetPoint(followed, points.value, _changes(points), D=fed)
     given = [_disturbance(place, one, E) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
-    return follow(plant, target.outputs, points.value, given, target.changes)
+    return with_target(plant, target, given, points.value is not None)
 
 
 def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
@@ -157,10 +159,11 @@ def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[Externa
     weight = np.diag([*np.zeros(n), *np.ones(plant.B.shape[1])])
     moves = np.zeros((z, z)) if plant.continuous else np.eye(z)
     none: Array = np.zeros((n, z))
-    _, U = regulator_equations(plant.A, plant.B, moves, none, target.outputs, -np.eye(z), weight)
+    _, U = regulator_equations(plant.A, plant.B, moves, none, target.outputs, -np.eye(z), weight, target.D)
     if not U.any(axis=0).all():  # a plant that integrates needs no input at rest: its response near rest decides
         near = SLOW * (pace(plant.A) or 1.0) if plant.continuous else 1.0 + SLOW
         response = target.outputs @ np.linalg.solve(near * np.eye(n) - plant.A, plant.B)
+        response += 0.0 if target.D is None else target.D
         U = np.asarray(np.linalg.pinv(response), dtype=np.float64)
     U = U / np.maximum(np.abs(U).max(axis=0), 1e-300)
     inverse = np.asarray(np.linalg.pinv(plant.B @ U), dtype=np.float64)

@@ -47,6 +47,7 @@ class PlantTable(Displayed):
     A: Rows
     B: Rows
     C: Rows | None = None
+    D: Rows | None = None
     W: Rows | None = None
     V: Rows | None = None
     E: Rows | None = None

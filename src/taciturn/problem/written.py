@@ -31,7 +31,8 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     continuous = "dt" not in plant
     per = PER[continuous]
     rule = f"{'E ' if 'E' in plant else ''}{'dx/dt' if continuous else 'x⁺'} = A x + B u + w"
-    measured = ",  y = C x + v" if "C" in plant else ",  y = x: the full state is measured"
+    fed = " + D u, u of the step before" if "D" in plant else ""
+    measured = f",  y = C x + v{fed}" if "C" in plant else ",  y = x: the full state is measured"
     noise = "intensity per second" if continuous else "covariance per step"
     sizes = (len(plant["A"]), len(plant["B"][0]))
     states, inputs = (
@@ -51,6 +52,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         "B": f"effect of the inputs, {per}",
         "E": "matrix of the derivative of the state" if continuous else "matrix of the next state",
         "C": "output matrix",
+        "D": "direct feedthrough of the input of the step before, as each sample is taken before the input changes",
         "W": f"noise w: {noise}, in the units of the states squared",
         "V": "measurement noise v: covariance per sample, in the units of the outputs squared",
     }

@@ -12,6 +12,7 @@ from taciturn._arrays import Array, ArrayLike, instance
 from taciturn._control import is_linear, nonlinear_system, state_space
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.lqg.feedthrough import registered
 from taciturn.model.coverage import PLANTS, POINT, Coverage
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import REFERENCE, Network
@@ -44,6 +45,9 @@ def to_control(
 
     Set-points that change are inputs ``setpoint[i]`` of a policy. In a loop they are outputs and the last states of the
     plant, which w moves; the last entries of v add to them.
+
+    If a discrete plant has a direct feedthrough, inputs of the step before are states of its system, after the others.
+    The system of a continuous plant has the matrix D.
 
     The system of a plant excludes its noise, disturbances, set-points, initial state and limits of inputs. The output u
     of a policy or loop is clipped. If an actuator predicts between steps, u is the state of its model at the beginning
@@ -82,11 +86,13 @@ def to_control(
     if isinstance(thing, Plant | ContinuousPlant):
         CONVERTED.check(thing)
     if isinstance(thing, ContinuousPlant):
-        return state_space(thing.A, thing.B, thing.C, 0, "plant")
+        return state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
+    if isinstance(thing, Plant) and thing.D is not None:
+        thing = registered(thing, thing)
     if isinstance(thing, Plant) and thing.function is not None:
         return _moving(thing, thing.function)
     if isinstance(thing, Plant):
-        return state_space(thing.A, thing.B, thing.C, _step(thing), "plant")
+        return state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
         taken = {"y": plant.sensed, REFERENCE: plant.set_points}
@@ -111,7 +117,9 @@ def from_control(
 ) -> Plant | ContinuousPlant:
     """Convert a linear system of python-control to a plant; ``plant_from`` also accepts systems of scipy.
 
-    The result is a ContinuousPlant if dt = 0, and otherwise a Plant. If dt is True, the ``dt`` of the plant is None.
+    A feedthrough D is read as that of the input in the step before, y_k = C x_k + D û_{k−1}: a sensor samples before
+    the input changes. The result is a ContinuousPlant if dt = 0, and otherwise a Plant. If dt is True, the ``dt`` of
+    the plant is None.
 
     Args:
         system: a `control.StateSpace`, or a `control.TransferFunction`, for which a realisation is computed.
@@ -126,7 +134,7 @@ def from_control(
         The plant.
 
     Raises:
-        ProblemError: python-control is missing, the system has another type, D ≠ 0, dt is None, or the plant cannot be
+        ProblemError: python-control is missing, the system has another type, dt is None, or the plant cannot be
             controlled.
 
     Example:

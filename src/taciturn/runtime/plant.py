@@ -118,7 +118,7 @@ class SimulatedPlant:
 
     def final_cost(self) -> float:
         """Return the terminal cost of the current state; 0 without a terminal weight."""
-        terminal, tracking = self.loop.problem.cost.terminal, self.loop.policy.tracking
+        terminal, tracking = self.loop.problem.terminal, self.loop.policy.tracking
         if terminal is None:
             return 0.0
         off, rest = self.state - (0.0 if tracking is None else tracking.final), self.loop.problem.rest

@@ -15,6 +15,7 @@ from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import matrix_lines, vector_text
+from taciturn.model.exosystem import Exosystem
 from taciturn.model.kept import pids_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Evaluate, Policy
@@ -262,7 +263,7 @@ def _gains(policy: Policy) -> dict[str, Matrix]:
 
 def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
     (unmoved, unseen), e = _lost(plant), plant.exosystem
-    keys, point = ("A", "B", "C", "W", "V", "covariance"), plant.operating_point
+    keys, point = ["A", "B", "C", *([] if plant.D is None else ["D"]), "W", "V", "covariance"], plant.operating_point
     limit, rate = plant.stated_limit, plant.input_rate
     return {
         "states": plant.states,
@@ -279,8 +280,14 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
         **({} if point is None else {"operating_point": {"x": _plain(point.x), "u": _plain(point.u)}}),
         "input_limit": None if limit is None else _plain(limit_entries(limit)),
         **({} if rate is None else {"input_rate": _plain(rate)}),
-        **({} if e is None else {"exosystem": {field.name: _plain(getattr(e, field.name)) for field in fields(e)}}),
+        **({} if e is None else {"exosystem": {name: _plain(value) for name, value in _parts(e).items()}}),
     }
+
+
+def _parts(e: Exosystem) -> dict[str, object]:
+    """Return the fields of an exosystem by name, D_z only if it has one."""
+    found = {field.name: getattr(e, field.name) for field in fields(e)}
+    return {name: value for name, value in found.items() if name != "D" or value is not None}
 
 
 def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]:
@@ -299,6 +306,8 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     lines += [(name, text) for name in ("measured", "noise") if isinstance(text := rows[name], str)]
     point = plant.operating_point
     lines += [] if point is None else [("operating point", point.short())]
+    D = rows["D"]
+    lines += matrix_lines("feedthrough D", D) if isinstance(D, np.ndarray) else []
     for name in ("W", "V"):
         value = rows[name]
         lines += matrix_lines(f"noise {name}", value) if isinstance(value, np.ndarray) else []
@@ -306,9 +315,11 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     if (e := plant.exosystem) is not None:
         moves = "dd/dt = S d + noise" if plant.continuous else "d⁺ = S d + noise"
         q = f"{len(e.S)} state{'s' * (len(e.S) > 1)} d"
-        goal = f"and set-points, {q}: {moves}; C_z x + F d is to be zero" if len(e.S) else "none; C_z x is to be zero"
+        z = "C_z x" if e.D is None else "C_z x + D_z u"
+        goal = f"and set-points, {q}: {moves}; {z} + F d is to be zero" if len(e.S) else f"none; {z} is to be zero"
         lines.append(("disturbances", goal))
         shown = {"S": e.S, "E": e.E, "G": e.G, "W": e.W, "C_z": e.outputs, "F": e.F + 0.0, "start": e.start[None]}
+        shown |= {} if e.D is None else {"D_z": e.D}
         lines += [line for name, value in shown.items() if value.size for line in matrix_lines(f"d, {name}", value)]
     return lines
 

@@ -75,7 +75,7 @@ def averages_after_step(
     if assumed is None or assumed.deviation is None:
         return None
     plant, told = problem.actual or problem.plant, Stages(progress)
-    if isinstance(plant, Plant) and plant.states == policy.model.states:  # a policy without a problem: its own model
+    if isinstance(plant, Plant) and plant.stated == policy.model.stated:  # a policy without a problem: its own model
         plant = assumed.removed_from(plant)
     plant = assumed.stepped(plant)
     precise = precisely(request, policy)

@@ -61,10 +61,11 @@ def absolute(
     choice("error", error, ("input", "state"))
     problem = discretise(plant, cost, period)
     certainty = design_certainty("absolute", problem)
-    size, meaning = (
-        (problem.plant.inputs, "(inputs, inputs)") if error == "input" else (problem.plant.states, "(states, states)")
-    )
-    W = np.eye(size) if weight is None else semidefinite("weight", weight, size, meaning)
+    m = problem.plant.inputs
+    if error == "state":
+        W = problem.weight(weight)
+    else:
+        W = np.eye(m) if weight is None else semidefinite("weight", weight, m, "(inputs, inputs)")
     if not W.any():
         raise ProblemError(
             "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"

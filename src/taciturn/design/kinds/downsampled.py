@@ -65,7 +65,7 @@ def downsampled(
         raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in steps between checks")
     threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
-    certainty, unit = design_certainty("downsampled", problem), np.eye(problem.plant.states)
+    certainty, unit = design_certainty("downsampled", problem), problem.weight()
     looked_at = Scheduled(WAIT_LABEL, [unit] + [0 * unit] * (slow - 1))
     rule = Trigger({"silent": Form((DEVIATION,), looked_at), SEND: Form(constant=threshold**2)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)

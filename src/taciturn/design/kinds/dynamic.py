@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from taciturn._arrays import block_diagonal, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
@@ -70,7 +68,7 @@ def dynamic(
             "so that the threshold η of the trigger is never negative"
         )
     problem = discretise(plant, cost, period)
-    certainty, unit = design_certainty("dynamic", problem), np.eye(problem.plant.states)
+    certainty, unit = design_certainty("dynamic", problem), problem.weight()
     excess = block_diagonal(unit, -(sigma**2) * unit)
     rule = Trigger({"silent": Form((DEVIATION, ESTIMATE), gain * excess), SEND: Form(plus={CREDIT: 1.0})})
     left = {CREDIT: rho}

@@ -121,7 +121,7 @@ def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float
     K, L = certainty.regulator.K, certainty.regulator.L
     U = p.N @ L + L.T @ p.N.T
     M = p.Q + L.T @ p.R @ L + U
-    limit = least_eigenvalue(symmetrised(M))
+    limit = least_eigenvalue(symmetrised(M[np.ix_(~p.registers, ~p.registers)]))
     if limit <= 0:
         raise ProblemError(
             f"Q + L'RL + U has the eigenvalue {limit:.3g}; expected a positive definite matrix for this trigger; "
@@ -135,7 +135,7 @@ def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float
         )
     G = L.T @ p.R + p.N
     Z = p.R + (1 + theta) * B.T @ K @ B + (theta / epsilon) * G.T @ G
-    Y = theta * (M - epsilon * np.eye(p.plant.states))
+    Y = theta * (M - epsilon * p.weight())
     return Form(("estimate", "error"), block_diagonal(-symmetrised(Y), symmetrised(Z)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, number, semidefinite, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, number, symmetrised
 from taciturn._modes import root
 from taciturn._progress import check_time
 from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
@@ -77,8 +77,8 @@ def stochastic(
     """
     scale = number("scale", scale, 0.0, LARGEST_PARAMETER)
     problem = discretise(plant, cost, period)
-    certainty, n = design_certainty("stochastic", problem), problem.plant.states
-    W = scale * (np.eye(n) if weight is None else semidefinite("weight", weight, n, "(states, states)"))
+    certainty = design_certainty("stochastic", problem)
+    W = scale * problem.weight(weight)
     if not W.any():
         raise ProblemError(
             "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
