@@ -53,14 +53,14 @@ def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discre
         more = Quadratic(_square(A, n, r), _rows(b, n, push), _square(Q, n, r), R, _rows(N, n, np.zeros_like(push)))
         T = _square(own.T, n, r)
         T[n : n + r, n : n + r] = np.eye(r)
-        exact = None if own.exact is None else _extended(own.exact, n, end, push)
+        exact = None if own.exact is None else Exact(_Extended(own.exact, n, end, push))
         own = replace(own, T=T, U=_rows(own.U.T, n, np.zeros_like(push)).T, problem=more, exact=exact)
     return replace(
         problem,
         plant=registered(problem.plant, source),
         Q=_square(problem.Q, n, r),
         N=_rows(problem.N, n, np.zeros_like(push)),
-        exact=None if problem.exact is None else _extended(problem.exact, n, end, push),
+        exact=None if problem.exact is None else Exact(_Extended(problem.exact, n, end, push)),
         deviations=own,
         source=source,
     )
@@ -131,8 +131,9 @@ def _square(matrix: Array, place: int, more: int) -> Array:
     return np.insert(np.insert(matrix, zeros, 0.0, axis=0), zeros, 0.0, axis=1)
 
 
-def _extended(exact: Exact, place: int, end: int, push: Array) -> Exact:
-    """Return a problem of one step with registers, to any precision.
+@dataclass(frozen=True, eq=False, repr=False)
+class _Extended(Displayed):
+    """A problem of one step with registers, to any precision.
 
     Args:
         exact: the problem without them.
@@ -141,24 +142,28 @@ def _extended(exact: Exact, place: int, end: int, push: Array) -> Exact:
         push: which input each register takes, (r, m).
     """
 
-    def build(arithmetic: type[E]) -> Step[E]:
-        step, whole = exact(arithmetic), slice(None)
+    exact: Exact
+    place: int
+    end: int
+    push: Array
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        step, whole, place, wide = self.exact(arithmetic), slice(None), self.place, len(self.push)
 
         def rows(matrix: E, between: Array) -> E:
             parts = [[matrix.part(slice(place), whole)], [arithmetic.exact(between)]]
-            return block([*parts, [matrix.part(slice(place, None), whole)]] if end else parts)
+            return block([*parts, [matrix.part(slice(place, None), whole)]] if self.end else parts)
 
         def square(matrix: E) -> E:
-            wide, r = len(push), place + end
-            tall = rows(matrix, np.zeros((wide, r)))
-            return rows(tall.T, np.zeros((wide, r + wide))).T
+            size = place + self.end
+            tall = rows(matrix, np.zeros((wide, size)))
+            return rows(tall.T, np.zeros((wide, size + wide))).T
 
-        none = np.zeros_like(push)
+        none = np.zeros_like(self.push)
         return Step(
-            square(step.A), rows(step.B, push), square(step.Q), step.R, rows(step.N, none), square(step.W), step.c
+            square(step.A), rows(step.B, self.push), square(step.Q), step.R, rows(step.N, none), square(step.W), step.c
         )
-
-    return Exact(build)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

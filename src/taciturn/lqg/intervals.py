@@ -84,6 +84,10 @@ class Exact(Displayed):
     source: Source | None = None
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
+    def __reduce__(self) -> tuple[type[Exact], tuple[Builder, Source | None]]:
+        """Pickle how the enclosures are computed, and not the enclosures."""
+        return Exact, (self.build, self.source)
+
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
         """Return enclosures of the problem, in the present precision."""
         key = arithmetic, arithmetic.unit()
@@ -229,6 +233,30 @@ def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Arra
         if not all(np.isfinite(part.middle).all() for part in (Phi, M, G, c)):
             raise overflowing(period, size)
     return Interval(back @ Phi @ to, to @ M @ to, back @ G @ back, c)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Integrated(Displayed):
+    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs.
+
+    Args:
+        F, M, G: dynamics, weight and intensity, exact doubles.
+        period: the time.
+        units: powers of two, the units of z.
+        states: number of entries of z that are states.
+    """
+
+    F: Array
+    M: Array
+    G: Array
+    period: float
+    units: Array
+    states: int
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        F, M, G = (arithmetic.exact(part) for part in (self.F, self.M, self.G))
+        return integrated(arithmetic, F, M, G, self.period, self.units).split(self.states)
 
 
 def overflowing(period: float, size: float) -> ProblemError:

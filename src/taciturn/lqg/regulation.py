@@ -239,20 +239,30 @@ def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | N
     given = _next_to(base.quadratic, S)
     if exact is None:
         return given, None
-    A, B = base.plant.A, base.plant.B
+    source = exact.source
+    return given, Exact(
+        _Apart(exact, S), source and Source(_next_to(source.given, rates), np.pad(source.W, (0, more)), base.tick)
+    )
 
-    def build(arithmetic: type[E]) -> Step[E]:
-        step = exact(arithmetic)
-        late, side = arithmetic.exact(S), arithmetic.exact(np.zeros((len(A), more)))
-        corner, below = arithmetic.exact(np.zeros((more, more))), arithmetic.exact(np.zeros((more, B.shape[1])))
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Apart(Displayed):
+    """The problem of :func:`_apart` to any precision."""
+
+    exact: Exact
+    S: Array
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        step, more = self.exact(arithmetic), len(self.S)
+        n, m = step.B.shape
+        late, side = arithmetic.exact(self.S), arithmetic.exact(np.zeros((n, more)))
+        corner, below = arithmetic.exact(np.zeros((more, more))), arithmetic.exact(np.zeros((more, m)))
         return Step(
             block([[step.A, side], [side.T, late]]), block([[step.B], [below]]),
             block([[step.Q, side], [side.T, corner]]), step.R, block([[step.N], [below]]),
             block([[step.W, side], [side.T, corner]]), step.c,
         )  # fmt: skip
-
-    source = exact.source
-    return given, Exact(build, source and Source(_next_to(source.given, rates), np.pad(source.W, (0, more)), base.tick))
 
 
 def _next_to(given: Quadratic, S: Array) -> Quadratic:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
+from taciturn._display import Displayed
 from taciturn._modes import balancing, pace
 from taciturn.lqg.enclosures import E, block
-from taciturn.lqg.intervals import Sampled, Source, Step, integrated, sampled
+from taciturn.lqg.intervals import Integrated, Sampled, Source, Step, integrated, sampled
 from taciturn.lqg.quadratic import Quadratic
 
 __all__ = ["Sampled", "sample", "sample_moving", "sample_prediction"]
@@ -143,16 +146,33 @@ def sample_prediction(
     given = None if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
     period, units = _arrays.number("period", period, 0.0), np.tile(balancing(A), 2)
 
-    def build(arithmetic: type[E]) -> Step[E]:
-        exact = arithmetic.exact
-        a, b, q, r, cross, gain = (exact(part) for part in (A, B, Q, R, N, L))
-        model = a + b @ gain if given is None else exact(given)
+    return sampled(_Predicted(A, B, Q, R, N, W, L, given, period, units), 2 * n)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Predicted(Displayed):
+    """The problem of :func:`sample_prediction`, with the units of state and predicted state."""
+
+    A: Array
+    B: Array
+    Q: Array
+    R: Array
+    N: Array
+    W: Array
+    L: Array
+    model: Array | None
+    period: float
+    units: Array
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        exact, n = arithmetic.exact, len(self.A)
+        a, b, q, r, cross, gain = (exact(part) for part in (self.A, self.B, self.Q, self.R, self.N, self.L))
+        model = a + b @ gain if self.model is None else exact(self.model)
         F = block([[a, b @ gain], [exact(np.zeros((n, n))), model]])
         across = cross @ gain
         M = block([[q, across], [across.T, (gain.T @ r @ gain).symmetric()]])
-        return integrated(arithmetic, F, M, exact(_padded(W, n)), period, units).split(n)
-
-    return sampled(build, 2 * n)
+        return integrated(arithmetic, F, M, exact(_padded(self.W, n)), self.period, self.units).split(n)
 
 
 def _sampled(
@@ -163,12 +183,7 @@ def _sampled(
     reach = np.where(reach > 0, reach, 1.0)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
     F = np.block([[A, B], [D, np.zeros((len(D), len(D)))]])
-
-    def build(arithmetic: type[E]) -> Step[E]:
-        exact = arithmetic.exact
-        return integrated(arithmetic, exact(F), exact(M), exact(G), period, units).split(len(A))
-
-    return sampled(build, len(F), source)
+    return sampled(Integrated(F, M, G, period, units, len(A)), len(F), source)
 
 
 def _padded(W: Array, more: int) -> Array:
