@@ -9,8 +9,9 @@ from drawn import law
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from taciturn._modes import accumulate, radius
+from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_discounted, regulate_finite
 
 seeds = st.integers(0, 2**32 - 1)
