@@ -1,4 +1,4 @@
-"""Eigenvalues, uncontrollable and unobservable modes, factors of covariances, and stationary sums."""
+"""Eigenvalues, uncontrollable and unobservable modes, factors of covariances, and sums along stable maps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import numpy.typing as npt
 from taciturn import _arrays
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike
 from taciturn._cycles import largest_cycle
-from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
@@ -325,82 +324,8 @@ def symmetric_factor(covariance: Array) -> Array:
     return found[:, scale > 0]
 
 
-def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
-    """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W.
-
-    Repeated squaring: X ← X + F X F', F ← F²; every term is semidefinite when W is, so nothing cancels.
-
-    Args:
-        F: (n, n) map with all eigenvalues inside the unit circle.
-        W: (n, n) symmetric matrix added at each step.
-
-    Returns:
-        X, (n, n), symmetric.
-
-    Raises:
-        ProblemError: a matrix has the wrong shape, is not finite, or is not symmetric.
-        UnstableError: F has an eigenvalue on or outside the unit circle, or so near to it that the sum is inaccurate.
-
-    Source: anderson1990optimal
-
-    Example:
-        >>> float(accumulate([[0.5]], [[3.0]])[0, 0])
-        4.0
-    """
-    F = _arrays.square("F", F)
-    W = _arrays.symmetric("W", W, F.shape[0])
-    if radius(F) >= 1:
-        raise UnstableError(
-            f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}, so the sum Σ F^k W F'^k diverges; expected "
-            "all eigenvalues inside the unit circle: stabilise the loop first"
-        )
-    return _arrays.frozen(stationary(F, W))
-
-
-def stationary(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for a semidefinite W and an F that is known to be stable, with a check of its accuracy.
-
-    Raises:
-        UnstableError: the sum overflows, or its residual and rounding make it inaccurate.
-    """
-    X = summed(F, W)
-    if not np.isfinite(X).all():
-        raise UnstableError(
-            "the sum Σ F^k W F'^k overflows: F is stable, but its powers first grow too large; scale the states"
-        )
-    spread = np.sqrt(np.maximum(np.diag(X), 0.0))
-    unit = np.exp2(np.round(np.log2(np.where(spread > 0, spread, 1.0))))
-    F, W, X_here = F / unit[:, None] * unit, W / unit / unit[:, None], X / unit / unit[:, None]
-    moved = np.abs(F) @ (spread / unit)
-    missed = _arrays.symmetrised(F @ X_here @ F.T + W - X_here)
-    error = summed(F, bound_residual(missed, np.outer(moved, moved) + np.abs(W), len(F)))
-    seen = spread > 0
-    doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
-    if not doubt <= COST_ERROR:
-        raise UnstableError(
-            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({COST_ERROR:.0e} is allowed): F has an "
-            f"eigenvalue at a distance of {1 - radius(F):.1e} inside the unit circle, and the powers of F decay too "
-            "slowly, or grow too large before they decay; expected a larger stability margin"
-        )
-    return X
-
-
-def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
-    """Return a diagonal matrix D with −D ⪯ residual ⪯ D for an equation, including the rounding of its terms.
-
-    Rounding errors of sums are treated as independent, so they add as roots of sums of squares.
-
-    Args:
-        missed: computed residual, (n, n), symmetric.
-        terms: absolute values of the terms of the residual, (n, n).
-        summands: number of terms.
-    """
-    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.sqrt(np.einsum("ij,ij->i", terms, terms))
-    return np.diag(rounding + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)))
-
-
 def summed(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for an F that is known to be stable (:func:`accumulate` without its checks)."""
+    """Return Σ_k F^k W F'^k for an F that is known to be stable (``lqg.lyapunov`` proves sums)."""
     X, power = np.array(W), np.array(F)
     with np.errstate(over="ignore", invalid="ignore"):  # the callers check for overflow
         for _ in range(64):  # 2^64 terms

@@ -10,11 +10,13 @@ import pytest
 import scipy.linalg
 from counts import few
 from drawn import law
+from flint import arb, arb_mat
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from taciturn import Cost, Network, Plant, Policy, Reference, UnstableError, design
 from taciturn._modes import radius
+from taciturn.lqg.enclosures import precision
 from taciturn.lqg.lossy import (
     Channel,
     critical_losses,
@@ -232,6 +234,53 @@ def test_the_fixed_point_is_the_limit_of_the_recursions(link, seed):
     for limit, part in zip(step, (found.K, found.P, found.L, found.Gamma), strict=True):
         assert part == pytest.approx(limit, rel=1e-10, abs=1e-10 * np.abs(limit).max(initial=1e-6))
     assert mean_square_rate(*problem[:2], found.L, channel) < 1
+
+
+def exact_limit(
+    problem: tuple[np.ndarray, ...], channel: Channel, gain: np.ndarray | None = None
+) -> tuple[arb_mat, ...]:
+    """Return the limits of K, P and K + φP from K = Q and P = 0 step by step, of the best gains or of one gain."""
+    A, B, Q, R = (arb_mat(part.tolist()) for part in problem)
+    loss, unseen = arb(channel.actuator_loss), arb(channel.sensor_loss)
+    late = 1 if channel.delayed else unseen
+    coupled = 0 if channel.acknowledged else loss * late
+    K, P = Q, Q * 0
+    for _ in range(20_000):
+        H, off = (R + B.transpose() * (K + P * coupled) * B).mid(), B.transpose() * K * A
+        L = arb_mat(gain.tolist()) if gain is not None else H.solve(off) * -1
+        silent = ((off.transpose() * L + L.transpose() * off + L.transpose() * H * L) * (loss - 1)).mid()
+        before = K, P
+        K, P = Q + A.transpose() * K * A - silent, silent + A.transpose() * P * A * unseen
+        K, P = (((one + one.transpose()) * arb(0.5)).mid() for one in (K, P))  # rounding that is not symmetric grows
+        change = max(abs(float(x)) for now, past in zip((K, P), before, strict=True) for x in (now - past).entries())
+        if change < 1e-40 * max(abs(float(x)) for x in K.entries()):
+            return K, P, P * late + K
+    raise AssertionError("the recursion has not settled")
+
+
+@links
+@law(3, 40, seed=SEEDS)
+def test_the_claimed_error_holds_the_least_cost_and_that_of_the_stored_gain(link, seed):
+    """The recursion itself in 300 bits, in random units."""
+    A, B, Q, R = system(seed, 4)
+    rng, channel = np.random.default_rng(seed), survivable(A, B, link, seed)
+    state, unit = (10 ** rng.uniform(-4, 4, size) for size in B.shape)
+    problem = (
+        A * state / state[:, None],
+        B * unit / state[:, None],
+        Q * np.outer(state, state),
+        R * np.outer(unit, unit),
+    )
+    found = regulate_lossy(*problem, channel)
+    assume(mean_square_rate(*problem[:2], found.L, channel) < 0.97)
+    claimed = found.K + (1.0 if channel.delayed else channel.sensor_loss) * found.P
+    assert (found.error.diagonal() <= 1e-9 * claimed.diagonal() * (1 + 1e-6)).all()
+    with precision(300):
+        for limit in exact_limit(problem, channel), exact_limit(problem, channel, found.L):
+            off = np.array([float(x) for x in (limit[2] - arb_mat(claimed.tolist())).entries()]).reshape(Q.shape)
+            scale = np.sqrt(found.error.diagonal())
+            for sign in (1, -1):
+                assert np.linalg.eigvalsh((found.error + sign * off) / scale / scale[:, None])[0] > 0
 
 
 TCP, UDP, LATE = Channel(0.0, 0.0, True, False), Channel(0.0, 0.0, False, False), Channel(0.0, 0.0, True, True)

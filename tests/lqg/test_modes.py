@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 import scipy.linalg
 from drawn import law
+from flint import arb_mat
+from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn._arrays import block_diagonal
 from taciturn._cycles import largest_cycle
-from taciturn._modes import accumulate, balancing, lost_modes, uncontrollable_modes
+from taciturn._modes import balancing, lost_modes, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.enclosures import precision
+from taciturn.lqg.lyapunov import accumulate
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -117,6 +121,33 @@ def test_the_stationary_sum_solves_its_equation(draw, seed):
     F = case.A * case.rng.uniform(0.1, 0.9999) / np.abs(np.linalg.eigvals(case.A)).max()
     X = accumulate(F, case.W)
     assert F @ X @ F.T + case.W == pytest.approx(X, rel=1e-9, abs=1e-11 * np.abs(X).max())
+
+
+@law(8, 100, seed=seeds, lag=st.floats(-9, -0.5), digits=st.floats(0, 8))
+def test_the_stationary_sum_is_the_solution_of_its_linear_equations_in_512_bits(draw, seed, lag, digits):
+    """The entries of X in one system, with any units, up to a distance of 1e-9 from the limit of stability."""
+    case = draw(seed)
+    n, units = len(case.A), 10 ** case.rng.uniform(-digits, digits, len(case.A))
+    F = case.A * (1 - 10**lag) / np.abs(np.linalg.eigvals(case.A)).max() * units[:, None] / units
+    W = case.W * np.outer(units, units)
+    try:
+        X = accumulate(F, W)
+    except UnstableError:
+        assume(False)
+    with precision(512):
+        step, terms = arb_mat(F.tolist()), arb_mat(n * n, 1, W.ravel().tolist())
+        rows = arb_mat(n * n, n * n, [step[i, p] * step[j, q] for i, j, p, q in np.ndindex(n, n, n, n)])
+        found = (arb_mat(np.eye(n * n).tolist()) - rows).solve(terms)
+        exact = np.array([float(x) for x in found.entries()]).reshape(n, n)
+    size = np.sqrt(exact.diagonal())
+    assert np.abs((X - exact) / size / size[:, None]).max() < 1e-6
+
+
+def test_a_rotation_that_rounding_leaves_inside_the_circle_has_no_sum():
+    """The true rotation has none, and no digit of the sum of the stored one is known."""
+    c, s = np.cos(0.3) * (1 - 1e-15), np.sin(0.3) * (1 - 1e-15)
+    with pytest.raises(UnstableError, match="is not proved to a relative error of 1e-06"):
+        accumulate([[c, s], [-s, c]], np.eye(2))
 
 
 def test_the_stationary_sum_of_an_unstable_map_is_refused():

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad, quad_vec
 from scipy.linalg import expm, solve_continuous_are
 
-from taciturn._modes import accumulate, radius
+from taciturn._modes import radius
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.lqg.sampling import sample_prediction
 

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from systems import System, make_system
 
 from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
-from taciturn._modes import accumulate, lost_modes, radius
+from taciturn._modes import lost_modes, radius
 from taciturn.analyse.switched import switched
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.program.names import Entry
 

@@ -10,8 +10,9 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
-from taciturn._modes import accumulate, radius
+from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_discounted, regulate_finite
 
 seeds = st.integers(0, 2**32 - 1)

@@ -14,10 +14,10 @@ from drawn import law
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Network, Problem
-from taciturn._modes import accumulate
 from taciturn.design import excess
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.periodic import lift
 from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.lqg.sampling import sample, sample_prediction

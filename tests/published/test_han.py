@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from taciturn import Cost, Plant, average, close, design
-from taciturn._modes import stationary
 from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.lyapunov import stationary
 from taciturn.model.policy import Assign, Decide, Draw, Policy, Received, Send
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger

@@ -13,8 +13,8 @@ Read the modules in this order:
 
 1. ``riccati`` and ``kalman``: gains and filters, over infinite and finite horizons. Their equations are solved by
    ``stabilising``, with a proof of the error, in one of the arithmetics of ``enclosures``: balls of any precision, or
-   doubles with bounds on their rounding. ``structure`` leaves out states whose cost-to-go is zero, and inputs that cost
-   nothing.
+   doubles with bounds on their rounding; ``lyapunov`` proves sums along a stable loop. ``structure`` leaves out states
+   whose cost-to-go is zero, and inputs that cost nothing.
 2. ``sampling``, ``intervals`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between
    samples, to the precision that a proof asks for; ``feedthrough``: inputs that the outputs show one step later.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.

@@ -5,23 +5,30 @@ The actuator applies zero if no packet arrives. A packet of the sensor link cont
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Generic, NamedTuple
 
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
+from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, mode_text, radius
+from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg._repetition import Repetition, fill_earlier
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
 TURNS = 100
+FEW = 10  # most states for which balls are faster than doubles with bounds
+ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
+CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
+CORRECTIONS = 5  # steps of Newton's method
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
 STRICT = 1e-9  # least distance to 1 of a growth that counts as stable
 NILPOTENT = 1e-6  # a growth below this counts as none
@@ -59,8 +66,8 @@ class LossyRegulator(Displayed):
     """Optimal gains over lossy links, u = L x̂, with the cost x̂'Γx̂ of silence and the cost e'Pe of an error e.
 
     K and P are (n, n), L is (m, n), and Gamma is (n, n). For a finite horizon they have one more leading axis, of
-    length N + 1 for K and P, and N for L and Gamma. The cost of noise, tr((K + φP)W), has an error of at most
-    tr(error·W); ``error`` is 0 for a finite horizon.
+    length N + 1 for K and P, and N for L and Gamma. The least cost of noise, and that of the gain L, differ from
+    tr((K + φP)W) by at most tr(error·W), which is proved; ``error`` is 0 for a finite horizon.
     """
 
     K: Array
@@ -161,7 +168,8 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
     They are the fixed point of :func:`lossy_step`.
 
     The gains are computed by policy iteration: the cost of a stabilising gain from linear equations, then the best gain
-    for this cost. This converges quadratically, and all its gains are stabilising.
+    for this cost. This converges quadratically, and all its gains are stabilising. Balls, or doubles with bounds on
+    their rounding, prove that the gain as it is stored is stabilising, and the errors of the costs.
 
     Args:
         A: (n, n) dynamics.
@@ -174,7 +182,8 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
         The gains; the average cost of sending every sample is tr((K + φP)W).
 
     Raises:
-        UnstableError: the losses exceed those that mean-square stability allows; the message has the critical values.
+        UnstableError: the losses exceed those that mean-square stability allows (the message has the critical values),
+            or the cost of some state is not proved to nine digits.
 
     Source: khashooei2017, schenato2007
     """
@@ -195,26 +204,162 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
     L = plain.L * state / unit[:, None]
     if not _loop(here.A, here.B, L, channel).bounded:
         L = _stabilising(A, B, channel) * state / unit[:, None]
-    previous = gap = np.inf
+    K, T = _iterated(here, L, channel)
+    reason = UnprovedError()
+    for bits in (0, *PRECISIONS) if len(A) > FEW else PRECISIONS:
+        check_time()
+        try:
+            with precision(max(bits, PRECISIONS[0])), np.errstate(all="ignore"):
+                found = _proved(Balls, here, K, T, channel) if bits else _proved(Doubles, here, K, T, channel)
+        except UnprovedError as error:
+            reason = error
+            continue
+        K, P, Gamma, error = (frozen(found[i] / state / state[:, None]) for i in (0, 1, 3, 4))
+        return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
+    raise UnstableError(
+        f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
+        "expected loss probabilities further from their critical values, or states that decay faster"
+    )
+
+
+def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
+    """Return K and T = K + P by policy iteration in double precision, from a stabilising gain."""
+    previous = np.inf
     for _ in range(TURNS):
         check_time()
         try:
-            K, P = _cost_of(here, L, channel)
+            K, T = _cost_of(here, L, channel)
         except np.linalg.LinAlgError:  # so close to the critical losses that the cost of the gain cannot be computed
             break
-        gap = float(np.abs(K).max())
-        following = lossy_step(here.A, here.B, here.Q, here.R, K, P, channel)
-        change = max(float(np.abs(following[0] - K).max()), float(np.abs(following[1] - P).max()))
-        if change <= 1e-13 * gap or (change <= 1e-9 * gap and change >= 0.5 * previous):
-            forms = following[0], following[1], following[3], _doubt(here, K, P, following, channel)
-            K, P, Gamma, error = (frozen(form / state / state[:, None]) for form in forms)
-            return LossyRegulator(K, P, frozen(following[2] * unit[:, None] / state), Gamma, error)
+        following = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
+        change = float(max(np.abs(following[0] - K).max(), np.abs(following[0] + following[1] - T).max()))
+        if change <= 1e-13 * float(np.abs(K).max()) or not change < 0.5 * previous:
+            return K, T
         previous, L = change, following[2]
     raise UnstableError(
-        "the lossy Riccati recursion did not converge: the last iteration had a relative change of "
-        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} (at most 1e-13); expected loss probabilities further from "
-        "their critical values"
+        "the gains over lossy links could not be computed: the cost of a gain is too large; expected losses further "
+        "from their critical values"
     )
+
+
+def _proved(
+    arithmetic: type[E], here: Quadratic, K: Array, T: Array, channel: Channel
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return K, P, L and Γ near given K and T = K + P, and a proved bound on the error of the cost K + φP of L.
+
+    One step under a gain maps the pairs (K, T) to larger pairs for larger pairs, and the best gain is the best one for
+    both weights, since T⁺ does not depend on it. So pairs have the proof of ``stabilising``. Let (X, Z) ≻ 0 be a pair
+    that the step without stage costs maps to a pair below (X, Z): then L stabilises in mean square. If the step under L
+    maps (K, T) + ε(X, Z) to a smaller pair, L costs at most this pair. If the best step maps (K, T) − ε(X, Z) to a
+    larger pair, no stabilising gain costs less. The gain is the one that is stored, in doubles.
+
+    Raises:
+        UnprovedError: the proof fails in this arithmetic.
+    """
+    exact, reason = arithmetic.exact, UnprovedError()
+    A, B, Q, R = (exact(part) for part in here[:4])
+    own, both = exact(K), exact(T)
+    for _ in range(CORRECTIONS):
+        L = lossy_step(here.A, here.B, here.Q, here.R, own.middle, (both - own).middle, channel)[2]
+        loop, step = _loop(here.A, here.B, L, channel), Step(A, B, Q, R, exact(L), channel)
+        try:
+            missed = step.missed(own, both)
+            own, both = (
+                (one + exact(more)).centre()
+                for one, more in zip((own, both), loop.solve(missed[0].middle, missed[1].middle), strict=True)
+            )
+            sizes = [_sizes(here, one.middle) for one in (own, both)]
+            X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in sizes)))
+        except np.linalg.LinAlgError as error:
+            raise UnprovedError("the cost of the gain is too large") from error
+        try:
+            slack = step.proved(own, both, X, Z, sizes)
+        except UnprovedError as error:
+            reason = error
+            continue
+        errors = [slack * form.middle for form in (X, Z)]
+        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, sizes, strict=True)):
+            break
+        reason = UnprovedError("the error of the cost-to-go is too large")
+    else:
+        raise reason
+    K, T = symmetrised(own.middle), symmetrised(both.middle)
+    _, P, _, Gamma = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
+    phi = channel.exposure
+    rounding = np.abs(K + P - T).sum(axis=1) + 4 * UNIT * np.abs(T).sum(axis=1)
+    return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
+
+
+class Step(NamedTuple, Generic[E]):
+    """Enclosures of a problem and a gain over lossy links: how one step changes the pairs of weights (K, T)."""
+
+    A: E
+    B: E
+    Q: E
+    R: E
+    L: E
+    channel: Channel
+
+    def linear(self, K: E, T: E) -> tuple[E, E]:
+        """Return the weights before a step without stage costs."""
+        A, L = self.A, self.L
+        moved = L.T @ self.B.T @ K @ A
+        first = A.T @ K @ A + self._arriving(moved + moved.T + L.T @ self.felt(K, T) @ L)
+        second = A.T @ (K + (T - K).times(self.channel.sensor_loss)) @ A
+        return first.symmetric(), second.symmetric()
+
+    def felt(self, K: E, T: E) -> E:
+        """Return the weight B'(K + αφP)B of an input through its effect on state and error."""
+        direct = self.B.T @ K @ self.B
+        if not self.channel.acknowledged:
+            wrong = self.B.T @ (T - K) @ self.B
+            direct = direct + wrong.times(self.channel.actuator_loss).times(self.channel.exposure)
+        return direct.symmetric()
+
+    def _arriving(self, form: E) -> E:
+        """Return the share 1 − α of a form."""
+        return form - form.times(self.channel.actuator_loss)
+
+    def missed(self, K: E, T: E) -> tuple[E, E]:
+        """Return what a step adds to the weights."""
+        first, second = self.linear(K, T)
+        spent = self._arriving(self.L.T @ self.R @ self.L)
+        return (first + self.Q + spent - K).symmetric(), (second + self.Q - T).symmetric()
+
+    def proved(self, K: E, T: E, X: E, Z: E, sizes: Sequence[Array]) -> float:
+        """Return ε with the best weights, and those of the gain, between (K, T) ± ε(X, Z).
+
+        Args:
+            K, T: the weights.
+            X, Z: a pair that a step without costs reduces.
+            sizes: the diagonals of K and T.
+
+        Raises:
+            UnprovedError: the proof fails.
+        """
+        after, missed = self.linear(X, Z), self.missed(K, T)
+        falls = (X - after[0]).symmetric(), (Z - after[1]).symmetric()
+        if not all(form.definite() for form in (X, Z, *falls)):
+            raise UnprovedError("the mean square is not proved to be bounded")
+        price, pushed = self.R + self.felt(K, T), self.felt(X, Z)
+        off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
+        unit, cost = [1 / np.sqrt(size) for size in sizes], np.sqrt(np.maximum(np.diag(price.middle), NO_VARIANCE))
+        parts = [float((form.most * u * u[:, None]).sum(axis=1).max()) for form, u in zip(missed, unit, strict=True)]
+        slack = 4 * max(*parts, float(((off.most * unit[0] / cost[:, None]) ** 2).sum()), 1e-200)
+        off, price = (self._arriving(one - more.times(slack)) for one, more in ((off, turned), (price, pushed)))
+        lower = falls[0].times(slack) + missed[0]
+        if self.channel.actuator_loss < 1:
+            lower = block([[lower, off.T], [off, price.symmetric()]])
+        above = ((falls[i].times(slack) - missed[i]).definite() for i in (0, 1))
+        if not (lower.definite() and (falls[1].times(slack) + missed[1]).definite() and all(above)):
+            raise UnprovedError("the error of the cost-to-go is not proved")
+        return slack
+
+
+def _sizes(here: Quadratic, form: Array) -> Array:
+    """Return the cost of each state, or a small part of the terms whose sum it is if it is still smaller."""
+    size = np.maximum(np.diag(form), CRUMB * (np.abs(np.diag(here.Q)) + (here.A**2).T @ np.abs(np.diag(form))))
+    return np.where(size > NO_VARIANCE, size, 1.0)
 
 
 def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
@@ -229,23 +374,6 @@ def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
             f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
         )
     return L
-
-
-def _doubt(
-    here: Quadratic, K: Array, P: Array, following: tuple[Array, Array, Array, Array], channel: Channel
-) -> Array:
-    """Return a bound on the error of K + φP: its change in one step and its rounding, summed along the loop."""
-    A, B, Q, R, _ = here
-    L, alpha, beta = following[2], channel.actuator_loss, channel.sensor_loss
-    pushed, price = np.abs(A) + np.abs(B) @ np.abs(L), np.abs(K) + channel.exposure * np.abs(P)
-    first = np.abs(Q) + (1 - alpha) * np.abs(L.T) @ np.abs(R) @ np.abs(L) + pushed.T @ price @ pushed
-    second = np.abs(Q) + np.abs(A.T) @ (np.abs(K) + beta * np.abs(P)) @ np.abs(A)
-    missed = following[0] - K, following[0] + following[1] - K - P
-    added = (
-        bound_residual(off, terms, len(A) + B.shape[1]) for off, terms in zip(missed, (first, second), strict=True)
-    )
-    one, two = _loop(A, B, L, channel).solve(*added)
-    return (1 - channel.exposure) * one + channel.exposure * two
 
 
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
@@ -322,10 +450,10 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     while rate > NILPOTENT and slack > STRICT:
         check_time()
         try:
-            K, P = _cost_of(free, L, channel, rate * (1 + slack))
+            K, T = _cost_of(free, L, channel, rate * (1 + slack))
         except np.linalg.LinAlgError:  # the discount equals the growth up to rounding
             break
-        trial = _free_gain(A_u, B_u, K, P, channel)
+        trial = _free_gain(A_u, B_u, K, T - K, channel)
         found = mean_square_rate(A_u, B_u, trial, channel)  # surely below rate·(1 + slack), mostly below rate
         if found < rate * (1 - slack / 8):
             rate, L = found, trial
@@ -352,10 +480,9 @@ def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) ->
 
 
 def _cost_of(given: Quadratic, L: Array, channel: Channel, level: float = 1.0) -> tuple[Array, Array]:
-    """Return K and P of a gain with a growth below ``level``: the sum of the stage costs divided by level^k."""
+    """Return K and T = K + P of a gain with a growth below ``level``: the sum of the stage costs divided by level^k."""
     stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
-    K, total = _loop(given.A, given.B, L, channel, level).solve(stage, given.Q)
-    return K, total - K
+    return _loop(given.A, given.B, L, channel, level).solve(stage, given.Q)
 
 
 def _crossing(excess: Callable[[float], float]) -> float:

@@ -13,11 +13,12 @@ sampling instants, Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant an
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
@@ -235,14 +236,13 @@ def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | N
         S: the dynamics from step to step.
         rates: the dynamics per second, if the plant was sampled.
     """
-    exact, more = base.exact, len(S)
+    exact = base.exact
     given = _next_to(base.quadratic, S)
     if exact is None:
         return given, None
-    source = exact.source
-    return given, Exact(
-        _Apart(exact, S), source and Source(_next_to(source.given, rates), np.pad(source.W, (0, more)), base.tick)
-    )
+    before = exact.source
+    source = before and Source(_next_to(before.given, rates), np.pad(before.W, (0, len(S))), base.tick)
+    return given, Exact(_Apart(exact, S), source)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

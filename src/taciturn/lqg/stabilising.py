@@ -49,6 +49,7 @@ from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import UnstableError
 from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
+from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two
 from taciturn.lqg.structure import Free, free_inputs, worth_of
 
@@ -59,7 +60,6 @@ LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a
 TURNS = 100  # doublings
 CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
 CORRECTIONS = 2  # steps of Newton's method
-FADED = 1e-3  # last term of a sum along the loop, relative to its first one
 
 
 class Equation(NamedTuple, Generic[E]):
@@ -374,7 +374,7 @@ def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) ->
         UnprovedError: the proof fails in this precision.
     """
     F, stage = given.under(L)
-    X, falls = _ranked(arithmetic, F, size)
+    X, falls = ranked(arithmetic, F, size)
     missed = (stage + F.T @ K @ F - K).symmetric()
     weight, pushed = given.B.T @ K, given.B.T @ X
     H, off = (given.R + weight @ given.B).symmetric(), given.R @ L + given.N.T + weight @ F
@@ -418,7 +418,7 @@ def _falling(arithmetic: type[E], F: E, X: E, size: Array) -> tuple[E, E]:
         UnprovedError: the loop is not proved stable.
     """
     falls = (X - F.T @ X @ F).symmetric()
-    return (X, falls) if falls.definite() else _ranked(arithmetic, F, size)
+    return (X, falls) if falls.definite() else ranked(arithmetic, F, size)
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
@@ -461,42 +461,6 @@ def _gain(given: Equation[E], K: E) -> E:
     weight = given.B.T @ K
     H, off = (given.R + weight @ given.B).symmetric(), weight @ given.A + given.N.T
     return solve(H.centre(), off.centre()).times(-1.0).centre()
-
-
-def _ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of sizes.
-
-    Raises:
-        UnprovedError: the closed loop is not proved stable at this precision.
-    """
-    with np.errstate(all="ignore"):
-        rough = summed(F.middle.T, np.diag(size))
-    if np.isfinite(rough).all():
-        X = arithmetic.exact(rough)
-        falls = (X - F.T @ X @ F).symmetric()
-        if falls.definite() and X.definite():
-            return X, falls
-    if arithmetic is Balls:  # double precision does not suffice for the sum
-        X = _summed(arithmetic, F, size)
-        falls = (X - F.T @ X @ F).symmetric()
-        if falls.definite() and X.definite():
-            return X, falls
-    raise UnprovedError("the closed loop is not proved stable")
-
-
-def _summed(arithmetic: type[E], F: E, size: Array) -> E:
-    """Return the sum of F'^k D F^k for a diagonal D over so many steps that what is left is below D, without radii."""
-    D, power = arithmetic.exact(np.diag(size)), F.centre()
-    found = D
-    for _ in range(TURNS):
-        found = (found + (power.T @ found @ power).symmetric()).centre()
-        left = np.diag((power.T @ D @ power).middle)
-        if not (np.isfinite(left).all() and np.isfinite(found.middle).all()):
-            raise UnprovedError("the closed loop is not stable")
-        if (left <= FADED / len(size) * size).all():  # a semidefinite matrix is below n times its diagonal
-            return found
-        power = (power @ power).centre()
-    raise UnprovedError("the closed loop does not forget")
 
 
 def _sizes(given: Equation[E], K: E, crumb: float) -> Array:

@@ -8,8 +8,9 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import radius, root, stationary
+from taciturn._modes import radius, root
 from taciturn.errors import UnstableError
+from taciturn.lqg.lyapunov import stationary
 
 SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative to the largest with a finite moment
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from taciturn._cvxpy import expect_solver
-from taciturn._modes import accumulate, radius
+from taciturn._modes import radius
 from taciturn._progress import answered_within
 from taciturn.analyse.certificates import (
     NoCertificateError,
@@ -22,6 +22,7 @@ from taciturn.analyse.certificates import (
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import ErrorGain
 from taciturn.problem import Problem

@@ -8,7 +8,6 @@ from typing import cast
 import numpy as np
 
 from taciturn._arrays import choice, count
-from taciturn._modes import stationary
 from taciturn.design.certainty import (
     Actuation,
     design_certainty,
@@ -17,6 +16,7 @@ from taciturn.design.clocked import every_tick, held_in_cycles, predicted_cost, 
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.lyapunov import stationary
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY

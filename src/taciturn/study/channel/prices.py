@@ -13,10 +13,10 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import stationary
 from taciturn._progress import Progress
 from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
+from taciturn.lqg.lyapunov import stationary
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.renewal.chain import NoQuadratureError
