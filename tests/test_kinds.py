@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -46,7 +47,7 @@ def costs_of(states: int) -> Mapping[str, Cost]:
 
 
 def accepted(kind: Kind, plant: Plant | ContinuousPlant, cost: Cost) -> bool:
-    """Return whether the design function accepts plant and cost, with the parameters of the example."""
+    """Return whether the design function accepts plant and cost, with the example's parameters; a policy is pickled."""
     given: dict[str, Any] = {name: value for name, value in kind.example.items() if name != "period"}
     period = kind.parameters.get("period")
     if period is not None and (isinstance(plant, ContinuousPlant) or period.default is period.empty):
@@ -54,7 +55,7 @@ def accepted(kind: Kind, plant: Plant | ContinuousPlant, cost: Cost) -> bool:
     if kind.keeps_controller and kind.arguments["controller"].default is kind.arguments["controller"].empty:
         given["controller"] = PID(0.01)
     try:
-        kind.design(plant, cost, **given)
+        pickle.loads(pickle.dumps(kind.design(plant, cost, **given)))
         if kind.nodes == "none" and isinstance(plant, ContinuousPlant) and plant.jumps is not None:
             taciturn.evaluate(Problem(plant, cost, Network(), kind.name, given))
     except taciturn.ProblemError:

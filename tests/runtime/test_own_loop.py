@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 from systems import make_system
 
 import taciturn
-from taciturn import Cost, Loop, Network, Nodes, Plant, ProblemError, close, design
+from taciturn import PID, ContinuousPlant, Cost, Loop, Network, Nodes, Plant, ProblemError, close, design
 from taciturn.design.certainty import design_certainty
 from taciturn.lqg.discrete import discretise
 from taciturn.model.exosystem import ExternalDisturbance
@@ -271,6 +271,16 @@ def test_nodes_are_pickled_with_their_state() -> None:
         assert again.step(y).tobytes() == nodes.step(y).tobytes()
         assert other.step(tick, y) == node.step(tick, y)
     assert (again.tick, again.sent) == (nodes.tick, nodes.sent)
+
+
+@pytest.mark.parametrize("D", [None, [[0.5]]])
+def test_policies_of_sampled_plants_with_a_given_controller_are_pickled(D: list[list[float]] | None) -> None:
+    """The design keeps its problem to any precision."""
+    plant = ContinuousPlant([[0, 1], [0, -1]], [[0], [1]], 0.1 * np.eye(2), C=[[1, 0]], V=[[0.01]], D=D)
+    policy = design.excess(plant, Cost(np.eye(2), [[1.0]]), period=0.1, theta=0.2, controller=PID(1.0, 0.2))
+    nodes, again = Nodes(policy), Nodes(pickle.loads(pickle.dumps(policy)))
+    for y in np.random.default_rng(1).normal(size=(20, 1)):
+        assert nodes.step(y).tobytes() == again.step(y).tobytes()
 
 
 def test_results_that_are_too_large_are_refused_and_leave_the_nodes_as_they_were() -> None:
