@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from taciturn import Cost, Network, Plant, Policy, Reference, UnstableError, design
 from taciturn._modes import radius
-from taciturn.lqg.enclosures import precision
+from taciturn._precision import precision
 from taciturn.lqg.lossy import (
     Channel,
     critical_losses,

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from taciturn._arrays import block_diagonal
 from taciturn._cycles import largest_cycle
 from taciturn._modes import balancing, lost_modes, uncontrollable_modes
+from taciturn._precision import precision
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.enclosures import precision
 from taciturn.lqg.lyapunov import accumulate
 
 seeds = st.integers(0, 2**32 - 1)
