@@ -372,7 +372,7 @@ def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) ->
         UnprovedError: the proof fails in this precision.
     """
     F, stage = given.under(L)
-    X, falls = _ranked(arithmetic, F, size)
+    X, falls = ranked(arithmetic, F, size)
     missed = (stage + F.T @ K @ F - K).symmetric()
     weight, pushed = given.B.T @ K, given.B.T @ X
     H, off = (given.R + weight @ given.B).symmetric(), given.R @ L + given.N.T + weight @ F
@@ -416,7 +416,7 @@ def _falling(arithmetic: type[E], F: E, X: E, size: Array) -> tuple[E, E]:
         UnprovedError: the loop is not proved stable.
     """
     falls = (X - F.T @ X @ F).symmetric()
-    return (X, falls) if falls.definite() else _ranked(arithmetic, F, size)
+    return (X, falls) if falls.definite() else ranked(arithmetic, F, size)
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
@@ -461,7 +461,7 @@ def _gain(given: Equation[E], K: E) -> E:
     return solve(H.centre(), off.centre()).times(-1.0).centre()
 
 
-def _ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
+def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
     """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of sizes.
 
     Raises:
