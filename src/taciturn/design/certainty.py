@@ -25,13 +25,14 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain
+from taciturn.lqg.stored import Proved, cost_of_filter
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Decide, Location, Policy, Received, Send, Step
 from taciturn.model.set_points import SampledChanges
-from taciturn.model.theory import ClosedForm, Guarantee, Identity, Reset, Theory
+from taciturn.model.theory import OPERATIONS, ClosedForm, Guarantee, Identity, Reset, Theory, rounded_up
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
@@ -51,6 +52,7 @@ class CertaintyEquivalentDesign(Displayed):
         filter: covariances and gain of the steady-state Kalman filter.
         estimation: policy steps of the filter.
         cost_all_time: cost of sending at every step, per step, without the inter-sample noise cost.
+        proved: an enclosure of this cost for the gains as they are stored; None if its error is only estimated.
         settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
         pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
             error e of the input, in the norm of the inverse of H; 0 for other set-points.
@@ -63,6 +65,17 @@ class CertaintyEquivalentDesign(Displayed):
     cost_all_time: float
     settling: float
     pull: float = 0.0
+    proved: Proved | None = None
+
+    @property
+    def highest(self) -> float:
+        """The upper end of ``cost_all_time``: what the stored gains cost at most, if this is proved."""
+        return self.cost_all_time if self.proved is None else self.proved.upper
+
+    @property
+    def error(self) -> float | None:
+        """Proved bound on the error of ``cost_all_time`` in the user's units, or None."""
+        return None if self.proved is None else error_per_unit(self.problem, self.proved)
 
     @property
     def timed(self) -> bool:
@@ -136,18 +149,26 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    pull = 0.0
+    pull, proved = 0.0, None if plant.changes is not None else cost_of_filter(problem, steady, regulator.L)
     if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
         added, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
         cost += added
-    left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
-    square = regulator.L.T @ regulator.H @ regulator.L
-    doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
-    refuse_uncertain(float(cost), float(doubt))
+    if proved is None:
+        left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
+        square = regulator.L.T @ regulator.H @ regulator.L
+        doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
+        refuse_uncertain(float(cost), float(doubt))
+    else:
+        cost = proved.value
     settling = 1 / (1 - max(regulator.slowest, steady.slowest))
     return CertaintyEquivalentDesign(
-        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull
+        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, proved
     )
+
+
+def error_per_unit(problem: Discrete, proved: Proved) -> float:
+    """Return the proved error of a cost in the user's units, with the rounding of its conversion to them."""
+    return rounded_up(proved.radius / problem.unit) + OPERATIONS * abs(problem.per_unit(proved.value))
 
 
 def expect_average(kind: str, cost: Cost) -> None:
@@ -256,6 +277,8 @@ def certainty_policy(
             closed_form, fixed_rates = None, {**closed_form.rates, **fixed_rates}
         identity, reset = None, None
         guarantee = guarantee if guarantee is not None and guarantee.pull else None
+    if guarantee is not None and guarantee.proved:
+        guarantee = guarantee.upwards()
     if problem.instants and guarantee is not None:
         guarantee = replace(guarantee, statement=f"{guarantee.statement}; {AT_INSTANTS}")
     policy = Policy(
@@ -265,6 +288,7 @@ def certainty_policy(
         theory=Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(certainty.cost_all_time),
+            cost_all_time_error=certainty.error,
             noise_cost=problem.noise_cost,
             settling=slower * certainty.settling,
             recovery=None if certainty.recovery is None else slower * certainty.recovery,

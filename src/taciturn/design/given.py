@@ -18,7 +18,7 @@ from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.certainty import SEND
+from taciturn.design.certainty import SEND, error_per_unit
 from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
@@ -28,6 +28,7 @@ from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.stored import cost_of_controller
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
@@ -106,6 +107,10 @@ def keep_controller(
         known = steady if copied and lossy else None  # without losses, no prediction is ever used
         always = route_over(link, problem, used, actuation, lossy, known, start)
         all_time = _cost(problem, _every_sample(problem, always.base, loop.remedy, chain, network.lost(link)), always)
+    proved = None
+    if every == 1 and not lossy:
+        proved = cost_of_controller(problem, controller)
+        base = all_time = base if proved is None else proved.value
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
@@ -138,11 +143,12 @@ def keep_controller(
     theory = Theory(
         cost=problem.cost,
         cost_all_time=problem.per_unit(all_time),
+        cost_all_time_error=None if proved is None else error_per_unit(problem, proved),
         cost_lqg=loop.cost_lqg,
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
         recovery=recovery(route.base, plant, loop.disturbance, steady.slowest) if alike else None,
-        guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg) if finite else None,
+        guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg, proved) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
@@ -194,7 +200,7 @@ def send_every_sample(
     problem, average = loop.problem, not loop.problem.cost.mission
     plant = problem.plant
     route = route_over(link, problem, loop.controller, "hold", False, start=loop.point.start)
-    found = _every_sample(problem, route.base, loop.remedy)
+    found, proved = _every_sample(problem, route.base, loop.remedy), cost_of_controller(problem, loop.controller)
     always = Decide(route.node, SEND, Trigger({"silent": Form(constant=1.0), SEND: Form()}))
     policy = Policy(
         kind=kind,
@@ -202,7 +208,8 @@ def send_every_sample(
         model=plant,
         theory=Theory(
             cost=problem.cost,
-            cost_all_time=problem.per_unit(_cost(problem, found, route)),
+            cost_all_time=problem.per_unit(_cost(problem, found, route) if proved is None else proved.value),
+            cost_all_time_error=None if proved is None else error_per_unit(problem, proved),
             noise_cost=problem.noise_cost,
             settling=found.settling,
             recovery=recovery(route.base, plant, loop.disturbance) if average else None,

@@ -227,6 +227,11 @@ class Doubles(Enclosure):
         return cls(values, np.zeros(values.shape))
 
     @classmethod
+    def rounded(cls, matrix: Balls) -> Self:
+        """Return the enclosure in doubles of a matrix of balls."""
+        return cls(matrix.middle, matrix.radius)
+
+    @classmethod
     def rational(cls, values: fmpq_mat) -> Self:
         """Return an enclosure of a matrix of rational numbers."""
         nearest = [int(one.p) / int(one.q) for one in values.entries()]

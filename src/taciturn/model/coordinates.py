@@ -94,6 +94,7 @@ def in_units(policy: Policy) -> Policy:
         theory=Theory(
             cost=theory.cost,
             cost_all_time=theory.cost_all_time,
+            cost_all_time_error=theory.cost_all_time_error,
             settling=theory.settling,
             recovery=theory.recovery,
             sums=sums,

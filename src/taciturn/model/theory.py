@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from math import sqrt
 from typing import cast
@@ -19,6 +19,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.steps import Terms
 from taciturn.model.trigger import Form
 
+OPERATIONS = 16 * 2.0**-53  # relative rounding error of sixteen operations
 INNOVATION = "innovation"  # name of the signal y − (prediction of y) in the filters of the designs
 
 
@@ -37,6 +38,8 @@ class Guarantee(Displayed):
         weights: share of each link in the rate of a bound that depends on one rate; default: one link has it all.
         pull: γ of set-points that change at known times, with which an error of the input is correlated: if S is what
             silence adds to the base, the bound is base + S + 2γ√S; 0 for other set-points.
+        proved: whether the bound follows from a proved enclosure of the cost of the stored controller that sends every
+            sample, and is rounded upwards; otherwise this cost is computed in doubles, with an estimate of its error.
         more_sends: whether the bound also holds if packets are sent in further steps, since it limits the cost of each
             silent step and a packet ends silence.
     """
@@ -50,6 +53,17 @@ class Guarantee(Displayed):
     weights: Mapping[str, float] = field(hash=False, default_factory=lambda: {})
     more_sends: bool = False
     pull: float = 0.0
+    proved: bool = False
+
+    def upwards(self) -> Guarantee:
+        """Return the bound with each of its numbers rounded upwards, past the rounding of its sums and products."""
+        return replace(
+            self,
+            cost=rounded_up(self.cost),
+            base=None if self.base is None else rounded_up(self.base),
+            per_silence=rounded_up(self.per_silence),
+            deciders={group: rounded_up(delta) for group, delta in self.deciders.items()},
+        )
 
     def at_rates(self, rates: Mapping[str, Estimate], link: str) -> Estimate | None:
         """Return the bound that depends on the rates, with the error that the errors of the rates cause.
@@ -71,16 +85,17 @@ class Guarantee(Displayed):
                 f"rates is {quoted(rates)}; expected an Estimate for each of the links {', '.join(sorted(needed))}, as "
                 "in the rates of an evaluation"
             )
-        values = {name: rate.value for name, rate in rates.items()}
+        values = {name: rate.value - rate.error for name, rate in rates.items()}  # the bound falls with the rate
         if not self.deciders:
             shares = self.weights or {link: 1.0}
-            rate = sum(share * rates[name].value for name, share in shares.items())
+            rate = sum(share * values[name] for name, share in shares.items())
             error = sum(share * rates[name].standard_error for name, share in shares.items())
             bound = with_silence(self.base, self.per_silence * (1 - rate), self.pull)
             later = with_silence(self.base, self.per_silence * (1 - rate + error), self.pull)
             return Estimate(bound, abs(later - bound), rates[link].method)
         bound = self._of(values)
-        moved = [self._of({**values, name: rate.value - rate.standard_error}) - bound for name, rate in rates.items()]
+        less = {name: values[name] - rate.standard_error for name, rate in rates.items()}
+        moved = [self._of({**values, name: lower}) - bound for name, lower in less.items()]
         return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)
 
     def _of(self, rates: Mapping[str, float]) -> float:
@@ -101,8 +116,16 @@ class Guarantee(Displayed):
 
 
 def with_silence(base: float, added: float, pull: float) -> float:
-    """Return the bound base + S + 2γ√S, with S = ``added`` and γ = ``pull`` of a ``Guarantee``."""
-    return base + added + 2 * pull * sqrt(max(added, 0.0))
+    """Return the bound base + S + 2γ√S, rounded upwards, with S = ``added`` and γ = ``pull`` of a ``Guarantee``."""
+    return rounded_up(base + added + 2 * pull * sqrt(max(added, 0.0)))
+
+
+def rounded_up(value: float) -> float:
+    """Return a number above a computed sum or product of at most sixteen non-negative numbers, in spite of rounding.
+
+    It is the number itself if the sum or product is 0.
+    """
+    return value + abs(value) * OPERATIONS
 
 
 @dataclass(frozen=True, repr=False)
@@ -214,6 +237,8 @@ class Theory(Displayed):
     Args:
         cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
         cost_all_time: cost of sending at every step, in the units of the cost, or None if it is unknown.
+        cost_all_time_error: proved bound on the error of ``cost_all_time``, which is then the cost of the gains as they
+            are stored; None if the error is only estimated.
         cost_lqg: cost of LQG with the same weights, sending at every step, for a policy that keeps a given controller.
         noise_cost: inter-sample noise cost per step of a continuous plant, which no policy can change.
         settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
@@ -258,6 +283,7 @@ class Theory(Displayed):
     recovery: float | None = None
     cost_lqg: float | None = None
     every: int = 1
+    cost_all_time_error: float | None = None
 
     @property
     def recovers(self) -> float:

@@ -236,6 +236,8 @@ def _evaluated(
         after_step=stepped,
         without_limits=without,
         cost_lqg=policy.theory.cost_lqg if loop.nominal else None,
+        proved=guarantee is not None and guarantee.proved,
+        cost_all_time_error=policy.theory.cost_all_time_error if loop.nominal else None,
     )
 
 

@@ -23,6 +23,7 @@ from taciturn.study.lines import (
     decimals_of,
     outward,
     percent_above,
+    proof_text,
     proved,
     queries_text,
     rounded,
@@ -88,6 +89,9 @@ class Evaluation(Tabular):
         without_limits: how often a limit of the inputs binds, and the loop without limits; None if no input has one.
         as_written: the loop without a slow disturbance that a default has added to the plant; None if none was added.
         violations: probabilities that the limits of the problem are violated, or None.
+        proved: whether the bounds follow from a proved enclosure of the cost of the stored controller that sends every
+            sample, and are rounded upwards; otherwise this cost has an estimated error.
+        cost_all_time_error: proved bound on the error of ``cost_all_time``; None if its error is only estimated.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
@@ -128,6 +132,8 @@ class Evaluation(Tabular):
     without_limits: WithoutLimits | None = None
     violations: Violations | None = None
     as_written: AsWritten | None = None
+    proved: bool = False
+    cost_all_time_error: float | None = None
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -182,7 +188,9 @@ class Evaluation(Tabular):
             "base_rate": self.base_rate,
             "cost": _estimate(self.cost),
             "cost_all_time": self.cost_all_time,
+            "cost_all_time_error": self.cost_all_time_error,
             "cost_bound": self.cost_bound,
+            "proved": self.proved,
             "cost_bound_at_rate": self.cost_bound_at_rate,
             "cost_bound_at_rate_standard_error": self.bound_error,
             "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
@@ -289,6 +297,8 @@ def _details(found: Evaluation) -> Lines:
         lines.append(("periodic", clock_text(found.clock) + fewer))
     elif found.no_clock:
         lines.append(("periodic", f"none at this rate: {found.no_clock}"))
+    if found.cost_bound is not None:
+        lines.append(("proof", proof_text(found.proved, found.cost_all_time_error)))
     if found.linearisation is not None:
         lines.append(("linearisation", _promised(found)))
     if found.lower_bound is not None:

@@ -105,10 +105,11 @@ def lqg(
         initial,
         identity=certainty.completed_square(),
         guarantee=Guarantee(
-            problem.per_unit((1 + theta) * certainty.cost_all_time),
+            problem.per_unit((1 + theta) * certainty.highest),
             f"J ≤ (1+θ) J_all{less_noise(problem, 'θ')}, mean-square stable",
             "khashooei2017",
             more_sends=True,
+            proved=certainty.proved is not None,
         ),
         reset=certainty.reset(actuation),
     )

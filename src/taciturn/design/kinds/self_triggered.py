@@ -98,9 +98,10 @@ def self_triggered(
         initial,
         identity=identity,
         guarantee=Guarantee(
-            problem.per_unit(beta * all_time),
+            problem.per_unit(beta * certainty.highest),
             f"J ≤ β J_all{less_noise(problem, '(β−1)')}, mean-square stable",
             "gommans2014",
+            proved=certainty.proved is not None,
         ),
         slower=max_interval,
     )

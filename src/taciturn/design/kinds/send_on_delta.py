@@ -136,6 +136,7 @@ def _filter(
         theory=Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(certainty.cost_all_time),
+            cost_all_time_error=certainty.error,
             noise_cost=problem.noise_cost,
             settling=1 / (1 - max(certainty.regulator.slowest, steady.slowest)),
             guarantee=bound_by_errors(problem, _with_every_sample(certainty, steady.gain, unknown), errors),

@@ -99,6 +99,7 @@ def variance(
         theory=Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(certainty.cost_all_time),
+            cost_all_time_error=certainty.error,
             noise_cost=problem.noise_cost,
             settling=settling,
             closed_form=ClosedForm(problem.per_unit(average), schedule.rates),
