@@ -5,9 +5,10 @@ import pytest
 from flint import arb, arb_mat
 
 from taciturn import ContinuousPlant, Controller, Cost, Plant, design
+from taciturn._precision import precision
 from taciturn.design.certainty import design_certainty
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.enclosures import Balls, precision
+from taciturn.lqg.enclosures import Balls
 from taciturn.lqg.stored import cost_of_filter
 
 BITS, DOUBLINGS = 1024, 40

@@ -18,7 +18,7 @@ Source: anderson1990optimal, rump2006
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Generic, NamedTuple, Protocol
+from typing import Generic, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -188,9 +188,8 @@ def _step(problem: Discrete, arithmetic: type[E]) -> Step[E]:
         return Step(A, B, Q, R, N, W, c)
     if arithmetic is Doubles and p.states <= FEW:  # the balls of the sampling are known
         with precision(PRECISIONS[0]):
-            parts = [arithmetic.rounded(part) for part in problem.exact(Balls)]
-        A, B, Q, R, N, W, c = parts
-        return Step(A, B, Q, R, N, W, c)
+            A, B, Q, R, N, W, c = map(Doubles.rounded, problem.exact(Balls))
+        return cast("Step[E]", Step(A, B, Q, R, N, W, c))  # type checkers do not conclude that E is Doubles
     return problem.exact(arithmetic)
 
 
