@@ -186,8 +186,8 @@ def _step(problem: Discrete, arithmetic: type[E]) -> Step[E]:
         return Step(A, B, Q, R, N, W, c)
     if arithmetic is Doubles and p.states <= FEW:  # the balls of the sampling are known
         with precision(PRECISIONS[0]):
-            parts = [arithmetic.rounded(part) for part in problem.exact(Balls)]
-        A, B, Q, R, N, W, c = parts
+            known = problem.exact(Balls)
+        A, B, Q, R, N, W, c = (arithmetic.enclosing(part.middle, part.radius) for part in known)
         return Step(A, B, Q, R, N, W, c)
     return problem.exact(arithmetic)
 
