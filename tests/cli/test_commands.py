@@ -37,7 +37,7 @@ def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
     assert (done.returncode, done.stderr) == (0, "")
     first, table, rest = done.stdout.split("\n\n")
     heads = [line.split()[0] for part in (first, rest) for line in part.splitlines() if line[0] != " "]
-    assert heads == ["policy", "method", "periodic", "verdict"]
+    assert heads == ["policy", "method", "periodic", "proof", "verdict"]
     assert "simulation, completed squares: " in first
     names = [line[:19].strip() for line in table.splitlines() if line[:19].strip()]
     assert names == ["this policy", "periodic, same rate", "every sample", "guarantee"]

@@ -75,6 +75,11 @@ class Balls(Enclosure):
         return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()))
 
     @classmethod
+    def enclosing(cls, middle: Array, radius: Array) -> Self:
+        """Return the matrix with given middles and radii."""
+        return cls.exact(middle).widened(radius)
+
+    @classmethod
     def rational(cls, values: fmpq_mat) -> Self:
         """Return an enclosure of a matrix of rational numbers."""
         return cls(arb_mat(values))
@@ -227,9 +232,9 @@ class Doubles(Enclosure):
         return cls(values, np.zeros(values.shape))
 
     @classmethod
-    def rounded(cls, matrix: Balls) -> Self:
-        """Return the enclosure in doubles of a matrix of balls."""
-        return cls(matrix.middle, matrix.radius)
+    def enclosing(cls, middle: Array, radius: Array) -> Self:
+        """Return the matrix with given middles and radii."""
+        return cls(middle, radius)
 
     @classmethod
     def rational(cls, values: fmpq_mat) -> Self:

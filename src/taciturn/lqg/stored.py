@@ -18,7 +18,7 @@ Source: anderson1990optimal, rump2006
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Generic, NamedTuple, Protocol, cast
+from typing import Generic, NamedTuple, Protocol
 
 import numpy as np
 
@@ -188,8 +188,9 @@ def _step(problem: Discrete, arithmetic: type[E]) -> Step[E]:
         return Step(A, B, Q, R, N, W, c)
     if arithmetic is Doubles and p.states <= FEW:  # the balls of the sampling are known
         with precision(PRECISIONS[0]):
-            A, B, Q, R, N, W, c = map(Doubles.rounded, problem.exact(Balls))
-        return cast("Step[E]", Step(A, B, Q, R, N, W, c))  # type checkers do not conclude that E is Doubles
+            known = problem.exact(Balls)
+        A, B, Q, R, N, W, c = (arithmetic.enclosing(part.middle, part.radius) for part in known)
+        return Step(A, B, Q, R, N, W, c)
     return problem.exact(arithmetic)
 
 

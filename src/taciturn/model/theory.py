@@ -90,20 +90,26 @@ class Guarantee(Displayed):
             shares = self.weights or {link: 1.0}
             rate = sum(share * values[name] for name, share in shares.items())
             error = sum(share * rates[name].standard_error for name, share in shares.items())
-            bound = with_silence(self.base, self.per_silence * (1 - rate), self.pull)
-            later = with_silence(self.base, self.per_silence * (1 - rate + error), self.pull)
+            bound = self._with_silence(self.per_silence * (1 - rate), self.pull)
+            later = self._with_silence(self.per_silence * (1 - rate + error), self.pull)
             return Estimate(bound, abs(later - bound), rates[link].method)
         bound = self._of(values)
         less = {name: values[name] - rate.standard_error for name, rate in rates.items()}
         moved = [self._of({**values, name: lower}) - bound for name, lower in less.items()]
         return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)
 
+    def _with_silence(self, added: float, pull: float) -> float:
+        """Return the bound for what silence adds, rounded upwards if it is proved."""
+        assert self.base is not None, "only such a bound depends on the rate"
+        bound = with_silence(self.base, added, pull)
+        return rounded_up(bound) if self.proved else bound
+
     def _of(self, rates: Mapping[str, float]) -> float:
         """Return the bound with S = (Σ√(δ(1 − r)))², where a group is silent at most as often as its links together."""
         assert self.base is not None
         silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
         added = sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
-        return with_silence(self.base, added, self.pull)
+        return self._with_silence(added, self.pull)
 
     def at_rate(self, rate: float) -> float | None:
         """Return the bound base + per_silence·(1 − rate) at a rate in sends per step.
@@ -112,12 +118,12 @@ class Guarantee(Displayed):
         """
         if self.base is None or self.deciders:
             return None
-        return with_silence(self.base, self.per_silence * (1 - rate), self.pull)
+        return self._with_silence(self.per_silence * (1 - rate), self.pull)
 
 
 def with_silence(base: float, added: float, pull: float) -> float:
-    """Return the bound base + S + 2γ√S, rounded upwards, with S = ``added`` and γ = ``pull`` of a ``Guarantee``."""
-    return rounded_up(base + added + 2 * pull * sqrt(max(added, 0.0)))
+    """Return the bound base + S + 2γ√S, with S = ``added`` and γ = ``pull`` of a ``Guarantee``."""
+    return base + added + 2 * pull * sqrt(max(added, 0.0))
 
 
 def rounded_up(value: float) -> float:

@@ -26,7 +26,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.layout import steps_of_a_fault
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.lines import rounded
+from taciturn.study.lines import proof_text, rounded
 from taciturn.study.units import cost_unit, time_unit
 
 SHOWN_OPTIONS = 4  # options of a decision that are printed
@@ -198,6 +198,7 @@ class Description(Displayed):
         more = {"deciders": deciders} if deciders else {}
         at_rate = None if found.base is None else {"base": found.base, "per_silence": found.per_silence, **more}
         proved = {"statement": found.statement, "cost": found.cost, "source": found.source, "holds": holds}
+        proved |= {"proved": found.proved}
         return {**proved, "at_rate": at_rate}
 
     def _guarantee_lines(self) -> Lines:
@@ -207,6 +208,8 @@ class Description(Displayed):
         if not found["holds"]:
             return [("guarantee", f"none for this loop; for the loop of the design: {found['statement']}")]
         lines = [("guarantee", f"{found['statement']}: at most {rounded(found['cost'], 6, 1)} ({found['source']})")]
+        if isinstance(self.policy, Policy):
+            lines.append(("proof", proof_text(found["proved"])))
         rated = found.get("at_rate")
         if rated is not None and "deciders" in rated:
             deltas = [f"{one['delta']:.4g} ({' and '.join(one['links'])})" for one in rated["deciders"]]

@@ -33,12 +33,11 @@ def proved(bound: float | None) -> float | None:
     return None if bound is None else outward(bound, 6, 1)
 
 
-def proof_text(proved: bool, error: float | None) -> str:
-    """Return in words whether a guarantee is computed with proved errors, for the error of J_all."""
+def proof_text(proved: bool) -> str:
+    """Return in words whether a guarantee is computed with proved errors."""
     if not proved:
         return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
-    assert error is not None, "a proved bound has a proved base"
-    return f"J_all of the gains as stored is proved to ±{error:.1g}; the guarantee is rounded up from its upper end"
+    return "the cost of every sample is proved for the gains as stored; the guarantee is rounded up from it"
 
 
 def rounded(value: float, digits: int, up: int) -> str:

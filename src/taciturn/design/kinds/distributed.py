@@ -89,7 +89,7 @@ def distributed(
     Example:
         >>> plant = Plant([[1.1]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
         >>> policy = distributed(plant, Cost([[1.0]], [[1.0]]), theta=0.2)
-        >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 12)
+        >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 9)
         (('sensor', 'actuator'), 1.2)
     """
     network = Network() if network is None else network

@@ -99,7 +99,7 @@ def excess(
 
     Example:
         >>> policy = excess(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
-        >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
+        >>> round(policy.guarantee.cost / policy.cost_all_time, 9)
         1.1
     """
     expect_one_threshold(delta, theta)

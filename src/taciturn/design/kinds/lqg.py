@@ -75,7 +75,7 @@ def lqg(
 
     Example:
         >>> policy = lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
-        >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
+        >>> round(policy.guarantee.cost / policy.cost_all_time, 9)
         1.1
     """
     theta = number("theta", theta, 0.0, closed=True)

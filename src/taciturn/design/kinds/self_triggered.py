@@ -55,7 +55,7 @@ def self_triggered(
     Example:
         >>> plant, cost = Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
         >>> policy = self_triggered(plant, cost, beta=1.2, max_interval=5)
-        >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
+        >>> round(policy.guarantee.cost / policy.cost_all_time, 9)
         1.2
     """
     beta, max_interval = number("beta", beta, 1.0, LARGEST_PARAMETER, closed=True), count("max_interval", max_interval)
