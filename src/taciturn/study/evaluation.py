@@ -141,6 +141,12 @@ class Evaluation(Tabular):
         return rate_unit(self.unit)
 
     @property
+    def highest_all_time(self) -> float:
+        """The upper end of the cost of sending every sample, of which a bound is a multiple."""
+        assert self.cost_all_time is not None, "a bound is that of a base"
+        return self.cost_all_time + (self.cost_all_time_error or 0.0)
+
+    @property
     def traffic(self) -> Estimate | None:
         """The rates of all links, each times the price of a packet, with an upper bound on the standard error."""
         paid = [rate.scaled(self.prices.get(link, 1.0)) for link, rate in self.rates.items()]
@@ -276,7 +282,8 @@ def _table(found: Evaluation) -> str:
         cells = [str(record["name"]), str(cost) if up is None else bound_text(cost, up)]
         if base:
             value = unrounded.get(str(record["name"]))
-            above = percent_above(cost if value is None else replace(cost, value=value), base, up or 0)
+            of = base if up != 1 else found.highest_all_time
+            above = percent_above(cost if value is None else replace(cost, value=value), of, up or 0)
             cells.append("" if record["name"] == "every sample" else above)
         for link, rate in found.rates.items():
             shown = cast("Estimate | None", record[f"rate_{link}"])
@@ -358,7 +365,7 @@ def _verdict(found: Evaluation) -> list[str]:
     bound = found.cost_bound if found.cost_bound_at_rate is None else found.cost_bound_at_rate
     if bound is not None:
         by, moved = ("the guarantee", 0.0) if found.cost_bound_at_rate is None else (THERE, found.bound_error)
-        text += f", at most {percent_above(_moved(bound, moved), base, 1, signed=False)} by {by}"
+        text += f", at most {percent_above(_moved(bound, moved), found.highest_all_time, 1, signed=False)} by {by}"
     if least is None:
         return [text]
     if least <= ZERO:
