@@ -37,7 +37,7 @@ def proof_text(proved: bool) -> str:
     """Return in words whether a guarantee is computed with proved errors."""
     if not proved:
         return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
-    return "the cost of every sample is proved for the gains as stored; the guarantee is rounded up from it"
+    return "with the gains as stored; rounded upwards"
 
 
 def rounded(value: float, digits: int, up: int) -> str:
