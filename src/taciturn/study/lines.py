@@ -37,7 +37,7 @@ def proof_text(proved: bool) -> str:
     """Return in words whether a guarantee is computed with proved errors."""
     if not proved:
         return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
-    return "J_all, from which the guarantee follows, is proved for the gains as stored"
+    return "J_all is proved for the gains as stored"
 
 
 def rounded(value: float, digits: int, up: int) -> str:
