@@ -1,4 +1,9 @@
-"""Linear matrix inequalities: a solver finds a solution, which is verified with bounds on rounding errors."""
+"""Linear matrix inequalities: a solver finds a solution, which is then proved.
+
+The left side of each inequality is enclosed for the solution as it is stored: in double precision with bounds on every
+rounding, and in balls where these bounds are too wide. An inequality counts only if its enclosure is proved to be
+definite.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
+from taciturn._arrays import Array
 from taciturn._cvxpy import Minimum
 from taciturn._display import Displayed
+from taciturn._precision import precision
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError
 
-UNIT = 2.0**-53  # relative rounding error of one operation
 Square = tuple[float, int, Array]
 """The triple (weight, k, T) of a term weight · T'P_kT."""
 
@@ -71,8 +77,7 @@ class Inequalities(Displayed):
         """Return 0 if a solution provably satisfies every inequality; otherwise the largest possible violation."""
         if len(solution.scalars) and not solution.scalars.min() >= 0:
             return float("inf")
-        with np.errstate(all="ignore"):  # an overflow makes the proof fail
-            return max((_shortfall(one, solution) for one in self.listed), default=0.0)
+        return max((_shortfall(one, solution) for one in self.listed), default=0.0)
 
     def raised(self, solution: Unknowns, index: int) -> Unknowns:
         """Return a solution with one scalar increased until the scalar inequalities that contain it hold."""
@@ -80,14 +85,15 @@ class Inequalities(Displayed):
         for one in self.listed:
             weight = sum(float(S[0, 0]) for j, S in one.scalars if j == index)
             if len(one.constant) == 1 and weight > 0:
-                value, size, operations = _evaluated(one, Unknowns(solution.matrices, scalars))
-                least = float(value[0, 0]) - 8 * _gamma(operations) * float(size[0, 0])
-                scalars[index] += max(0.0, -least) / weight * (1 + 4 * UNIT)
+                value = _enclosed(Doubles, one, Unknowns(solution.matrices, scalars))
+                short = float(value.radius[0, 0] - value.middle[0, 0]) / weight
+                # the enclosure of the raised sum is wider than that of this one, by the roundings of the added part
+                scalars[index] += max(0.0, short) * (1 + 16 * UNIT) + 4 * UNIT * float(scalars[index])
         return Unknowns(solution.matrices, scalars)
 
     def value(self, position: int, solution: Unknowns) -> Array:
         """Return the left-hand side of an inequality, computed for a given solution."""
-        return _evaluated(self.listed[position], solution)[0]
+        return _enclosed(Doubles, self.listed[position], solution).middle
 
     @property
     def signed(self) -> range:
@@ -150,42 +156,32 @@ class Widest:
 
 
 def _shortfall(one: Inequality, solution: Unknowns) -> float:
-    """Return 0 if the inequality provably holds; otherwise how far its least eigenvalue may be below 0.
+    """Return 0 if the inequality is proved; otherwise how far its least eigenvalue may be below 0."""
+    with np.errstate(all="ignore"):
+        try:
+            value = _enclosed(Doubles, one, solution)
+        except UnprovedError:
+            return float("inf")
+    if value.definite():
+        return 0.0
+    least, width = float(np.linalg.eigvalsh(value.middle)[0]), float(value.radius.sum(axis=1).max())
+    if least > -width:  # rounding could explain the violation
+        with precision(PRECISIONS[0]):
+            if _enclosed(Balls, one, solution).definite():
+                return 0.0
+    return max(width - least, float(np.finfo(np.float64).tiny))
 
-    Every entry is computed with at most k operations, so its error is at most γ = ku/(1 − ku) times the sum of the
-    absolute values of its terms. This bounds the norm of the error. The bound, and γ_{n+1}/(1 − γ_{n+1}) times the
-    trace, are subtracted from the diagonal. If a Cholesky factorisation then succeeds, the inequality is proved
-    [rump2006].
+
+def _enclosed(arithmetic: type[E], one: Inequality, solution: Unknowns) -> E:
+    """Return an enclosure of the left side of an inequality for a solution.
+
+    Raises:
+        UnprovedError: a number exceeds the range of doubles.
     """
-    value, size, terms = _evaluated(one, solution)
-    if not np.isfinite(size).all():
-        return float("inf")
-    n = len(value)
-    rounding = 2 * _gamma(terms) * float(size.sum(axis=1).max(initial=0.0))  # 2: includes the rounding of ``size``
-    factoring = 2 * _gamma(n + 2) * (float(np.abs(np.diag(value)).sum()) + n * rounding)
-    allowance = rounding + factoring + np.finfo(np.float64).tiny
-    try:
-        np.linalg.cholesky(value - allowance * np.eye(n))
-    except np.linalg.LinAlgError:
-        least = float(np.linalg.eigvalsh(value)[0])
-        return max(allowance - least, np.finfo(np.float64).tiny)
-    return 0.0
-
-
-def _evaluated(one: Inequality, solution: Unknowns) -> tuple[Array, Array, int]:
-    """Return the left side, the sum of the absolute values of its terms, and the number of operations per entry."""
-    value, size, terms = np.array(one.constant), np.abs(one.constant), 1
+    value = arithmetic.exact(one.constant)
     for weight, k, T in one.squares:
-        P = solution.matrices[k]
-        value += weight * (T.T @ P @ T)
-        size += abs(weight) * (np.abs(T).T @ np.abs(P) @ np.abs(T))
-        terms += 2 * len(P) + 2
+        turned = arithmetic.exact(T)
+        value = value + (turned.T @ arithmetic.exact(solution.matrices[k]) @ turned).times(weight)
     for j, S in one.scalars:
-        value += solution.scalars[j] * S
-        size += solution.scalars[j] * np.abs(S)
-        terms += 2
-    return symmetrised(value), size, terms
-
-
-def _gamma(operations: int) -> float:
-    return operations * UNIT / (1 - operations * UNIT)
+        value = value + arithmetic.exact(S).times(float(solution.scalars[j]))
+    return value.symmetric()
