@@ -7,7 +7,10 @@ from flint import fmpq_mat
 from taciturn import ContinuousPlant, Cost, UnstableError, design
 from taciturn._exact_modes import Limit, Lost, modes_of, unmoved
 from taciturn._rational import rational
+from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.riccati import regulate
 from taciturn.lqg.structure import unpaid
 
 CIRCLE, AXIS = Limit(False), Limit(True)
@@ -107,3 +110,43 @@ def test_the_plant_before_it_was_sampled_gives_the_reason():
     both = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     with pytest.raises(UnstableError, match=r"A has the eigenvalue 0\+1i, which is uncontrollable.*imaginary axis"):
         design.all_time(ContinuousPlant(both, [[0.0], [0.0], [1.0]], np.eye(3)), Cost(np.eye(3), [[1.0]]), period=0.3)
+
+
+UNTOUCHED = [(1 + 2.0**-26, "refused"), (1.0, 0.5), (1 - 2.0**-26, 1 - 2.0**-26), (1 - 2.0**-48, 1 - 2.0**-48)]
+
+
+@pytest.mark.parametrize(("mode", "slowest"), UNTOUCHED)
+def test_a_block_that_nothing_touches_is_left_out_unless_it_grows(mode: float, slowest: float | str):
+    """Next to a state with an input and a cost, in whole-number coordinates; so is the dual of the filter."""
+    U, inverse = np.array([[2.0, 1.0], [1.0, 1.0]]), np.array([[1.0, -1.0], [-1.0, 2.0]])
+    A = np.diag([0.0, 0.0, 1.2])
+    A[:2, :2] = U @ np.diag([mode, 0.5]) @ inverse
+    B = np.array([[0.0], [0.0], [1.0]])
+    given = A, B, np.diag([0.0, 0.0, 1.0]), np.eye(1), np.zeros((3, 1))
+    if slowest == "refused":
+        with pytest.raises(UnstableError, match="uncontrollable through B; expected"):
+            regulate(*given)
+        with pytest.raises(UnstableError, match="which C does not observe; expected"):
+            steady_filter(A.T, B.T, given[2], given[3])
+        return
+    found = regulate(*given)
+    assert not found.L[0, :2].any()
+    assert found.slowest == pytest.approx(slowest, abs=1e-15)
+
+
+def test_states_measured_without_noise_need_a_gain_that_a_double_holds():
+    """Two outputs that are nearly equal show two fast modes; the rounded inverse leaves a growing error."""
+    with pytest.raises(UnstableError, match="more digits than a double holds"):
+        steady_filter(np.diag([1e4, 3e4]), [[1, 1], [1, 1 + 1e-14]], np.eye(2), np.zeros((2, 2)))
+    found = steady_filter(np.diag([2.0, 3.0]), [[1, 1], [1, 2]], np.eye(2), np.zeros((2, 2)))
+    assert found.slowest < 1e-14
+
+
+def test_a_sum_is_called_divergent_only_if_it_diverges():
+    """A Jordan block in whole-number coordinates, whose computed eigenvalues scatter across the circle."""
+    lower = np.tril(np.ones((6, 6)))
+    U, inverse = lower @ lower.T, np.round(np.linalg.inv(lower @ lower.T))
+    for distance, said in ((2.0**-8, "F is stable"), (-(2.0**-8), "so the sum .* diverges")):
+        F = U @ (np.diag(np.full(6, 1 - distance)) + np.diag(np.ones(5), 1)) @ inverse
+        with pytest.raises(UnstableError, match=said):
+            accumulate(F, np.eye(6))

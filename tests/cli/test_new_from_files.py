@@ -193,6 +193,9 @@ def test_a_system_object_beside_its_matrices_is_ignored(run: Run) -> None:
     [
         ({"W": None, "R": None, "dt": None}, "plant.npz lacks W, R, dt (or Ts; 0 for continuous time); expected"),
         ({"D": [[0.5], [0.5]]}, "plant.npz: D has shape (2, 1); expected (1, 1) = (outputs, inputs)"),
+        ({"D": [[0.0, 0.0, 0.0]]}, "plant.npz: D has shape (1, 3); expected (1, 1) = (outputs, inputs)"),
+        ({"E": np.eye(3)}, "plant.npz: E has shape (3, 3); expected (2, 2) = (states, states)"),
+        ({"C": None, "D": [[0.5]]}, "plant.npz has D and no C; expected C, as a direct feedthrough adds to measured"),
         ({"Phi_w": 1.0}, "plant.npz has W and Phi_w; expected only one of them, since both specify W"),
         ({"dt": None, "Ts": -1.0}, "the time base in plant.npz is -1; expected the seconds per step, or 0 for a"),
         ({"dt": [0.1, 0.2]}, "the time base in plant.npz is an array of shape (2,); expected the seconds per step"),

@@ -168,7 +168,7 @@ class Discrete(Displayed):
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
-        return worth_of(self.quadratic).resting if self.followed is None else self.followed.states
+        return worth_of(self.quadratic, rounded=self.sampled).resting if self.followed is None else self.followed.states
 
     @property
     def quadratic(self) -> Quadratic:

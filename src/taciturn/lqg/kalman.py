@@ -12,11 +12,13 @@ from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import mode_text, radius, root
+from taciturn._precision import precision
 from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
-from taciturn.lqg.enclosures import E, UnprovedError
+from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError
 from taciturn.lqg.intervals import Exact
+from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.quadratic import Quadratic, price
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.structure import closure, free_inputs, unpaid, worth_of
@@ -273,13 +275,16 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
 
 def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Filter:
     n, p = A.shape[0], C.shape[0]
-    if not V.any() and np.linalg.matrix_rank(C) == n:
-        gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
-        none, slowest = np.zeros((n, n)), radius(A - A @ gain @ C)
+    if not V.any() and rational(C).rank() == n:
+        gain, slowest = np.eye(n), 0.0
+        if not np.array_equal(C, gain):
+            gain = np.asarray(np.linalg.pinv(C), dtype=np.float64)
+            slowest = _slowest_stored(A, gain, C)
+        none = np.zeros((n, n))
         return _frozen(Filter(W, none, gain, C @ W @ C.T, none, slowest))
     given = _dual(A, C, W, V)
     if not W.any() and not V.any():  # nothing is random: the gain is computed as for noise on all states and outputs
-        moving = ~worth_of(given).resting
+        moving = ~worth_of(given, rounded=exact is not None).resting
         noisy = _dual(A, C, np.diag(moving.astype(np.float64)), np.eye(p))
         unit = _filter(*exactly(noisy), noisy, Limit(False))
         none = np.zeros((n, n))
@@ -308,6 +313,22 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
     return _frozen(found)
 
 
+def _slowest_stored(A: Array, gain: Array, C: Array) -> float:
+    """Return the modulus of the slowest mode of the errors A(I − gain C), for the gain as it is stored.
+
+    Raises:
+        UnstableError: the rounding of the gain makes the errors grow.
+    """
+    with precision(PRECISIONS[0]):
+        rest = Balls.exact(np.eye(len(A))) - Balls.exact(gain) @ Balls.exact(C)
+        loop = Balls.exact(A) @ rest
+        try:
+            ranked(Balls, loop, np.ones(len(A)))
+        except UnprovedError:
+            raise not_held("filter", A) from None
+        return radius(loop.middle)
+
+
 def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
     """Return the regulator problem whose cost-to-go is the covariance of the filter's prediction."""
     return Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape))
@@ -319,7 +340,7 @@ def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, s
     try:
         found = Problem(given, recipe, sampled=sampled, dual=True).solve()
     except UnprovedError as error:
-        _refuse(before.among(worth_of(given).states), limit)
+        _refuse(before.among(worth_of(given, rounded=sampled).states), limit)
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
             f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"

@@ -11,8 +11,10 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike
-from taciturn._modes import COST_ERROR, eigenvalues, mode_text, radius, summed
+from taciturn._exact_modes import Limit, modes_of
+from taciturn._modes import COST_ERROR, mode_text, radius, summed
 from taciturn._precision import precision
+from taciturn._rational import rational
 from taciturn.errors import UnstableError
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError
 from taciturn.lqg.structure import closure
@@ -46,9 +48,15 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
     F = _arrays.square("F", F)
     W = _arrays.symmetric("W", W, F.shape[0])
     if radius(F) >= 1:
+        lasting = modes_of(rational(F), Limit(False)).lasting
+        if lasting.size:
+            raise UnstableError(
+                f"F has the eigenvalue {mode_text(complex(lasting[0]))}, so the sum Σ F^k W F'^k diverges; expected "
+                "all eigenvalues inside the unit circle: stabilise the loop first"
+            )
         raise UnstableError(
-            f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}, so the sum Σ F^k W F'^k diverges; expected "
-            "all eigenvalues inside the unit circle: stabilise the loop first"
+            "F is stable, but rounding its entries can make it unstable, so the sum Σ F^k W F'^k is not proved; "
+            "expected a larger stability margin"
         )
     return _arrays.frozen(stationary(F, W))
 

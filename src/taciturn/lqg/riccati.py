@@ -324,7 +324,7 @@ def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
         given: its matrices before sampling and discount, which are known exactly.
         limit: the edge of the modes that decay, or whose growth the discount outweighs.
     """
-    seen = given.among(worth_of(problem.given, problem.continuous).states)
+    seen = given.among(worth_of(problem.given, problem.continuous, problem.sampled).states)
     lost = unmoved(seen.A, seen.B, limit)
     _refuse_unmoved(lost, limit)
     if limit.continuous and not is_definite(given.R):

@@ -145,7 +145,7 @@ class Problem(Displayed):
         Raises:
             UnprovedError: no stabilising solution was proved at any precision.
         """
-        worth = worth_of(self.given, self.continuous)
+        worth = worth_of(self.given, self.continuous, self.sampled)
         if worth.states.all():
             return self._solved()
         found, states, n = self.among(worth.states)._solved(), worth.states, len(worth.states)

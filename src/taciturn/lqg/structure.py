@@ -20,14 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from flint import fmpq_mat
 
-from taciturn._arrays import Bits
+from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._exact_modes import NONE, Limit, Lost, modes_of
 from taciturn._modes import SCATTER, Modes, eigenvalues
 from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
 
-MARGIN = 1e-10  # least distance to the unit circle of a mode that counts as decaying
+MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
 class Worth(NamedTuple):
@@ -46,7 +46,7 @@ class Worth(NamedTuple):
     resting: Bits
 
 
-def worth_of(given: Quadratic, continuous: bool = False) -> Worth:
+def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -> Worth:
     """Return the states with a nonzero cost-to-go, and the modes of the other states.
 
     A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
@@ -56,8 +56,10 @@ def worth_of(given: Quadratic, continuous: bool = False) -> Worth:
     Args:
         given: the problem; its exact zeros determine which state affects which.
         continuous: whether time is continuous.
+        rounded: whether the doubles of the matrices are rounded, such as those of a sampled plant: the modes of several
+            states then count as marginal up to this rounding. Otherwise their modes are exact.
     """
-    nothing, margin = np.zeros(0, dtype=np.complex128), 0.0 if continuous else MARGIN
+    nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
     needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
     resting = np.zeros(len(needed), dtype=np.bool_)
@@ -66,25 +68,33 @@ def worth_of(given: Quadratic, continuous: bool = False) -> Worth:
     reached = closure((given.B != 0).any(axis=1), moved)
     leads = paths(moved.T)
     left, decaying, still = ~needed, [nothing], [nothing]
-    cycles: list[tuple[Bits, Modes]] = []
+    cycles: list[tuple[Bits, Lost]] = []
     while left.any():
         state = int(np.argmax(left))
         cycle = leads[state] & leads[:, state]
         left = left & ~cycle
-        modes = eigenvalues(given.A[np.ix_(cycle, cycle)])
+        modes = _modes_of(given.A[np.ix_(cycle, cycle)], continuous, rounded)
         cycles.append((cycle, modes))
-        highest = float((modes.real if continuous else np.abs(modes) - 1).max())
-        scatter = SCATTER if cycle.sum() > 1 else 0.0
-        if highest >= -margin and (highest > scatter or reached[cycle].any()):
+        if modes.growing.size or (modes.staying.size and reached[cycle].any()):
             needed = needed | leads[:, state]
     for cycle, modes in cycles:
         if not needed[cycle].any():
-            inside = (modes.real if continuous else np.abs(modes) - 1) < -margin
-            decaying.append(modes[inside])
-            still.append(modes[~inside])
-            if not inside.all():
+            decaying.append(modes.decaying)
+            still.append(modes.staying)
+            if modes.staying.size:
                 resting = resting | cycle
     return Worth(needed, np.concatenate(decaying), np.concatenate(still), resting)
+
+
+def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
+    """Return the modes of states that affect each other, on each side of the stability limit."""
+    if len(A) > 1 and not rounded:
+        return modes_of(rational(A), Limit(continuous))
+    modes = eigenvalues(A)
+    outside = modes.real if continuous else np.abs(modes) - 1
+    margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
+    growing, decaying = outside > scatter, outside < -margin
+    return Lost(modes[growing], modes[~growing & ~decaying], modes[decaying])
 
 
 def closure(found: Bits, leads: Bits) -> Bits:

@@ -71,10 +71,15 @@ def read_given(path: Path) -> Given:
     systems = [(name, kind) for name, kind in foreign.items() if kind in SYSTEMS]
     if systems and "A" not in found:
         raise ProblemError(_only_matlab(path, *systems[0]))
-    if "D" in found and not found["D"].any():
-        del found["D"]
-    if "E" in found and descriptor_of(found) is None:
+    A, B = (np.atleast_2d(found.get(name, np.zeros((0, 0)))) for name in "AB")
+    if "D" in found and not found["D"].any():  # of the right size, or empty
+        outputs = len(np.atleast_2d(found["C"])) if "C" in found else len(A)
+        if not found["D"].size or found["D"].size == outputs * B.shape[1]:
+            del found["D"]
+    if "E" in found and descriptor_of(found) is None and found["E"].size in (0, len(A) ** 2):
         del found["E"]
+    if "D" in found and "C" not in found:
+        raise ProblemError(f"{path} has D and no C; expected C, as a direct feedthrough adds to measured outputs")
     changes = {name: _expect_array(path, name, held[name]) for name in DELAYS if name in held}
     refuse_delays(str(path), changes)
     known = {name for names in NAMES.values() for name in names} | set(changes)
@@ -133,6 +138,7 @@ def _step(path: Path, value: npt.NDArray[Any]) -> float:
     if not step >= 0:
         shown = f"{step:g}" if value.size == 1 else f"an array of shape {value.shape}"
         raise ProblemError(
-            f"the time base in {path} is {shown}; expected the seconds per step, or 0 for a continuous plant"
+            f"the time base in {path} is {shown}; expected the seconds per step, or 0 for a continuous plant; "
+            "leave it out for steps of unknown length"
         )
     return step

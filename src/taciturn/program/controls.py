@@ -48,8 +48,11 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``."""
+    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``.
+
+    Its states are those of ``lean``, entry by entry, so that a run may go on with it.
+    """
     remembered = {Entry(state.name, state.index) for state in lean.states}
     controls = [name for name in program.sums if isinstance(name, Control)]
     fit = {name for name in controls if isinstance(name.other, int) or name.other in remembered}
-    return program.keep({*lean.sums, *fit}, states={state.name for state in lean.states})
+    return program.keep({*lean.sums, *fit})
