@@ -23,10 +23,12 @@ from flint import fmpq_mat
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._exact_modes import NONE, Limit, Lost, modes_of
-from taciturn._modes import SCATTER, Modes, eigenvalues
+from taciturn._modes import SCATTER, Modes, eigenvalues, pace
 from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
 
+ROUNDINGS = 4  # of the entries of a matrix per state, by which doubles may be those of a marginal mode
+UNIT = 2.0**-53  # largest relative error of one rounding
 MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
@@ -89,7 +91,13 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -
 def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     """Return the modes of states that affect each other, on each side of the stability limit."""
     if len(A) > 1 and not rounded:
-        return modes_of(rational(A), Limit(continuous))
+        found = modes_of(rational(A), Limit(continuous))
+        edge = ROUNDINGS * len(A) * UNIT * pace(A)  # such as the cosines and sines of an oscillator
+        out, into = (
+            np.abs(modes.real if continuous else np.abs(modes) - 1) <= edge for modes in (found.growing, found.decaying)
+        )
+        staying = np.concatenate([found.staying, found.growing[out], found.decaying[into]])
+        return Lost(found.growing[~out], staying, found.decaying[~into])
     modes = eigenvalues(A)
     outside = modes.real if continuous else np.abs(modes) - 1
     margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
