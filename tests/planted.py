@@ -61,8 +61,8 @@ DEFECTS = {
     # of designs
     "the bound at a rate counts nine tenths of what silence adds": Planted(
         "model/theory.py",
-        "return self._with_silence(self.per_silence * (1 - rate), self.pull)",
-        "return self._with_silence(0.9 * self.per_silence * (1 - rate), self.pull)",
+        "return self._with_silence(self.per_silence * (1 - rate))",
+        "return self._with_silence(0.9 * self.per_silence * (1 - rate))",
     ),
     "a threshold that is a share of the cost is 2 % too large": Planted(
         "design/bounds.py", "LARGEST_PARAMETER, closed=True) * cost", "LARGEST_PARAMETER, closed=True) * cost * 1.02"

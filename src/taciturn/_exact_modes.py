@@ -27,7 +27,7 @@ from flint import acb, arb, fmpq, fmpq_mat, fmpq_poly
 from taciturn._arrays import Array
 from taciturn._modes import Modes
 from taciturn._precision import precision
-from taciturn._rational import above, basis, beside, lines, pivots, rational, reaches_all
+from taciturn._rational import basis, beside, lines, pivots, rational, reaches_all
 
 BITS = 128  # first precision of the roots; it doubles until the limit separates them
 
@@ -116,14 +116,11 @@ def unmoved(A: Array, B: Array, limit: Limit) -> Lost:
         B: (n, m) input matrix.
         limit: the edge of the modes that count as decaying.
     """
-    return NONE if not len(A) or reaches_all(A, B) else unmoved_by(rational(A), rational(B), limit)
-
-
-def unmoved_by(A: fmpq_mat, B: fmpq_mat, limit: Limit) -> Lost:
-    """Return the modes of A that the input through B does not move, for matrices of rational numbers."""
-    reached = basis(B)
+    if not len(A) or reaches_all(A, B):
+        return NONE
+    F, reached = rational(A), basis(rational(B))
     while True:
-        larger = basis(beside(reached, A * reached))
+        larger = basis(beside(reached, F * reached))
         if larger.ncols() == reached.ncols():
             break
         reached = larger
@@ -132,21 +129,16 @@ def unmoved_by(A: fmpq_mat, B: fmpq_mat, limit: Limit) -> Lost:
     rest, kept = np.flatnonzero(~inside).tolist(), np.flatnonzero(inside).tolist()
     if not rest:
         return NONE
-    late = _rows(A.transpose(), rest).transpose()
-    quotient = _rows(late, rest)
+    late = lines(F.transpose(), rest).transpose()
+    quotient = lines(late, rest)
     if kept:
-        quotient = quotient - _rows(reached, rest) * _rows(late, kept)
+        quotient = quotient - lines(reached, rest) * lines(late, kept)
     return modes_of(quotient, limit)
 
 
 def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
     """Return all modes of a matrix of rational numbers."""
     return _split(A.charpoly(), limit)
-
-
-def _rows(matrix: fmpq_mat, chosen: list[int]) -> fmpq_mat:
-    picked = [lines(matrix, range(i, i + 1)) for i in chosen]
-    return above(*picked) if picked else fmpq_mat(0, matrix.ncols())
 
 
 def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:

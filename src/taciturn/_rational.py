@@ -5,6 +5,8 @@ A double is a rational number. So whether an input moves a mode of a plant is a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from flint import fmpq, fmpq_mat, fmpz_mat, nmod_mat
 
@@ -71,7 +73,7 @@ def beside(*parts: fmpq_mat) -> fmpq_mat:
     return above(*(part.transpose() for part in parts)).transpose()
 
 
-def lines(matrix: fmpq_mat, rows: range) -> fmpq_mat:
+def lines(matrix: fmpq_mat, rows: Sequence[int]) -> fmpq_mat:
     """Return some rows of a matrix."""
     return fmpq_mat(len(rows), matrix.ncols(), [matrix[i, j] for i in rows for j in range(matrix.ncols())])
 

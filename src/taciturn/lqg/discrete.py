@@ -233,10 +233,7 @@ class Discrete(Displayed):
 
 
 def discretise(
-    plant: Plant | ContinuousPlant,
-    cost: Cost,
-    period: float | None,
-    prediction: Prediction | None = None,
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
 ) -> Discrete:
     """Return the discrete-time control problem of a plant and a cost; a continuous plant is sampled exactly.
 
@@ -339,15 +336,7 @@ def _with_feedthrough(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
 ) -> Discrete:
     """Return the problem of a plant with registers of the inputs that its outputs show."""
-    refused = {
-        "the actuator predicts between sampling instants; expected a held input": prediction is not None,
-        "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
-        and plant.jumps is not None,
-    }
-    for got in (got for got, given in refused.items() if given):
-        raise ProblemError(f"the outputs have a direct feedthrough D, and {got}")
-    alone = copy(plant)
-    object.__setattr__(alone, "D", None)
+    alone = _without("D", plant, "the outputs have a direct feedthrough D", prediction, {})
     return with_registers(discretise(alone, cost, period), plant)
 
 
@@ -365,12 +354,35 @@ def _with_exosystem(
         "the cost has a horizon; expected an average cost": cost.horizon is not None,
         "the cost is discounted; expected an average cost": cost.discount < 1,
         "the full state is measured without noise; expected C and V": plant.full_state,
+    }
+    alone = _without("exosystem", plant, "disturbances or set-points are given", prediction, refused)
+    return joined(discretise(alone, cost, period), plant, exosystem)
+
+
+def _without(
+    part: str,
+    plant: Plant | ContinuousPlant,
+    given: str,
+    prediction: Prediction | None,
+    refused: Mapping[str, bool],
+) -> Plant | ContinuousPlant:
+    """Return a plant without a part whose states are added to those of its problem, or refuse what these cannot have.
+
+    Args:
+        part: name of the attribute.
+        plant: the plant.
+        given: what the message says of the part.
+        prediction: the model of an actuator that predicts, which is refused, as jumps are.
+        refused: further reasons with their remedies, and whether they hold.
+    """
+    refused = {
+        **refused,
         "the actuator predicts between sampling instants; expected a held input": prediction is not None,
         "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
         and plant.jumps is not None,
     }
-    for got in (got for got, given in refused.items() if given):
-        raise ProblemError(f"disturbances or set-points are given, and {got}")
+    for got in (got for got, holds in refused.items() if holds):
+        raise ProblemError(f"{given}, and {got}")
     alone = copy(plant)
-    object.__setattr__(alone, "exosystem", None)
-    return joined(discretise(alone, cost, period), plant, exosystem)
+    object.__setattr__(alone, part, None)
+    return alone

@@ -13,7 +13,7 @@ from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import mode_text, radius, root
 from taciturn._precision import precision
-from taciturn._rational import is_semidefinite, rational
+from taciturn._rational import rational
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError
@@ -21,7 +21,7 @@ from taciturn.lqg.intervals import Exact
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.quadratic import Quadratic, price
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import closure, free_inputs, unpaid, worth_of
+from taciturn.lqg.structure import closure, unpaid, worth_of
 from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding
@@ -376,14 +376,7 @@ def _refuse(seen: Quadratic, limit: Limit) -> None:
             f"(A, C) detectable: every eigenvalue on or outside {limit} must be observable; add a sensor, or remove "
             "the state of this mode from the problem"
         )
-    noisy = is_definite(seen.R)
-    if limit.continuous and not noisy:
-        return
-    weight = block_diagonal(seen.Q, seen.R)
-    rows = rational(weight if is_semidefinite(weight) else root(weight).T)
-    if not noisy and free_inputs(seen, rows) is not None:
-        return
-    still = unpaid(seen, rows, limit).staying
+    noisy, still = is_definite(seen.R), unpaid(seen, limit).staying
     if still.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(still[0]))} on {limit}, which the noise W does not reach, so the "

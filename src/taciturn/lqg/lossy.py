@@ -261,7 +261,7 @@ def _proved(
     own, both = exact(K), exact(T)
     for _ in range(CORRECTIONS):
         L = lossy_step(here.A, here.B, here.Q, here.R, own.middle, (both - own).middle, channel)[2]
-        loop, step = _loop(here.A, here.B, L, channel), Step(A, B, Q, R, exact(L), channel)
+        loop, step = _loop(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
         try:
             missed = step.missed(own, both)
             own, both = (
@@ -290,7 +290,7 @@ def _proved(
     return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
 
 
-class Step(NamedTuple, Generic[E]):
+class LossyStep(NamedTuple, Generic[E]):
     """Enclosures of a problem and a gain over lossy links: how one step changes the pairs of weights (K, T)."""
 
     A: E

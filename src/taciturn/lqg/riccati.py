@@ -10,9 +10,8 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, Lost, unmoved
-from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, root, uncontrollable_modes
+from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, uncontrollable_modes
 from taciturn._progress import check_time
-from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg._followed import followed
@@ -21,7 +20,7 @@ from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.intervals import Exact, Source
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import free_inputs, unpaid, worth_of
+from taciturn.lqg.structure import unpaid, worth_of
 
 __all__ = [
     "FiniteRegulator",
@@ -325,15 +324,8 @@ def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
         limit: the edge of the modes that decay, or whose growth the discount outweighs.
     """
     seen = given.among(worth_of(problem.given, problem.continuous, problem.sampled).states)
-    lost = unmoved(seen.A, seen.B, limit)
-    _refuse_unmoved(lost, limit)
-    if limit.continuous and not is_definite(given.R):
-        return  # free inputs move the state at once, but not an input that is held
-    weight = np.block([[seen.Q, seen.N], [seen.N.T, seen.R]])
-    rows = rational(weight if is_semidefinite(weight) else root(weight).T)
-    definite = is_definite(given.R)
-    if definite or free_inputs(seen, rows) is None:
-        _refuse_unpaid(unpaid(seen, rows, limit).staying, limit, definite)
+    _refuse_unmoved(unmoved(seen.A, seen.B, limit), limit)
+    _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
 
 
 def _refuse_unmoved(lost: Lost, limit: Limit) -> None:

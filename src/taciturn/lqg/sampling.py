@@ -146,18 +146,14 @@ def sample_prediction(
     given = None if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
     period, units = _arrays.number("period", period, 0.0), np.tile(balancing(A), 2)
 
-    return sampled(_Predicted(A, B, Q, R, N, W, L, given, period, units), 2 * n)
+    return sampled(_Predicted(Quadratic(A, B, Q, R, N), W, L, given, period, units), 2 * n)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Predicted(Displayed):
     """The problem of :func:`sample_prediction`, with the units of state and predicted state."""
 
-    A: Array
-    B: Array
-    Q: Array
-    R: Array
-    N: Array
+    given: Quadratic
     W: Array
     L: Array
     model: Array | None
@@ -166,8 +162,8 @@ class _Predicted(Displayed):
 
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
         """Return enclosures of the problem."""
-        exact, n = arithmetic.exact, len(self.A)
-        a, b, q, r, cross, gain = (exact(part) for part in (self.A, self.B, self.Q, self.R, self.N, self.L))
+        exact, n = arithmetic.exact, len(self.W)
+        a, b, q, r, cross, gain = (exact(part) for part in (*self.given, self.L))
         model = a + b @ gain if self.model is None else exact(self.model)
         F = block([[a, b @ gain], [exact(np.zeros((n, n))), model]])
         across = cross @ gain

@@ -185,9 +185,8 @@ class Problem(Displayed):
             return self._without(free)
         try:
             return self._proved(PRECISIONS[1:], False)
-        except (
-            UnprovedError
-        ):  # such as a weight of low rank that is only semidefinite up to the rounding of its entries
+        except UnprovedError:
+            # A weight of low rank may be semidefinite only up to the rounding of its entries.
             rows = root(weight).T  # its square may have a solution although a semidefinite weight itself has none
             if len(rows) == len(weight) or (not self.sampled and is_semidefinite(weight)):
                 raise

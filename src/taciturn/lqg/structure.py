@@ -20,15 +20,14 @@ from typing import NamedTuple
 import numpy as np
 from flint import fmpq_mat
 
-from taciturn._arrays import Array, Bits
+from taciturn._arrays import Array, Bits, is_definite
 from taciturn._display import Displayed
 from taciturn._exact_modes import NONE, Limit, Lost, modes_of
-from taciturn._modes import SCATTER, Modes, eigenvalues, pace
-from taciturn._rational import above, basis, beside, kernel, lines, pivots, rational, right_inverse
+from taciturn._modes import ROUNDOFF, SCATTER, Modes, eigenvalues, pace, root
+from taciturn._rational import above, basis, beside, is_semidefinite, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
 
 ROUNDINGS = 4  # of the entries of a matrix per state, by which doubles may be those of a marginal mode
-UNIT = 2.0**-53  # largest relative error of one rounding
 MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
@@ -92,7 +91,7 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     """Return the modes of states that affect each other, on each side of the stability limit."""
     if len(A) > 1 and not rounded:
         found = modes_of(rational(A), Limit(continuous))
-        edge = ROUNDINGS * len(A) * UNIT * pace(A)  # such as the cosines and sines of an oscillator
+        edge = ROUNDINGS * len(A) * ROUNDOFF * pace(A)  # such as the cosines and sines of an oscillator
         out, into = (
             np.abs(modes.real if continuous else np.abs(modes) - 1) <= edge for modes in (found.growing, found.decaying)
         )
@@ -152,18 +151,23 @@ class Free(Displayed):
     others: Bits
 
 
-def unpaid(given: Quadratic, rows: fmpq_mat, limit: Limit) -> Lost:
-    """Return the modes along which inputs can keep the state moving at no cost, for a problem without free inputs.
+def unpaid(given: Quadratic, limit: Limit) -> Lost:
+    """Return the modes along which inputs can keep the state moving at no cost; none are known with free inputs.
 
     They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
     invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an optimal
     gain has them, mirrored into the region of decay. So none of them may lie on its edge.
 
     Args:
-        given: the problem, of which A and B are used.
-        rows: combinations of states and inputs that are zero if and only if these cost nothing, (any, n + m).
+        given: the problem, as it was before sampling; its weights are semidefinite, at least up to rounding.
         limit: the edge of the modes that count as decaying.
     """
+    definite, weight = is_definite(given.R), np.block([[given.Q, given.N], [given.N.T, given.R]])
+    if limit.continuous and not definite:
+        return NONE  # free inputs move the state at once, but not an input that is held
+    rows = rational(weight if is_semidefinite(weight) else root(weight).T)
+    if not definite and free_inputs(given, rows) is not None:
+        return NONE
     safe, A, B, state, push = _kept_for_nothing(given, rows)
     r = safe.ncols()
     if not r:

@@ -39,9 +39,9 @@ def plant_from(
 
     A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
     Plant. A feedthrough D is read as that of the input in the step before, y_k = C x_k + D û_{k−1}, because a sensor
-    samples before the input changes; the results of such a plant contain a note that says so. In scipy, ``dt=None``
-    means continuous time; python-control's ``dt=None`` (unspecified) is rejected. If the
-    system has a matrix E, as MATLAB's descriptor systems, W is the covariance of the noise in the equation of E.
+    samples before the input changes; a note of its results says this. In scipy, ``dt=None`` means continuous time;
+    python-control's ``dt=None`` (unspecified) is rejected. If the system has a matrix E, as MATLAB's descriptor
+    systems, W is the covariance of the noise in the equation of E.
 
     Args:
         system: an object with attributes A, B, C, D and dt, or with a method ``to_ss`` that returns such an object.

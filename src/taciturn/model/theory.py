@@ -12,6 +12,7 @@ import numpy as np
 
 from taciturn._arrays import Array, quoted
 from taciturn._display import Displayed
+from taciturn._modes import ROUNDOFF
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY
@@ -19,7 +20,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.steps import Terms
 from taciturn.model.trigger import Form
 
-OPERATIONS = 16 * 2.0**-53  # relative rounding error of sixteen operations
+OPERATIONS = 16 * ROUNDOFF  # relative rounding error of sixteen operations
 INNOVATION = "innovation"  # name of the signal y − (prediction of y) in the filters of the designs
 
 
@@ -90,18 +91,18 @@ class Guarantee(Displayed):
             shares = self.weights or {link: 1.0}
             rate = sum(share * values[name] for name, share in shares.items())
             error = sum(share * rates[name].standard_error for name, share in shares.items())
-            bound = self._with_silence(self.per_silence * (1 - rate), self.pull)
-            later = self._with_silence(self.per_silence * (1 - rate + error), self.pull)
+            bound = self._with_silence(self.per_silence * (1 - rate))
+            later = self._with_silence(self.per_silence * (1 - rate + error))
             return Estimate(bound, abs(later - bound), rates[link].method)
         bound = self._of(values)
         less = {name: values[name] - rate.standard_error for name, rate in rates.items()}
         moved = [self._of({**values, name: lower}) - bound for name, lower in less.items()]
         return Estimate(bound, float(np.linalg.norm(moved)), rates[link].method)
 
-    def _with_silence(self, added: float, pull: float) -> float:
+    def _with_silence(self, added: float) -> float:
         """Return the bound for what silence adds, rounded upwards if it is proved."""
         assert self.base is not None, "only such a bound depends on the rate"
-        bound = with_silence(self.base, added, pull)
+        bound = with_silence(self.base, added, self.pull)
         return rounded_up(bound) if self.proved else bound
 
     def _of(self, rates: Mapping[str, float]) -> float:
@@ -109,7 +110,7 @@ class Guarantee(Displayed):
         assert self.base is not None
         silent = {group: min(1.0, sum(1 - rates[link] for link in group)) for group in self.deciders}
         added = sum(sqrt(delta * max(silent[group], 0.0)) for group, delta in self.deciders.items()) ** 2
-        return self._with_silence(added, self.pull)
+        return self._with_silence(added)
 
     def at_rate(self, rate: float) -> float | None:
         """Return the bound base + per_silence·(1 − rate) at a rate in sends per step.
@@ -118,7 +119,7 @@ class Guarantee(Displayed):
         """
         if self.base is None or self.deciders:
             return None
-        return self._with_silence(self.per_silence * (1 - rate), self.pull)
+        return self._with_silence(self.per_silence * (1 - rate))
 
 
 def with_silence(base: float, added: float, pull: float) -> float:
