@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -11,10 +13,32 @@ from hypothesis import strategies as st
 
 from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.kalman import predict_covariances, riccati_step, steady_filter
+from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.queries import Predictor, follow_every_query
 from taciturn.lqg.riccati import regulate
+from taciturn.model.plant import Plant
 
 seeds = st.integers(0, 2**32 - 1)
+
+
+def plant_of(A, C, W, V):
+    """Return a plant whose inputs move every state."""
+    return Plant(A, np.eye(len(A)), W, C, V)
+
+
+def riccati_step(A, C, W, V, Sigma):
+    """Return the covariance of the next prediction."""
+    predictor = Predictor(plant_of(A, C, W, V))
+    return predictor.queried(Sigma, predictor.gain(Sigma))
+
+
+def predict_covariances(A, C, W, V, initial, steps):
+    """Return the covariances before and after each measurement, and the gains, for the steps 0 to ``steps``."""
+    plant = plant_of(A, C, W, V)
+    prior, _ = follow_every_query(plant, np.asarray(initial, dtype=float), steps + 1)
+    gains = Predictor(plant).correction(prior)
+    rest = np.eye(plant.states) - gains @ plant.C
+    return SimpleNamespace(prior=prior, gains=gains, posterior=rest @ prior @ rest.mT + gains @ plant.V @ gains.mT)
 
 
 def assert_consistent(found, A, C, W, V):
@@ -215,9 +239,10 @@ def test_noise_that_cancels_in_a_perfect_output_is_refused():
 
 
 def test_a_covariance_that_overflows_is_refused():
-    """An unseen growing mode gives a sentence, not inf."""
+    """A growing mode without a measurement gives a sentence, not inf."""
+    predictor = Predictor(plant_of([[1e3]], [[1.0]], [[1.0]], [[1.0]]))
     with pytest.raises(UnstableError, match="overflows"):
-        predict_covariances([[1e3]], [[0.0]], [[1.0]], [[1.0]], [[1.0]], 200)
+        predictor.follow(np.full((1, 1), 1e200), False)
 
 
 def test_a_negative_covariance_is_refused():

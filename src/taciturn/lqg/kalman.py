@@ -1,4 +1,4 @@
-"""Steady and time-varying Kalman filters, including filters for noise-free measurements."""
+"""Steady Kalman filters, including filters for noise-free measurements."""
 
 from __future__ import annotations
 
@@ -46,18 +46,6 @@ class Filter(Displayed):
     slowest: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Covariances(Displayed):
-    """Covariances and gains of a time-varying Kalman filter for the steps k = 0 … steps.
-
-    ``prior`` and ``posterior`` have shape (steps+1, n, n), ``gains`` (steps+1, n, p).
-    """
-
-    prior: Array
-    posterior: Array
-    gains: Array
-
-
 def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Filter:
     """Return the stable steady Kalman filter of the plant x⁺ = Ax + w, y = Cx + v.
 
@@ -100,86 +88,6 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
         (3.0, 0.75)
     """
     return filter_checked(*_checked(A, C, W, V))
-
-
-def predict_covariances(
-    A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, initial: ArrayLike, steps: int
-) -> Covariances:
-    """Return the covariances and gains of the time-varying Kalman filter.
-
-    Σ̃_0 = initial,  gain_k = Σ̃_kC'(CΣ̃_kC' + V)^{-1},  Σ_k = (I − gain_kC)Σ̃_k,  Σ̃_{k+1} = AΣ_kA' + W.
-    If CΣ̃C' + V is singular, the pseudo-inverse replaces the inverse.
-
-    Args:
-        A: (n, n) dynamics.
-        C: (p, n) output matrix.
-        W: (n, n) semidefinite covariance of the process noise.
-        V: (p, p) semidefinite covariance of the measurement noise.
-        initial: (n, n) semidefinite covariance of the state before the first measurement.
-        steps: last time index, at least 0.
-
-    Returns:
-        Prior Σ̃_k, posterior Σ_k and gains for k = 0 … steps.
-
-    Raises:
-        ProblemError: data of the wrong shape, or a covariance is not semidefinite.
-        UnstableError: the covariance overflows, because of an unobservable unstable mode and many steps.
-
-    Source: anderson1990optimal
-
-    Example:
-        >>> found = predict_covariances([[1.0]], [[1.0]], [[0.0]], [[1.0]], [[1.0]], 3)
-        >>> (1 / found.posterior[:, 0, 0]).round(9).tolist()
-        [2.0, 3.0, 4.0, 5.0]
-    """
-    A, C, W, V = _checked(A, C, W, V)
-    n, p = A.shape[0], C.shape[0]
-    Sigma = _arrays.semidefinite("initial", initial, n, "states × states")
-    size = _arrays.count("steps", steps, 0) + 1
-    prior, posterior, gains = np.zeros((size, n, n)), np.zeros((size, n, n)), np.zeros((size, n, p))
-    for k in range(size):
-        prior[k] = Sigma
-        gains[k] = Sigma @ C.T @ price(C.T, Sigma, V)[1]
-        posterior[k] = _posterior(Sigma, gains[k], C, V)
-        with np.errstate(over="ignore", invalid="ignore"):
-            Sigma = symmetrised(A @ posterior[k] @ A.T + W)
-            overflown = not np.isfinite(Sigma @ Sigma).all()
-        if overflown:
-            raise UnstableError(
-                f"the error covariance overflows after {k + 1} steps; expected (A, C) detectable; use fewer "
-                "steps, or add a sensor"
-            )
-    return Covariances(_arrays.frozen(prior), _arrays.frozen(posterior), _arrays.frozen(gains))
-
-
-def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: ArrayLike) -> Array:
-    """Return the predicted error covariance after one measurement and one step of the plant.
-
-    Ric(Σ) = AΣA' + W − AΣC'(CΣC' + V)^{-1}CΣA', with the pseudo-inverse if CΣC' + V is singular.
-
-    Args:
-        A: (n, n) dynamics.
-        C: (p, n) output matrix.
-        W: (n, n) semidefinite covariance of the process noise.
-        V: (p, p) semidefinite covariance of the measurement noise.
-        Sigma: (n, n) semidefinite predicted covariance.
-
-    Returns:
-        Ric(Σ), (n, n).
-
-    Raises:
-        ProblemError: data of the wrong shape, or a covariance is not semidefinite.
-
-    Source: khashooei2017, anderson1990optimal
-
-    Example:
-        >>> riccati_step([[2.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]]).tolist()
-        [[3.0]]
-    """
-    A, C, W, V = _checked(A, C, W, V)
-    Sigma = _arrays.semidefinite("Sigma", Sigma, A.shape[0], "states × states")
-    gain = Sigma @ C.T @ price(C.T, Sigma, V)[1]
-    return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
 
 
 def resting_states(plant: Plant) -> Bits:
