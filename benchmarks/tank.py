@@ -24,7 +24,7 @@ import taciturn
 from taciturn.design.certainty import design_certainty
 from taciturn.loop import EXCESS
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.kalman import steady_filter
 from taciturn.program import draws
 from taciturn.program.machine import Kernel
 from taciturn.program.names import Sent
@@ -43,7 +43,7 @@ def numbers(problem: taciturn.Problem) -> str:
     plant, L, gain = discrete.plant, certainty.regulator.L, certainty.filter.gain
     closed = plant.A + plant.B @ L
     W = plant.W + plant.B @ L @ certainty.filter.posterior @ L.T @ plant.B.T
-    local = [filter_checked(closed, plant.C[[s]], W, plant.V[[s]][:, [s]]).gain[:, 0] for s in range(plant.outputs)]
+    local = [steady_filter(closed, plant.C[[s]], W, plant.V[[s]][:, [s]]).gain[:, 0] for s in range(plant.outputs)]
     kept = [(np.eye(plant.states) - np.outer(one, plant.C[s])) @ closed for s, one in enumerate(local)]
     share = problem.parameters["theta"] * certainty.cost_all_time / 16
     arrays = {

@@ -31,7 +31,7 @@ from taciturn.design.given import send_every_sample
 from taciturn.design.kept import REMEDY, lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.program.engine import prepare
 from taciturn.program.names import Option, Sent
@@ -58,7 +58,7 @@ TABLE = {
 
 def observer(plant: Plant, cost: Cost, told: bool) -> Controller:
     """Return LQG control as a given controller; ``told``: its observer uses the applied input, not the command."""
-    steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
+    steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
     return observing(plant, regulate(plant.A, plant.B, cost.Q, cost.R, cost.N).L, steady.gain, told)
 
 

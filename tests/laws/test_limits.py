@@ -21,7 +21,7 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, Reference, close, design
 from taciturn.errors import TaciturnError
 from taciturn.export.folder import print_folder
-from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.kalman import steady_filter
 from taciturn.model.exosystem import ExternalDisturbance
 from taciturn.model.following import follow
 from taciturn.model.packets import fingerprint
@@ -75,7 +75,7 @@ def test_the_error_of_a_filter_does_not_depend_on_limits(system: System, name: s
 def test_the_covariance_of_the_error_is_that_of_the_kalman_filter() -> None:
     """Under a limit that binds half of the time; without anti-windup the error is many times larger."""
     plant = limited(PLANT, input_limit=[[-0.15, 0.1]])
-    expected = filter_checked(PLANT.A, PLANT.C, PLANT.W, PLANT.V).posterior
+    expected = steady_filter(PLANT.A, PLANT.C, PLANT.W, PLANT.V).posterior
     found = dict[str, np.ndarray]()
     for name, designed in {"told": plant, "wound up": PLANT}.items():
         loop = close(plant, design.excess(designed, COST, delta=1e-3))

@@ -16,7 +16,7 @@ from taciturn.design.kept import lqg_observer
 from taciturn.design.routes import actuator_base, sensor_base
 from taciturn.design.silence import ChannelBelief
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.kalman import steady_filter
 from taciturn.model.policy import Received
 from taciturn.program.engine import prepare
 from taciturn.program.names import Sent
@@ -94,7 +94,7 @@ def test_two_computations_of_the_value_agree(seeds: range) -> None:
 
 def assert_finite_time(plant: Plant, cost: Cost, kept: Controller, link: str, network: Network, seed: int) -> None:
     """Check J_T ≤ J_all + δ(1 − rate) + E z'P z/T from a start far from rest, with the prior of the filter."""
-    covariance = filter_checked(plant.A, plant.C, plant.W, plant.V).prior
+    covariance = steady_filter(plant.A, plant.C, plant.W, plant.V).prior
     mean = 5 * np.sqrt(np.diag(covariance))
     far = Plant(plant.A, plant.B, plant.W, plant.C, plant.V, mean=mean, covariance=covariance)
     policy, paths, steps = design.excess(far, cost, theta=0.2, controller=kept, link=link, network=network), 2000, 12

@@ -20,7 +20,7 @@ from taciturn.design.prediction import predict_continuously
 from taciturn.design.prices import price_control
 from taciturn.design.routes import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import filter_checked
+from taciturn.lqg.kalman import steady_filter
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.program.names import Sent
 from taciturn.simulation.average import average
@@ -32,7 +32,7 @@ ACTUATIONS = ("hold", "model", "zero")
 def bases(seed: int) -> tuple[Base, ...]:
     """Return the bases of a random loop, for both links: receivers that hold, predict or apply 0."""
     plant, cost, kept = random_loop(seed)
-    problem, steady = discretise(plant, cost, None), filter_checked(plant.A, plant.C, plant.W, plant.V)
+    problem, steady = discretise(plant, cost, None), steady_filter(plant.A, plant.C, plant.W, plant.V)
     held = actuator_base(problem, kept)
     zero = replace(held, candidate=np.zeros((len(held.K), len(held.silent))))
     return held, zero, predicting_actuator(problem, held, steady), sensor_base(problem, kept), (
@@ -145,7 +145,7 @@ def test_lqg_over_any_link_begins_with_the_mean_of_the_initial_state(way: dict[s
     policy, best = design.excess(free, cost, delta=0.1, **way), design.excess(free, cost, delta=0.1).cost_all_time
     assert policy.initial["next register"] == pytest.approx([5.0])
     if "network" not in way:
-        G, L = filter_checked(free.A, free.C, free.W, free.V).gain.item(), price_control(discretise(free, cost, None)).L
+        G, L = steady_filter(free.A, free.C, free.W, free.V).gain.item(), price_control(discretise(free, cost, None)).L
         both = np.array([[1.0, 0.0], [G, 1 - G]])  # from (x, prior) to (x, estimate), plus G v
         M, exact = np.full((2, 2), 25.0) + np.diag([0.5, 0.0]), 0.0
         for k in range(300):

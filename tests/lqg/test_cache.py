@@ -8,7 +8,7 @@ import pytest
 from taciturn import UnstableError
 from taciturn.lqg._cache import MOST
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.riccati import regulate, regulate_discounted
+from taciturn.lqg.riccati import regulate
 
 ONE = np.eye(1)
 
@@ -28,7 +28,7 @@ def test_other_numbers_get_another_answer() -> None:
     """The same bytes in another shape, another discount, one digit."""
     found = regulate(2 * ONE, ONE, ONE, ONE, 0 * ONE)
     assert regulate((2 + 1e-15) * ONE, ONE, ONE, ONE, 0 * ONE) is not found
-    assert regulate_discounted(2 * ONE, ONE, ONE, ONE, 0 * ONE, 0.9).L != found.L
+    assert regulate(2 * ONE, ONE, ONE, ONE, 0 * ONE, 0.9).L != found.L
     wide = regulate(2 * ONE, [[1.0, 1.0]], ONE, np.eye(2), [[0.0, 0.0]])
     assert wide.L.shape == (2, 1)
 

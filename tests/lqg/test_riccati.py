@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_are
 from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.lyapunov import accumulate
-from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_discounted, regulate_finite
+from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_finite
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -80,7 +80,7 @@ def test_the_finite_horizon_agrees_with_one_large_least_squares_problem(draw, se
 def test_the_discounted_regulator_satisfies_the_formulas_of_the_thesis(draw, seed, discount):
     """L = −(R+αB'KB)^{-1}(αB'KA+N') and K = Q + αA'KA − P, written out."""
     c = draw(seed)
-    found = regulate_discounted(c.A, c.B, c.Q, c.R, c.N, discount)
+    found = regulate(c.A, c.B, c.Q, c.R, c.N, discount)
     K = found.K
     cross, H = discount * c.A.T @ K @ c.B + c.N, c.R + discount * c.B.T @ K @ c.B
     P = cross @ np.linalg.solve(H, cross.T)
@@ -135,7 +135,7 @@ def test_an_unstable_mode_beyond_reach_is_named():
     for attempt in (
         lambda: regulate(A, B, Q, R, N),
         lambda: regulate_continuous(A, B, Q, R, N),
-        lambda: regulate_discounted(A, B, Q, R, N, 0.9),
+        lambda: regulate(A, B, Q, R, N, 0.9),
     ):
         with pytest.raises(UnstableError, match=r"A has the eigenvalue 1\.25, which is uncontrollable through B"):
             attempt()
@@ -144,7 +144,7 @@ def test_an_unstable_mode_beyond_reach_is_named():
 def test_discounting_excuses_a_slowly_growing_mode_beyond_reach():
     """With √α·|λ| < 1 the discounted cost is finite."""
     A, B = np.diag([0.5, 1.25]), [[1.0], [0.0]]
-    found = regulate_discounted(A, B, np.eye(2), [[1.0]], np.zeros((2, 1)), 0.5)
+    found = regulate(A, B, np.eye(2), [[1.0]], np.zeros((2, 1)), 0.5)
     assert found.K[1, 1] == pytest.approx(1 / (1 - 0.5 * 1.25**2))
 
 
@@ -180,7 +180,7 @@ def test_a_transposed_input_matrix_is_refused_with_a_hint():
 def test_a_discount_outside_its_range_is_refused(discount):
     """0 < α ≤ 1."""
     with pytest.raises(ProblemError, match="discount"):
-        regulate_discounted([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], discount)
+        regulate([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], discount)
 
 
 @law(8, 100, seed=seeds)
@@ -270,7 +270,7 @@ def test_a_motion_on_the_circle_without_cost_is_named(zeros, mode):
     with pytest.raises(UnstableError, match=rf"^R is singular, and inputs can move the state along the mode {mode}"):
         regulate(A, B, Q, R, N)
     with pytest.raises(UnstableError, match="on the circle of radius 1/√discount = 2 for ever without cost"):
-        regulate_discounted(*zeroed(-2.0), 0.25)
+        regulate(*zeroed(-2.0), 0.25)
 
 
 def test_near_the_circle_the_solution_is_found():

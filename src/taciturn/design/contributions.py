@@ -17,7 +17,7 @@ from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
 from taciturn.design.estimation import ESTIMATE
-from taciturn.lqg.kalman import filter_checked, resting_states
+from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Acknowledged, Assign, Condition, Decide, Received, Send, Step, Terms
@@ -161,7 +161,7 @@ class ContributionSteps(Displayed):
         W = plant.W + moved @ self.certainty.filter.posterior @ moved.T
         C, V = plant.C[outputs], plant.V[np.ix_(outputs, outputs)]
         gain, place = np.zeros((plant.states, len(outputs))), np.ix_(~known, ~known)
-        gain[~known] = filter_checked(closed[place], C[:, ~known], W[place], V).gain
+        gain[~known] = steady_filter(closed[place], C[:, ~known], W[place], V).gain
         kept = (np.eye(plant.states) - gain @ C) @ closed
         return Assign(node, f"local_{node}", {f"local_{node}": kept, signal: gain})
 

@@ -100,7 +100,7 @@ class Discrete(Displayed):
         """Return the optimal regulator of an average or discounted cost.
 
         Raises:
-            UnstableError: no stabilising gain exists, as :func:`~taciturn.lqg.riccati.regulate_discounted` says.
+            UnstableError: no stabilising gain exists, as :func:`~taciturn.lqg.riccati.regulate` says.
         """
         own, discount = self.deviations, self.cost.discount
         if own is None:

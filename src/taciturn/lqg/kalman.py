@@ -87,7 +87,12 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
         >>> round(float(found.prior[0, 0]), 9), round(float(found.gain[0, 0]), 9)
         (3.0, 0.75)
     """
-    return filter_checked(*_checked(A, C, W, V))
+    A = _arrays.square("A", A, "states × states")
+    n = len(A)
+    C = _arrays.array("C", C, (None, n), "outputs × states")
+    W = _arrays.semidefinite("W", W, n, "states × states")
+    V = _arrays.semidefinite("V", V, C.shape[0], "outputs × outputs")
+    return filter_sampled(None, A, C, W, V, 0)
 
 
 def resting_states(plant: Plant) -> Bits:
@@ -173,12 +178,6 @@ def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, 
             found.slowest,
         )
     )
-
-
-@kept
-def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
-    """Return the steady Kalman filter, as :func:`steady_filter` does, for matrices that were already checked."""
-    return _filtered(A, C, W, V, None)
 
 
 def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Filter:
@@ -298,15 +297,3 @@ def _refuse(seen: Quadratic, limit: Limit) -> None:
 def _frozen(found: Filter) -> Filter:
     prior, posterior, error = map(_arrays.frozen, (found.prior, found.posterior, found.error))
     return Filter(prior, posterior, _arrays.frozen(found.gain), _arrays.frozen(found.innovation), error, found.slowest)
-
-
-def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    A = _arrays.square("A", A, "states × states")
-    n = len(A)
-    C = _arrays.array("C", C, (None, n), "outputs × states")
-    return (
-        A,
-        C,
-        _arrays.semidefinite("W", W, n, "states × states"),
-        _arrays.semidefinite("V", V, C.shape[0], "outputs × outputs"),
-    )

@@ -28,7 +28,6 @@ __all__ = [
     "refuse_uncertain",
     "regulate",
     "regulate_continuous",
-    "regulate_discounted",
     "regulate_finite",
     "states_with_cost",
     "uncontrollable_modes",
@@ -60,12 +59,12 @@ class FiniteRegulator(Displayed):
     H: Array
 
 
-def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Regulator:
-    """Return the gain that minimises the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu.
+def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, discount: float = 1.0) -> Regulator:
+    """Return the gain that minimises Σ α^k (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
 
-    K = Q + A'KA − L'HL,  L = −H^{-1}(B'KA + N'),  H = R + B'KB, with A + BL stable. Any other input costs
-    (u − Lx)'H(u − Lx) more. K and L are 0 along modes on the unit circle that no input affects and that do not affect
-    the cost, neither directly nor through other states.
+    K = Q + αA'KA − L'HL,  L = −H^{-1}(αB'KA + N'),  H = R + αB'KB, with √α(A + BL) stable. Any other input costs
+    (u − Lx)'H(u − Lx) more. This is the undiscounted problem of √α·A and √α·B. K and L are 0 along modes on the unit
+    circle that no input affects and that do not affect the cost, neither directly nor through other states.
 
     Args:
         A: (n, n) dynamics.
@@ -73,60 +72,28 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
         Q: (n, n) symmetric state weight; the caller must ensure that [[Q, N], [N', R]] is semidefinite.
         R: (m, m) symmetric input weight; may be singular as long as H is definite.
         N: (n, m) cross weight.
+        discount: α, 0 < α ≤ 1.
 
     Returns:
         The regulator (K, L, H); noise of covariance W costs tr(KW) per step.
 
     Raises:
-        ProblemError: data of the wrong shape, or H is singular.
-        UnstableError: an unstable mode is uncontrollable, or a mode on the unit circle affects the cost and is
+        ProblemError: data of the wrong shape or range, or H is singular.
+        UnstableError: of √α·A, an unstable mode is uncontrollable, or a mode on the unit circle affects the cost and is
             uncontrollable, or is controllable and does not affect the cost.
 
-    Source: anderson1990optimal
+    Source: anderson1990optimal, khashooei2017
 
     Example:
-        >>> found = regulate([[2.0]], [[1.0]], [[1.0]], [[2.0]], [[0.0]])
-        >>> round(float(found.L[0, 0]), 6)
-        -1.568729
+        >>> one = [[2.0]], [[1.0]], [[1.0]], [[2.0]], [[0.0]]
+        >>> round(float(regulate(*one).L[0, 0]), 6), round(float(regulate(*one, discount=0.9).L[0, 0]), 6)
+        (-1.568729, -1.522789)
     """
-    return regulate_checked(*Quadratic.checked(A, B, Q, R, N), 1.0)
-
-
-def regulate_discounted(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, discount: float
-) -> Regulator:
-    """Return the gain that minimises Σ α^k (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
-
-    L = −H^{-1}(αB'KA + N'),  H = R + αB'KB,  K = Q + αA'KA − L'HL. This is the undiscounted problem of √α·A and
-    √α·B. Only √α(A + BL) is guaranteed to be stable.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        Q: (n, n) symmetric state weight.
-        R: (m, m) symmetric input weight.
-        N: (n, m) cross weight.
-        discount: α, 0 < α ≤ 1.
-
-    Returns:
-        The regulator (K, L, H).
-
-    Raises:
-        ProblemError: data of the wrong shape or range, or H is singular.
-        UnstableError: a mode with √α·|λ| ≥ 1 is uncontrollable, or a mode with √α·|λ| = 1 does not affect the cost.
-
-    Source: khashooei2017
-
-    Example:
-        >>> found = regulate_discounted([[2.0]], [[1.0]], [[1.0]], [[2.0]], [[0.0]], 0.9)
-        >>> round(float(found.L[0, 0]), 6)
-        -1.522789
-    """
-    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
+    given = Quadratic.checked(A, B, Q, R, N)
     discount = _arrays.number("discount", discount, 0.0)
     if discount > 1:
         raise ProblemError(f"discount is {discount:g}; expected 0 < discount ≤ 1")
-    return regulate_checked(A, B, Q, R, N, discount)
+    return regulate_sampled(None, *given, discount)
 
 
 def regulate_finite(
@@ -252,37 +219,34 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 
 
 @kept
-def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float) -> Regulator:
-    """Return the regulator of :func:`regulate_discounted`, for matrices whose shapes were already checked."""
-    return _regulated(*exactly(Quadratic(A, B, Q, R, N)), discount)
-
-
-@kept
 def regulate_sampled(
     exact: Exact | None, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float
 ) -> Regulator:
     """Return the regulator of a problem that is known to any precision, whose doubles are given; or of the doubles."""
     given = Quadratic(A, B, Q, R, N)
     if exact is None:
-        return _regulated(*exactly(given), discount)
-    return _regulated(given, exact.equation, discount, True, exact.source)
+        return regulate_for(*exactly(given), discount)
+    return regulate_for(given, exact.equation, discount, True, exact.source)
 
 
-def regulate_for(given: Quadratic, recipe: Recipe) -> Regulator:
-    """Return the regulator of a problem that is known to any precision, whose doubles are given."""
-    check_time()
-    return _regulated(given, recipe, 1.0)
-
-
-def _regulated(
-    given: Quadratic, recipe: Recipe, discount: float, sampled: bool = False, source: Source | None = None
+def regulate_for(
+    given: Quadratic, recipe: Recipe, discount: float = 1.0, sampled: bool = False, source: Source | None = None
 ) -> Regulator:
-    """Return the optimal regulator, or raise an error with the reason why there is none."""
+    """Return the regulator of a problem that is known to any precision, or raise an error that says why there is none.
+
+    Args:
+        given: the problem in doubles.
+        recipe: the problem to any precision.
+        discount: α.
+        sampled: whether the recipe has more digits than the doubles.
+        source: the problem before it was sampled, if its modes are known.
+    """
+    check_time()
     root = float(np.sqrt(discount))
     scaled = given._replace(A=root * given.A, B=root * given.B)
     change = followed(scaled)
     if change is not None:  # first: such states may have modes on the unit circle, and a cost that is only rounding
-        inner = _regulated(*exactly(change.problem), 1.0)
+        inner = regulate_for(*exactly(change.problem))
         K, error = (_arrays.frozen(change.weight(part)) for part in (inner.K, inner.error))
         return Regulator(K, _arrays.frozen(change.gain(inner.L)), inner.H, error, inner.slowest)
 
