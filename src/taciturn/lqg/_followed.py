@@ -23,6 +23,7 @@ from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, eigenvalues, reach
 from taciturn.errors import ProblemError
+from taciturn.lqg.intervals import Exact
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.structure import closure, paths
 
@@ -41,20 +42,14 @@ class Followed(Displayed):
         T: matrix of the deviations (x − Xd, d) in the order of the states, (n, n).
         U: inputs that cost nothing, zero for the states x, (m, n).
         problem: the problem in the deviations, in which the states d have no cost.
+        exact: the problem in the deviations to any precision; None if its doubles are exact.
     """
 
     states: Bits
     T: Array
     U: Array
     problem: Quadratic
-
-    def gain(self, L: Array) -> Array:
-        """Return the gain of the states for a gain of the deviations."""
-        return L @ self.T + self.U
-
-    def weight(self, K: Array) -> Array:
-        """Return a weight of the states for a weight of the deviations."""
-        return self.T.T @ K @ self.T
+    exact: Exact | None = None
 
     @property
     def inputs(self) -> Array:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite, symmetrised
+from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
@@ -18,7 +18,7 @@ from taciturn.lqg.feedthrough import registers_from, with_registers
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.riccati import Regulator, regulate_sampled
+from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.lqg.structure import closure, worth_of
 from taciturn.model.coordinates import about, counted_from
@@ -42,23 +42,6 @@ GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the 
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Deviations(Displayed):
-    """The problem of the deviations of states and inputs from those at which disturbances and set-points cost nothing.
-
-    Args:
-        T: matrix of the deviations (x − Xd, d) in terms of the states (x, d).
-        U: inputs that cost nothing, in terms of the states, (m, n).
-        problem: the problem of the deviations.
-        exact: this problem to any precision.
-    """
-
-    T: Array
-    U: Array
-    problem: Quadratic
-    exact: Exact | None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
 class Discrete(Displayed):
     """A discrete-time control problem: the plant's dynamics from step to step, and the cost per step.
 
@@ -77,7 +60,7 @@ class Discrete(Displayed):
             integral of the cost grow without limit; otherwise it is the integral, or a sum over the steps.
         exact: the sampled problem to any precision; None if its doubles are exact. With disturbances and set-points,
             it only has A, B and W.
-        deviations: with disturbances and set-points, the problem of the deviations, which has the cost.
+        deviations: with disturbances and set-points, the deviations by construction, whose problem has the cost.
     """
 
     plant: Plant
@@ -94,7 +77,7 @@ class Discrete(Displayed):
     rest: OperatingPoint | None = None
     instants: bool = False
     exact: Exact | None = None
-    deviations: Deviations | None = None
+    deviations: Followed | None = None
 
     def regulator(self) -> Regulator:
         """Return the optimal regulator of an average or discounted cost.
@@ -102,12 +85,9 @@ class Discrete(Displayed):
         Raises:
             UnstableError: no stabilising gain exists, as :func:`~taciturn.lqg.riccati.regulate` says.
         """
-        own, discount = self.deviations, self.cost.discount
-        if own is None:
-            return regulate_sampled(self.exact, *self.quadratic, discount)
-        found = regulate_sampled(own.exact, *own.problem, discount)
-        K, error = (frozen(symmetrised(own.T.T @ part @ own.T)) for part in (found.K, found.error))
-        return Regulator(K, frozen(found.L @ own.T + own.U), found.H, error, found.slowest)
+        if self.deviations is not None:
+            return regulate_deviations(self.deviations)
+        return regulate_sampled(self.exact, *self.quadratic, self.cost.discount)
 
     def filter(self) -> Filter:
         """Return the steady Kalman filter; it takes over set-points that change.

@@ -20,9 +20,7 @@ import numpy as np
 
 from taciturn._arrays import Array, frozen
 from taciturn._display import Displayed
-from taciturn.lqg.enclosures import E, block
-from taciturn.lqg.intervals import Exact, Step
-from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.quadratic import placed
 from taciturn.model.coordinates import counted_from
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
@@ -44,39 +42,38 @@ def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discre
         problem: the problem of the plant without D, with disturbances and set-points.
         source: the plant before it was sampled, with D.
     """
-    n, fed, B = source.states, fed_inputs(source), problem.plant.B
-    r, end = len(fed), len(B) - n
-    push: Array = np.eye(B.shape[1])[fed]
-    own = problem.deviations
+    n, fed = source.states, fed_inputs(source)
+    inputs: Array = np.eye(problem.plant.inputs)[fed]
+    more = n, np.zeros((len(fed), len(fed))), inputs
+    own, whole = problem.deviations, problem.quadratic.beside(*more)
     if own is not None:
-        A, b, Q, R, N = own.problem
-        more = Quadratic(_square(A, n, r), _rows(b, n, push), _square(Q, n, r), R, _rows(N, n, np.zeros_like(push)))
-        T = _square(own.T, n, r)
-        T[n : n + r, n : n + r] = np.eye(r)
-        exact = None if own.exact is None else Exact(_Extended(own.exact, n, end, push))
-        own = replace(own, T=T, U=_rows(own.U.T, n, np.zeros_like(push)).T, problem=more, exact=exact)
-    return replace(
-        problem,
-        plant=registered(problem.plant, source),
-        Q=_square(problem.Q, n, r),
-        N=_rows(problem.N, n, np.zeros_like(push)),
-        exact=None if problem.exact is None else Exact(_Extended(problem.exact, n, end, push)),
-        deviations=own,
-        source=source,
-    )
+        kept, new = placed(len(own.T), n, len(fed))
+        own = replace(
+            own,
+            states=np.insert(own.states, [n] * len(fed), False),
+            T=kept @ own.T @ kept.T + new @ new.T,
+            U=own.U @ kept.T,
+            problem=own.problem.beside(*more),
+            exact=own.exact and own.exact.beside(*more),
+        )
+    exact = problem.exact and problem.exact.beside(*more)
+    plant = registered(problem.plant, source)
+    return replace(problem, plant=plant, Q=whole.Q, N=whole.N, exact=exact, deviations=own, source=source)
 
 
 def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
     """Return a plant with registers of the inputs that its outputs show by the D of the plant before sampling."""
     n, fed, D = source.states, fed_inputs(source), source.D
     assert D is not None, "only a plant with D needs registers"
-    r, shown = len(fed), np.zeros((plant.outputs, len(fed)))
+    shown = np.zeros((plant.outputs, len(fed)))
     shown[: len(D)] = D[:, fed]
     push: Array = np.eye(plant.inputs)[fed]
+    kept, new = placed(plant.states, n, len(fed))
+    A, W, covariance = (kept @ part @ kept.T for part in (plant.A, plant.W, plant.covariance))
     found = Plant(
-        _square(plant.A, n, r), _rows(plant.B, n, push), _square(plant.W, n, r), _rows(plant.C.T, n, shown.T).T,
-        plant.V, plant.dt, np.insert(plant.mean, [n] * r, 0.0), _square(plant.covariance, n, r), plant.input_limit,
-        plant.function and RegisteredDynamics.of(plant.function, n, fed), input_rate=plant.input_rate,
+        A, kept @ plant.B + new @ push, W, plant.C @ kept.T + shown @ new.T, plant.V, plant.dt, kept @ plant.mean,
+        covariance, plant.input_limit, plant.function and RegisteredDynamics.of(plant.function, n, fed),
+        input_rate=plant.input_rate,
     )  # fmt: skip
     kept = {"changes": plant.changes, "registers": tuple(fed), "alone": source if isinstance(source, Plant) else None}
     for name, value in kept.items():
@@ -118,52 +115,6 @@ def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
 
 def _at_rest(point: OperatingPoint, n: int, fed: list[int]) -> Array:
     return np.insert(point.x, [n] * len(fed), point.u[fed])
-
-
-def _rows(matrix: Array, place: int, rows: Array) -> Array:
-    """Return a matrix with more rows before one of its rows."""
-    return np.vstack([matrix[:place], rows, matrix[place:]])
-
-
-def _square(matrix: Array, place: int, more: int) -> Array:
-    """Return a matrix with more rows and columns of zeros."""
-    zeros = [place] * more
-    return np.insert(np.insert(matrix, zeros, 0.0, axis=0), zeros, 0.0, axis=1)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Extended(Displayed):
-    """A problem of one step with registers, to any precision.
-
-    Args:
-        exact: the problem without them.
-        place: number of states before the registers.
-        end: number of states after them.
-        push: which input each register takes, (r, m).
-    """
-
-    exact: Exact
-    place: int
-    end: int
-    push: Array
-
-    def __call__(self, arithmetic: type[E], /) -> Step[E]:
-        """Return enclosures of the problem."""
-        step, whole, place, wide = self.exact(arithmetic), slice(None), self.place, len(self.push)
-
-        def rows(matrix: E, between: Array) -> E:
-            parts = [[matrix.part(slice(place), whole)], [arithmetic.exact(between)]]
-            return block([*parts, [matrix.part(slice(place, None), whole)]] if self.end else parts)
-
-        def square(matrix: E) -> E:
-            size = place + self.end
-            tall = rows(matrix, np.zeros((wide, size)))
-            return rows(tall.T, np.zeros((wide, size + wide))).T
-
-        none = np.zeros_like(self.push)
-        return Step(
-            square(step.A), rows(step.B, self.push), square(step.Q), step.R, rows(step.N, none), square(step.W), step.c
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

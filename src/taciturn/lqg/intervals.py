@@ -27,7 +27,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._precision import precision
 from taciturn.errors import ProblemError
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.stabilising import FEW, Equation
 
@@ -95,10 +95,42 @@ class Exact(Displayed):
             self._kept[key] = self.build(arithmetic)
         return cast("Step[E]", self._kept[key])
 
+    def beside(self, place: int, S: Array, P: Array, source: Source | None = None) -> Exact:
+        """Return the problem with further states, as :meth:`~taciturn.lqg.quadratic.Quadratic.beside` does."""
+        return Exact(_Beside(self, place, S, P), source)
+
     def equation(self, arithmetic: type[E], /) -> Equation[E]:
         """Return enclosures of the matrices of the Riccati equation."""
         A, B, Q, R, N, _, _ = self(arithmetic)
         return Equation(A, B, Q, R, N)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Beside(Displayed):
+    """The problem of :meth:`Exact.beside`, whose further states have no noise."""
+
+    exact: Exact
+    place: int
+    S: Array
+    P: Array
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        step, r = self.exact(arithmetic), len(self.S)
+        (n, m), before, after = step.B.shape, slice(self.place), slice(self.place, None)
+
+        def rows(matrix: E, between: Array) -> E:
+            every = slice(None)
+            parts = [matrix.part(before, every), arithmetic.exact(between), matrix.part(after, every)]
+            return block([[part] for part in parts if part.shape[0]])
+
+        def square(matrix: E, corner: Array) -> E:
+            side = np.insert(np.zeros((r, n)), [self.place] * r, corner.T, axis=1)
+            return rows(rows(matrix, np.zeros((r, n))).T, side).T
+
+        none, apart = np.zeros((r, r)), np.zeros((r, m))
+        A, Q, W = square(step.A, self.S), square(step.Q, none), square(step.W, none)
+        return Step(A, rows(step.B, self.P), Q, step.R, rows(step.N, apart), W, step.c)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

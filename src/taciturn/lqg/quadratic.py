@@ -42,10 +42,29 @@ class Quadratic(NamedTuple):
         A, B, Q, R, N = self
         return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
+    def beside(self, place: int, S: Array, P: Array) -> Quadratic:
+        """Return the problem with further states z⁺ = S z + P u, which cost nothing and move no other state.
+
+        Args:
+            place: number of states before them.
+            S: their dynamics, (r, r).
+            P: how the inputs move them, (r, m).
+        """
+        kept, more = placed(len(self.A), place, len(S))
+        A, B, Q, R, N = self
+        return Quadratic(kept @ A @ kept.T + more @ S @ more.T, kept @ B + more @ P, kept @ Q @ kept.T, R, kept @ N)
+
     def under(self, L: Array) -> tuple[Array, Array]:
         """Return the closed-loop matrix A + BL for a gain L, and the weight of the state in its stage cost."""
         stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
         return self.A + self.B @ L, symmetrised(stage)
+
+
+def placed(states: int, place: int, more: int) -> tuple[Array, Array]:
+    """Return the maps of the old states, and of ``more`` states after the first ``place``, to all states in order."""
+    old, new = np.split(np.eye(states + more), [states], axis=1)
+    order = np.insert(np.arange(states), [place] * more, range(states, states + more))
+    return old[order], new[order]
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:

@@ -13,18 +13,17 @@ sampling instants, Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, symmetrised
-from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Deviations, Discrete
-from taciturn.lqg.enclosures import E, block
-from taciturn.lqg.intervals import Exact, Source, Step
+from taciturn.lqg._followed import Followed
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.intervals import Exact, Source
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.sampling import Sampled, sample, sample_moving
 from taciturn.lqg.structure import paths
@@ -205,7 +204,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     whole = symmetrised(deviation.T @ stage @ deviation)
     if own is None:
         own = _apart(base, A[n:, n:], e.S)
-    deviations = Deviations(deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
+    deviations = Followed(np.arange(n + q) >= n, deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     point, at_rest = plant.operating_point, np.zeros(q)
     if point is not None:  # set-points are the states that act on nothing but z, in its units
@@ -236,39 +235,13 @@ def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | N
         S: the dynamics from step to step.
         rates: the dynamics per second, if the plant was sampled.
     """
-    exact = base.exact
-    given = _next_to(base.quadratic, S)
+    n, none, exact = base.plant.states, np.zeros((len(S), base.plant.inputs)), base.exact
+    given = base.quadratic.beside(n, S, none)
     if exact is None:
         return given, None
     before = exact.source
-    source = before and Source(_next_to(before.given, rates), np.pad(before.W, (0, len(S))), base.tick)
-    return given, Exact(_Apart(exact, S), source)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _Apart(Displayed):
-    """The problem of :func:`_apart` to any precision."""
-
-    exact: Exact
-    S: Array
-
-    def __call__(self, arithmetic: type[E], /) -> Step[E]:
-        """Return enclosures of the problem."""
-        step, more = self.exact(arithmetic), len(self.S)
-        n, m = step.B.shape
-        late, side = arithmetic.exact(self.S), arithmetic.exact(np.zeros((n, more)))
-        corner, below = arithmetic.exact(np.zeros((more, more))), arithmetic.exact(np.zeros((more, m)))
-        return Step(
-            block([[step.A, side], [side.T, late]]), block([[step.B], [below]]),
-            block([[step.Q, side], [side.T, corner]]), step.R, block([[step.N], [below]]),
-            block([[step.W, side], [side.T, corner]]), step.c,
-        )  # fmt: skip
-
-
-def _next_to(given: Quadratic, S: Array) -> Quadratic:
-    A, B, Q, R, N = given
-    below, square = ((0, len(S)), (0, 0)), (0, len(S))
-    return Quadratic(block_diagonal(A, S), np.pad(B, below), np.pad(Q, square), R, np.pad(N, below))
+    source = before and Source(before.given.beside(n, rates, none), np.pad(before.W, (0, len(S))), base.tick)
+    return given, exact.beside(n, S, none, source)
 
 
 def _within_a_period(

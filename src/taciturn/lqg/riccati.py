@@ -14,7 +14,7 @@ from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, uncontrol
 from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
-from taciturn.lqg._followed import followed
+from taciturn.lqg._followed import Followed, followed
 from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.intervals import Exact, Source
@@ -229,6 +229,13 @@ def regulate_sampled(
     return regulate_for(given, exact.equation, discount, True, exact.source)
 
 
+def regulate_deviations(change: Followed) -> Regulator:
+    """Return the regulator of all states, from that of their deviations from the states that cost nothing."""
+    inner = regulate_sampled(change.exact, *change.problem, 1.0)
+    K, error = (_arrays.frozen(symmetrised(change.T.T @ part @ change.T)) for part in (inner.K, inner.error))
+    return Regulator(K, _arrays.frozen(inner.L @ change.T + change.U), inner.H, error, inner.slowest)
+
+
 def regulate_for(
     given: Quadratic, recipe: Recipe, discount: float = 1.0, sampled: bool = False, source: Source | None = None
 ) -> Regulator:
@@ -246,9 +253,7 @@ def regulate_for(
     scaled = given._replace(A=root * given.A, B=root * given.B)
     change = followed(scaled)
     if change is not None:  # first: such states may have modes on the unit circle, and a cost that is only rounding
-        inner = regulate_for(*exactly(change.problem))
-        K, error = (_arrays.frozen(change.weight(part)) for part in (inner.K, inner.error))
-        return Regulator(K, _arrays.frozen(change.gain(inner.L)), inner.H, error, inner.slowest)
+        return regulate_deviations(change)
 
     def discounted(arithmetic: type[E]) -> Equation[E]:
         A, B, Q, R, N = recipe(arithmetic)
