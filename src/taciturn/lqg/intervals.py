@@ -151,6 +151,11 @@ class Sampled(Displayed):
     noise_cost: float
     exact: Exact
 
+    @property
+    def quadratic(self) -> Quadratic:
+        """The problem without its noise."""
+        return Quadratic(self.A, self.B, self.Q, self.R, self.N)
+
 
 def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
     """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -17,10 +17,9 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
-from taciturn.lqg._doubling import double
-from taciturn.lqg.enclosures import E, UnprovedError, block
+from taciturn.lqg.enclosures import Doubles, E, UnprovedError, block
 from taciturn.lqg.intervals import Interval, Sampled, Step, sampled
-from taciturn.lqg.quadratic import Quadratic, price
+from taciturn.lqg.quadratic import Quadratic, Span, price
 from taciturn.lqg.riccati import costs_nothing, regulate_for
 from taciturn.lqg.stabilising import Equation
 
@@ -164,21 +163,20 @@ class Held:
         The costs come from the doubling algorithm without an error check. They show which cycles are worth solving.
         """
         ticks = sorted({interval for cycle in listed for interval in cycle})
-        parts = [self.lifted(interval) for interval in ticks]
-        chosen = np.searchsorted(ticks, np.array(listed))
-        A, B, Q, R, N, W = (
-            np.array([getattr(part, name) for part in parts])[chosen].swapaxes(0, 1) for name in "ABQRNW"
-        )
+        parts, chosen = [self.lifted(interval) for interval in ticks], np.searchsorted(ticks, np.array(listed))
+        Q, many = parts[0].Q, range(chosen.shape[1])
+        last = Q + np.trace(Q) / len(Q) * np.eye(len(Q)) if self._last is None else self._last
+        # where a disturbance lasts, an entry of the cost-to-go may be exactly 0, and only its rounding error remains
+        sums = (np.abs(part.A).T @ np.abs(last) @ np.abs(part.A) + np.abs(part.Q) + np.abs(last) for part in parts)
         noise = np.array([part.noise_cost for part in parts])[chosen].sum(axis=1)
         with np.errstate(all="ignore"):
-            K = _roughly(*_stacked(A, B, Q, R, N), self._last)
+            spans = [Span.of(part.quadratic, last, price(part.B, last, part.R)[1]) for part in parts]
+            stages = [Span(*(np.array(one)[chosen[:, k]] for one in zip(*spans, strict=True))) for k in many]
+            K = reduce(Span.then, stages).for_ever(last, CRUMB * sum(map(np.diag, sums))) - last
             # backwards: the noise of an interval costs what the state at its end, the next send, costs from there on
-            for stage in reversed(range(len(A))):
-                noise = noise + (K * W[stage]).sum(axis=(1, 2))
-                turned = B[stage].swapaxes(1, 2) @ K
-                off = turned @ A[stage] + N[stage].swapaxes(1, 2)
-                saved = off.swapaxes(1, 2) @ _inverse(R[stage] + turned @ B[stage]) @ off
-                K = symmetrised(Q[stage] + A[stage].swapaxes(1, 2) @ K @ A[stage] - saved)
+            for k in reversed(many):
+                noise = noise + ((last + K) * np.array([part.W for part in parts])[chosen[:, k]]).sum(axis=(1, 2))
+                K = stages[k].before(K)
         cost = noise / np.array(listed).sum(axis=1)
         return np.where(np.isfinite(cost) & (cost > 0), cost, np.inf)
 
@@ -210,16 +208,15 @@ class Held:
 
 def _at_the_start(stretches: Sequence[Sampled]) -> Array:
     """Return K at the first send, from the cycle as one problem whose input contains the inputs of all sends."""
-    A, B, Q, R, N = (np.array([[getattr(stretch, name)] for stretch in stretches]) for name in "ABQRN")
-    whole = Quadratic(*(part[0] for part in _stacked(A, B, Q, R, N)))
 
     def recipe(arithmetic: type[E]) -> Equation[E]:
-        return _joined(arithmetic, [stretch.exact(arithmetic) for stretch in stretches])
+        return _joined(arithmetic, [stretch.exact.equation(arithmetic) for stretch in stretches])
 
-    return regulate_for(whole, recipe).K
+    rough = _joined(Doubles, [Equation(*map(Doubles.exact, stretch.quadratic)) for stretch in stretches])
+    return regulate_for(Quadratic(*(part.middle for part in rough)), recipe).K
 
 
-def _joined(arithmetic: type[E], steps: Sequence[Step[E]]) -> Equation[E]:
+def _joined(arithmetic: type[E], steps: Sequence[Equation[E]]) -> Equation[E]:
     """Return one problem for the intervals of a cycle, whose input contains the inputs of all sends."""
     n, m = steps[0].B.shape
     x, u = slice(n), slice(n, None)
@@ -233,49 +230,6 @@ def _joined(arithmetic: type[E], steps: Sequence[Step[E]]) -> Equation[E]:
         M = (M + both.T @ weight @ both).symmetric()
         reach = step.A @ reach + step.B @ now
     return Equation(reach.part(x, x), reach.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u))
-
-
-def _stacked(A: Array, B: Array, Q: Array, R: Array, N: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return one problem for each cycle, given the problems of its intervals, (sends, cycles, …)."""
-    sends, many, n, m = B.shape
-    reach = np.zeros((many, n, n + sends * m))  # maps the state at the first send and the inputs to the state at send k
-    reach[:, :, :n] = np.eye(n)
-    M = np.zeros((many, n + sends * m, n + sends * m))
-    for k in range(sends):
-        now = slice(n + k * m, n + (k + 1) * m)
-        turned = reach.swapaxes(1, 2)
-        M += turned @ Q[k] @ reach
-        across = turned @ N[k]
-        M[:, :, now] += across
-        M[:, now, :] += across.swapaxes(1, 2)
-        M[:, now, now] += R[k]
-        reach = A[k] @ reach
-        reach[:, :, now] += B[k]
-    M = symmetrised(M)
-    return reach[:, :, :n], reach[:, :, n:], M[:, :n, :n], M[:, n:, n:], M[:, :n, n:]
-
-
-def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array, last: Array | None) -> Array:
-    """Return the costs-to-go of a stack of problems by the doubling algorithm, without an error check."""
-    given = Q + np.trace(Q, axis1=1, axis2=2)[:, None, None] / len(Q[0]) * np.eye(len(Q[0])) if last is None else last
-    last = np.broadcast_to(given, Q.shape)
-    H = symmetrised(R + B.swapaxes(1, 2) @ last @ B)
-    # where a disturbance lasts, an entry of the cost-to-go may be exactly 0, and only its rounding error remains
-    parts = np.abs(A).swapaxes(1, 2) @ np.abs(last) @ np.abs(A) + np.abs(Q) + np.abs(last)
-    return double(A, B, Q, N, last, H, _inverse(H), CRUMB * np.diagonal(parts, axis1=1, axis2=2))
-
-
-def _inverse(H: Array) -> Array:
-    """Return the inverses of a stack of symmetric matrices; pseudo-inverses if one is singular; NaN remains NaN."""
-    try:
-        return np.asarray(np.linalg.inv(H), dtype=np.float64)
-    except np.linalg.LinAlgError:  # an input that costs nothing
-        unknown = np.flatnonzero(~np.isfinite(H.sum(axis=(1, 2))))
-        H = H.copy()
-        H[unknown] = 0.0
-        inverses = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
-        inverses[unknown] = np.nan
-        return inverses
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Linear-quadratic problems in double precision: their matrices, and the price of a deviation of the input."""
+"""Linear-quadratic problems in double precision: their matrices, the price of an input, and many steps of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, Bits, is_definite, symmetrised
+
+TURNS = 40  # 2^40 steps
+SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
 
 
 class Quadratic(NamedTuple):
@@ -87,6 +90,82 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
             inside = values > 1e-15 * len(diagonal)
         values, vectors = values[inside], vectors[:, inside]
     return H, (vectors / values) @ vectors.T
+
+
+class Span(NamedTuple):
+    """Some steps of a problem with optimal inputs: how they change a cost-to-go X + Δ, X being a terminal weight.
+
+    The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite even
+    if R is not. A stack of problems has stacks of matrices.
+
+    Args:
+        F: the states after the steps, for Δ = 0.
+        G: how a later Δ changes these states.
+        K: the cost-to-go before the steps, less X, for Δ = 0.
+
+    Source: anderson1978
+    """
+
+    F: Array
+    G: Array
+    K: Array
+
+    @classmethod
+    def of(cls, given: Quadratic, last: Array, inverse: Array) -> Span:
+        """Return one step: F = A + BL, G = BH^{-1}B', K = Ric(X) − X, L = −H^{-1}(B'XA + N').
+
+        Args:
+            given: the problem.
+            last: X.
+            inverse: inverse of H = R + B'XB; with a pseudo-inverse, inputs without cost are 0.
+        """
+        A, B, Q, _, N = given
+        off = B.T @ last @ A + N.T
+        K = Q - last + A.T @ last @ A - off.T @ inverse @ off
+        return cls(A - B @ inverse @ off, symmetrised(B @ inverse @ B.T), symmetrised(K))
+
+    def then(self, later: Span) -> Span:
+        """Return these steps and later ones."""
+        n, moved = self.F.shape[-1], np.concatenate([self.F, self.G], axis=-1)
+        solved = _divided(np.eye(n) + self.G @ later.K, moved)
+        more = self.F.mT @ later.K @ solved[..., :n]
+        G = later.G + later.F @ solved[..., n:] @ later.F.mT
+        return Span(later.F @ solved[..., :n], G, symmetrised(self.K + more))
+
+    def before(self, change: Array) -> Array:
+        """Return the Δ before the steps for the Δ after them."""
+        moved = self.F.mT @ change @ _divided(np.eye(self.F.shape[-1]) + self.G @ change, self.F)
+        return symmetrised(self.K + moved)
+
+    def for_ever(self, last: Array, crumb: Array | float = 0.0) -> Array:
+        """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none.
+
+        Each iteration doubles the number of steps, and leaves the square of the error before.
+
+        Args:
+            last: X.
+            crumb: change of each diagonal entry that counts as none, (n,). The rounding error of an entry that is 0, of
+                a state that does not decay, doubles in each iteration, so it never settles relative to itself.
+        """
+        span, worth = self, np.diag(last)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for _ in range(TURNS):
+                before, span = span.K, span.then(span)
+                found, more = (np.diagonal(part, axis1=-2, axis2=-1) for part in (span.K, span.K - before))
+                settled = (np.abs(more) <= SETTLED * np.abs(worth + found) + crumb).all(axis=-1)
+                if (settled | ~np.isfinite(span.K.sum(axis=(-1, -2)))).all():
+                    break
+        return symmetrised(last + span.K)
+
+
+def _divided(matrix: Array, right: Array) -> Array:
+    """Return M^{-1}R for one matrix or a stack; NaN for singular matrices, without effect on the others."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        if matrix.ndim == 2:
+            return np.full_like(right, np.nan)
+        return np.stack([_divided(one, part) for one, part in zip(matrix, right, strict=True)])
 
 
 def in_powers_of_two(sizes: Array) -> Array:

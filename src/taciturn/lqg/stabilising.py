@@ -47,10 +47,9 @@ from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import UnstableError
-from taciturn.lqg._doubling import double
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
 from taciturn.lqg.lyapunov import ranked
-from taciturn.lqg.quadratic import Quadratic, in_powers_of_two
+from taciturn.lqg.quadratic import Quadratic, Span, in_powers_of_two
 from taciturn.lqg.structure import Free, free_inputs, worth_of
 
 FEW = 10  # most states for which balls are faster than doubles with bounds
@@ -291,10 +290,9 @@ class Problem(Displayed):
             A, B, Q = A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None]
             R, N = R * unit * unit[:, None], N * unit * state[:, None]
             last = _last(B, Q, R) * np.eye(len(A))
-            H = symmetrised(R + B.T @ last @ B)
             try:
-                inverse = np.asarray(np.linalg.inv(H), dtype=np.float64)
-                K = double(A, B, Q, N, last, H, inverse) if len(H) else summed(A.T, Q)
+                inverse = np.asarray(np.linalg.inv(symmetrised(R + B.T @ last @ B)), dtype=np.float64)
+                K = Span.of(Quadratic(A, B, Q, R, N), last, inverse).for_ever(last) if len(R) else summed(A.T, Q)
             except np.linalg.LinAlgError as error:
                 raise UnprovedError("an input costs nothing") from error
             K = symmetrised(K / state / state[:, None])
