@@ -305,7 +305,7 @@ def _details(found: Evaluation) -> Lines:
     elif found.no_clock:
         lines.append(("periodic", f"none at this rate: {found.no_clock}"))
     if found.cost_bound is not None:
-        lines.append(("proof", proof_text(found.proved)))
+        lines.append(("proof", proof_text(found.proved, found.cost_all_time_error is not None)))
     if found.linearisation is not None:
         lines.append(("linearisation", _promised(found)))
     if found.lower_bound is not None:

@@ -204,9 +204,9 @@ def _thresholds(
 
 def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[str, ...], float]) -> Guarantee:
     """Return J ≤ J_all + (Σ√δ_l)² and, at the rates, J ≤ J_all + (Σ√(δ_l(1 − r_l)))², by Minkowski's inequality."""
-    problem, all_time, pull = certainty.problem, certainty.highest, certainty.pull
+    problem, all_time, pull = certainty.problem, certainty.cost_all_time, certainty.pull
     added = sum(sqrt(delta) for delta in thresholds.values()) ** 2
-    found = Guarantee(
+    return Guarantee(
         problem.per_unit(with_silence(all_time, added, pull)),
         f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
         f"its rate; mean-square stable{f'; {AT_INSTANTS}' if problem.instants else ''}",
@@ -215,9 +215,7 @@ def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[s
         deciders={group: delta / problem.tick for group, delta in thresholds.items()},
         more_sends=True,
         pull=pull / sqrt(problem.tick),
-        proved=certainty.proved is not None,
     )
-    return found.upwards() if found.proved else found
 
 
 KIND = Kind(

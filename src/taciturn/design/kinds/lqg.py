@@ -105,11 +105,10 @@ def lqg(
         initial,
         identity=certainty.completed_square(),
         guarantee=Guarantee(
-            problem.per_unit((1 + theta) * certainty.highest),
+            problem.per_unit((1 + theta) * certainty.cost_all_time),
             f"J ≤ (1+θ) J_all{less_noise(problem, 'θ')}, mean-square stable",
             "khashooei2017",
             more_sends=True,
-            proved=certainty.proved is not None,
         ),
         reset=certainty.reset(actuation),
     )

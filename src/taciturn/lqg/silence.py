@@ -1,0 +1,236 @@
+"""What the rounding of stored gains adds to the cost of silence, with a proof.
+
+The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so far, holds for the
+optimal gains. Programs hold doubles. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the
+mean of the state given the measurements, from which x̂ differs by d = x̂* − x̂. Completion of squares with K* gives
+
+    J ≤ J* + E|e + (L − L*)x̂ − L*d|²   in the norm of H*,
+
+since x − x̂* is independent of the measurements. J* is at most the cost of the stored gains with every sample. So the
+rounding adds a = |(L − L*)x̂| and b = |L*d|, root mean squares, to s = |e|:  J ≤ J_all + (s + a + b)².
+
+Both are bounded along the stored loop ζ⁺ = Fζ + noise + Me, ζ = (x, x − x̂⁻), with x̂ = Sζ + gv. If X − F'XF ⪰ X/ν, then
+F contracts by √(1 − 1/ν) in the norm of X: |ζ| ≤ √(ν tr(XΩ)) + 2ν|Me|. With the innovation ι* of the exact filter, of
+covariance S*, and the differences ΔA, ΔB between the exact plant and the stored one,
+
+    d = (I − gC)d⁻ + (g* − g)ι*,   d⁻⁺ = A d + (ΔA + ΔB L)x̂ + ΔB e.
+
+Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop.
+
+Source: khashooei2017, anderson1990optimal
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from math import sqrt
+from typing import Generic, NamedTuple
+
+import numpy as np
+
+from taciturn._arrays import NO_VARIANCE, Array, Bits, symmetrised
+from taciturn._modes import COST_ERROR, summed
+from taciturn._precision import precision
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, solve
+from taciturn.lqg.intervals import inner
+from taciturn.lqg.kalman import Filter, forgets_the_start
+from taciturn.lqg.lyapunov import ranked
+from taciturn.lqg.riccati import Regulator
+from taciturn.lqg.stored import MANY, closed_by_filter, step_of
+from taciturn.lqg.structure import closure
+
+MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
+TRIALS = 40  # doublings of a bound until it is proved
+ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which no more digits are tried
+
+
+class Allowance(NamedTuple):
+    """What the rounding of stored gains adds: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
+
+    Args:
+        excess: ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one.
+        fixed: root of a cost that rounding adds to silence.
+        slope: the same in units of the root of the cost of silence.
+    """
+
+    excess: float
+    fixed: float
+    slope: float
+
+    def raised(self, base: float, silence: float) -> tuple[float, float]:
+        """Return a base and a factor of the cost of silence that allow for the rounding.
+
+        Args:
+            base: J_all, at most.
+            silence: S, the most that silence adds, with exact gains.
+
+        Returns:
+            J_b and f with J ≤ J_b + f·S' if silence adds at most S' ≤ S: (s + η)² ≤ (1 + t)s² + (1 + 1/t)η² for any
+            t > 0, here t = η/√S.
+        """
+        s = sqrt(silence)
+        if s == 0:  # every step sends, and the loop is that of J_all
+            return base, 1.0
+        added = (self.fixed + self.slope * s) * MORE
+        return (base + added * (added + s)) * MORE, (1 + self.excess) * (1 + added / s) * MORE
+
+
+def allowance(problem: Discrete, regulator: Regulator, steady: Filter, cost: float) -> Allowance | None:
+    """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small.
+
+    Args:
+        problem: the discrete-time problem, with an average cost.
+        regulator: the regulator, whose gain L and weight H are used.
+        steady: the filter, whose gain is used.
+        cost: J_all, relative to which the addition is to be small.
+    """
+    if not forgets_the_start(problem.plant, problem.exact):
+        return None
+    found: Allowance | None = None
+    attempts: list[tuple[int, type[Doubles] | type[Balls]]] = [(PRECISIONS[0], Doubles)]
+    attempts += [(bits, Balls) for bits in PRECISIONS[:2] if 2 * problem.plant.states <= MANY]
+    for bits, arithmetic in attempts:
+        with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
+            found = _allowance(arithmetic, problem, regulator, steady, cost)
+            if found.fixed * (found.fixed + sqrt(cost)) <= ENOUGH * cost and found.slope <= ENOUGH:
+                return found
+    small = found is not None and found.fixed * (found.fixed + sqrt(cost)) <= COST_ERROR * cost
+    return found if small and found is not None and max(found.slope, found.excess) <= COST_ERROR else None
+
+
+class _Norm(NamedTuple, Generic[E]):
+    """A norm in which a loop contracts: X, 0 outside ``states``, with X − F'XF ⪰ X/ν.
+
+    Args:
+        X: the square of the norm.
+        nu: ν.
+        states: the states that it measures, and which the others do not affect.
+    """
+
+    X: E
+    nu: float
+    states: Bits
+
+    def of(self, T: E, norm: E) -> float:
+        """Return the largest |Tζ| in another norm for |ζ| = 1.
+
+        Raises:
+            UnprovedError: T depends on states that this norm does not measure.
+        """
+        seen, every, states = _squared(T, norm), slice(None), self.states
+        if seen.part(~states, every).most.any():
+            raise UnprovedError("a state that does not decay has a weight")
+        return sqrt(_ratio(seen.part(states, states), self.X.part(states, states)))
+
+    def noise(self, covariance: E) -> float:
+        """Return a bound on the root mean square of |ζ| that independent noise of a covariance causes."""
+        return sqrt(self.nu * _most(self.X, covariance))
+
+    def driven(self, size: float) -> float:
+        """Return a bound on the root mean square of |ζ| that any inputs of this root mean square cause."""
+        return 2 * self.nu * size  # 1/(1 − √(1 − 1/ν)) is less than 2ν
+
+
+def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
+    """Return a norm for the states of a loop that have an effect on ``seen``.
+
+    Args:
+        arithmetic: that of F.
+        F: the loop, (n, n).
+        variances: sizes of the states, whose squares they are, (n,).
+        seen: bounds on the effects of the states, (rows, n).
+
+    Raises:
+        UnprovedError: the loop is not proved stable.
+    """
+    states = closure(np.asarray((seen > 0).any(axis=0), dtype=np.bool_), np.asarray(F.most > 0, dtype=np.bool_).T)
+    size = np.where(variances > 0, 1 / np.maximum(variances, NO_VARIANCE), 1.0)[states]
+    X, falls = ranked(arithmetic, F.part(states, states), size)
+    place, middle, radius = np.ix_(states, states), np.zeros(F.shape), np.zeros(F.shape)
+    middle[place], radius[place] = X.middle, X.radius
+    return _Norm(arithmetic.enclosing(middle, radius), _ratio(X, falls), states)
+
+
+def _allowance(arithmetic: type[E], problem: Discrete, regulator: Regulator, steady: Filter, cost: float) -> Allowance:
+    """Return the bounds in one arithmetic.
+
+    Raises:
+        UnprovedError: the loop is not proved stable, or H is not proved definite.
+    """
+    plant, exact, step = problem.plant, arithmetic.exact, step_of(problem, arithmetic)
+    loop = closed_by_filter(problem, steady, regulator.L)(step, arithmetic)
+    L, H, g, C, V = map(exact, (regulator.L, regulator.H, steady.gain, plant.C, plant.V))
+    worth = exact(regulator.K), exact(regulator.error)
+    weight = (step.R + _between(step.B, worth, step.B)).symmetric()
+    best = solve(weight, _between(step.B, worth, step.A) + step.N.T).times(-1.0)
+    left = exact(np.eye(plant.states)) - g @ C
+    S = block([[exact(np.eye(plant.states)), left.times(-1.0)]])
+    off, drift = L - best, step.B - exact(plant.B)
+    moved = (step.A - exact(plant.A)) + drift @ L  # ΔA + ΔB L
+
+    noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
+    pushed = loop.M.middle @ np.linalg.solve(regulator.H, loop.M.middle.T)
+    variances = np.diag(summed(loop.F.middle, symmetrised(noise.middle + cost * pushed)))
+    norm = _norm(arithmetic, loop.F, variances, np.concatenate([(off @ S).most, (moved @ S).most]))
+    fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ
+    share = norm.of(off @ S, weight)
+    a = np.array([share * fixed + _spread(off @ g, weight, V), share * slope])
+    b = np.zeros(2)
+    if not plant.full_state:  # otherwise x̂ = x = x̂*
+        prior = exact(steady.prior), exact(steady.error)
+        innovation = (_between(C.T, prior, C.T) + V).symmetric()
+        wrong = g - solve(innovation, _between(C.T, prior, exact(np.eye(plant.states)))).T
+        errors = _norm(arithmetic, step.A @ left, np.diag(steady.prior), (best @ left).most)
+        share = norm.of(moved @ S, errors.X)
+        follows = np.array([share * fixed + _spread(moved @ g, errors.X, V), share * slope])
+        follows[1] += sqrt(_ratio(_squared(drift, errors.X), H))
+        b = np.array([errors.driven(one) for one in follows.tolist()])
+        b[0] += _spread(step.A @ wrong, errors.X, innovation) * sqrt(errors.nu)
+        b = errors.of(best @ left, weight) * b
+        b[0] += _spread(best @ wrong, weight, innovation)
+    return Allowance(_ratio(weight - H, H), *((a + b) * MORE).tolist())
+
+
+def _between(left: E, solution: tuple[E, E], right: E) -> E:
+    """Return left'·X·right for all X between K − error and K + error: |x'ΔKy|² ≤ x'(error)x · y'(error)y."""
+    K, error = solution
+    sizes = [np.sqrt(np.diag(_squared(part, error).most)) for part in (left, right)]
+    return (left.T @ K @ right).widened(np.outer(*sizes) * MORE)
+
+
+def _squared(T: E, norm: E) -> E:
+    return (T.T @ norm @ T).symmetric()
+
+
+def _most(one: E, other: E) -> float:
+    """Return a bound on the trace of the product of two symmetric matrices."""
+    return float(inner(one, other).most[0, 0])
+
+
+def _spread(T: E, norm: E, covariance: E) -> float:
+    """Return a bound on the root mean square of |Tv| for a v of a covariance."""
+    return sqrt(_most(_squared(T, norm), covariance))
+
+
+def _ratio(M: E, D: E) -> float:
+    """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
+
+    Raises:
+        UnprovedError: D is not proved definite.
+    """
+    if not M.most.any():
+        return 0.0
+    unit = 1 / np.sqrt(np.maximum(np.diag(D.middle), NO_VARIANCE))
+    values, vectors = np.linalg.eigh(D.middle * unit * unit[:, None])
+    if not values[0] > 0:
+        raise UnprovedError("a weight is not definite")
+    turn = vectors / np.sqrt(values)
+    middle, radius = (part * unit * unit[:, None] for part in (M.middle, M.radius))
+    least = float(np.linalg.eigvalsh(symmetrised(turn.T @ middle @ turn))[-1])
+    ratio = 1.001 * max(least, 0.0) + 2 * float(radius.sum(axis=1).max()) / float(values[0]) + 1e-200
+    for _ in range(TRIALS):
+        if (D.times(ratio) - M).definite():
+            return ratio
+        ratio *= 2
+    raise UnprovedError("a bound is not proved")
