@@ -25,7 +25,8 @@ def exact(matrix):
 def reference(problem, steady, L, more=None):
     """Return the cost by the sum of the covariances of (x, x̂⁻), in other coordinates than those of the library.
 
-    With ``more`` = (E, N), the input is u = Lx̂ + e with e = Ex̂ + N(y − Cx̂⁻), and the result is (cost, E[ee']).
+    With ``more`` = (E, N), the input is u = Lx̂ + e with e = Ex̂ + N(y − Cx̂⁻), and the result is
+    (cost, E[ee'], mean of the stage cost of (x̂, u) with the stored weights).
     """
     p, n = problem.plant, problem.plant.states
     if problem.exact is None:
@@ -51,7 +52,12 @@ def reference(problem, steady, L, more=None):
     total += sum((D.transpose() * R * D * V)[i, i] for i in range(len(p.C)))
     if more is None:
         return total
-    return total, error[0] * S * error[0].transpose() + error[1] * V * error[1].transpose()
+    estimate = beside(gain * C, left)
+    seen = arb_mat(estimate.tolist() + T.tolist()), arb_mat(gain.tolist() + D.tolist())
+    weights = exact(np.block([[problem.Q, problem.N], [problem.N.T, problem.R]]))
+    shown = weights * (seen[0] * S * seen[0].transpose() + seen[1] * V * seen[1].transpose())
+    errors = error[0] * S * error[0].transpose() + error[1] * V * error[1].transpose()
+    return total, errors, sum(shown[i, i] for i in range(n + p.inputs))
 
 
 def beside(one, other):
@@ -80,14 +86,18 @@ def test_the_enclosure_of_a_stored_loop_contains_its_value_at_1024_bits_and_guar
     problem = discretise(plant, cost, period)
     found = design_certainty("lqg", problem)
     assert found.proved.radius <= 1e-9 * found.proved.value
-    policy = design.excess(plant, cost, theta=0.1, period=period)
+    policy, relative = (kind(plant, cost, theta=0.1, period=period) for kind in (design.excess, design.lqg))
     with precision(BITS):
         value = reference(problem, found.filter, found.regulator.L)
         assert abs(value - arb(found.proved.value)) <= arb(found.proved.radius)
         silence = arb(policy.guarantee.per_silence)
         claimed = (value + arb(problem.noise_cost)) / arb(problem.tick if period else 1.0) + silence
         assert arb(policy.guarantee.cost) >= claimed
+        claimed = (arb(1.1) * value + arb(problem.noise_cost)) / arb(problem.tick if period else 1.0)
+        assert arb(relative.guarantee.cost) >= claimed
     assert policy.guarantee.proved
+    assert relative.guarantee.proved
+    assert not design.lqg(plant, cost, theta=0.1, period=period, trigger="separate").guarantee.proved
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -104,15 +114,20 @@ def test_the_bound_holds_for_the_errors_that_the_rounding_of_gains_makes_dearest
     allowed = allowance(problem, regulator, steady, base.value)
     along = off, regulator.L @ wrong
     with precision(BITS):
-        _, small = reference(problem, steady, regulator.L, along)
+        _, small, _ = reference(problem, steady, regulator.L, along)
         size = float(sum((exact(regulator.H) * small)[i, i] for i in range(plant.inputs)))
         larger = [np.sqrt(0.05 * base.value / size) * part for part in along]
-        value, errors = reference(problem, steady, regulator.L, larger)
+        value, errors, shown = reference(problem, steady, regulator.L, larger)
         silence = sum((exact(regulator.H) * errors)[i, i] for i in range(plant.inputs))
         assert value > arb(base.upper) + silence  # the theorem for exact gains does not hold
         highest, factor = allowed.raised(base.upper, float(silence.upper()) * (1 + 1e-12))
         assert value <= arb(highest) + arb(factor) * silence
         assert highest - base.upper <= 1e-6 * base.value
+        # the same error as that of a trigger relative to its stage cost: (1 + θ)s² = θ·(stage cost + tr(QΣ))
+        theta = silence / (shown + arb(float(np.trace(problem.Q @ steady.posterior))) - silence)
+        assert value > (1 + theta) * arb(base.upper)
+        bound = allowed.relative(base, float(theta.upper()) * (1 + 1e-15))
+        assert value <= arb(bound) <= (1 + theta) * arb(base.upper) * arb(1 + 1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -87,6 +87,10 @@ class CertaintyEquivalentDesign(Displayed):
             return self.cost_all_time, 1.0
         return self.allowance.raised(self.proved.upper, silence)
 
+    def relative(self, theta: float) -> float | None:
+        """Return a bound on the cost per step if silence adds at most θ/(1 + θ) of the stage cost; None if unproved."""
+        return None if self.proved is None or self.allowance is None else self.allowance.relative(self.proved, theta)
+
     @property
     def error(self) -> float | None:
         """Proved bound on the error of ``cost_all_time`` in the user's units, or None."""

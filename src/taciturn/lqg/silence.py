@@ -17,6 +17,9 @@ covariance S*, and the differences ΔA, ΔB between the exact plant and the stor
 
 Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop.
 
+A trigger that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights. Its mean is that
+of the true stage cost up to |d| in the norm of Q, and up to the rounding of the weights.
+
 Source: khashooei2017, anderson1990optimal
 """
 
@@ -33,16 +36,28 @@ from taciturn._modes import COST_ERROR, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, solve
-from taciturn.lqg.intervals import inner
+from taciturn.lqg.intervals import Step, inner
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.riccati import Regulator
-from taciturn.lqg.stored import MANY, closed_by_filter, step_of
+from taciturn.lqg.stored import MANY, Proved, closed_by_filter, step_of
 from taciturn.lqg.structure import closure
 
 MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
 TRIALS = 40  # doublings of a bound until it is proved
 ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which no more digits are tried
+
+
+class StageError(NamedTuple):
+    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one.
+
+    If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
+    """
+
+    fixed: float
+    slope: float
+    rest: float
+    share: float
 
 
 class Allowance(NamedTuple):
@@ -52,11 +67,13 @@ class Allowance(NamedTuple):
         excess: ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one.
         fixed: root of a cost that rounding adds to silence.
         slope: the same in units of the root of the cost of silence.
+        stage: the error of the stage cost of a trigger.
     """
 
     excess: float
     fixed: float
     slope: float
+    stage: StageError
 
     def raised(self, base: float, silence: float) -> tuple[float, float]:
         """Return a base and a factor of the cost of silence that allow for the rounding.
@@ -74,6 +91,28 @@ class Allowance(NamedTuple):
             return base, 1.0
         added = (self.fixed + self.slope * s) * MORE
         return (base + added * (added + s)) * MORE, (1 + self.excess) * (1 + added / s) * MORE
+
+    def relative(self, base: Proved, theta: float) -> float | None:
+        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None.
+
+        With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
+        at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
+
+        Args:
+            base: J_all.
+            theta: θ.
+        """
+        stage, share = self.stage, theta / (1 + theta)
+        if not base.lower > 0 or share * stage.share >= 1:
+            return None
+        turn = sqrt(1 - share * stage.share) - sqrt(share) * stage.slope
+        along = sqrt(1 + self.excess) + self.slope
+        k = along * sqrt(share) / turn * MORE if turn > 0 else 1.0
+        if not k < 1:
+            return None
+        h = (k * (stage.fixed + stage.rest / sqrt(2 * base.lower)) + self.fixed) * MORE
+        free = (1 - k * k) / MORE
+        return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * MORE
 
 
 def allowance(problem: Discrete, regulator: Regulator, steady: Filter, cost: float) -> Allowance | None:
@@ -172,24 +211,47 @@ def _allowance(arithmetic: type[E], problem: Discrete, regulator: Regulator, ste
     noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
     pushed = loop.M.middle @ np.linalg.solve(regulator.H, loop.M.middle.T)
     variances = np.diag(summed(loop.F.middle, symmetrised(noise.middle + cost * pushed)))
-    norm = _norm(arithmetic, loop.F, variances, np.concatenate([(off @ S).most, (moved @ S).most]))
+    unlike = _unlike(problem, step, arithmetic)
+    used = block([[exact(np.eye(plant.states))], [L]])  # (x̂, û) without e
+    seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
+    norm = _norm(arithmetic, loop.F, variances, seen)
     fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ
     share = norm.of(off @ S, weight)
     a = np.array([share * fixed + _spread(off @ g, weight, V), share * slope])
-    b = np.zeros(2)
+    share = norm.of(used @ S, unlike)
+    far = np.array([share * fixed + _spread(used @ g, unlike, V), share * slope])
+    inputs = unlike.part(slice(plant.states, None), slice(plant.states, None))
+    rest, squares = 4 * far[0] ** 2, 4 * far[1] ** 2 + 2 * _ratio(inputs, H)
+    b = d = np.zeros(2)
     if not plant.full_state:  # otherwise x̂ = x = x̂*
         prior = exact(steady.prior), exact(steady.error)
         innovation = (_between(C.T, prior, C.T) + V).symmetric()
         wrong = g - solve(innovation, _between(C.T, prior, exact(np.eye(plant.states)))).T
-        errors = _norm(arithmetic, step.A @ left, np.diag(steady.prior), (best @ left).most)
+        errors = _norm(
+            arithmetic, step.A @ left, np.diag(steady.prior), np.concatenate([(best @ left).most, (step.Q @ left).most])
+        )
         share = norm.of(moved @ S, errors.X)
         follows = np.array([share * fixed + _spread(moved @ g, errors.X, V), share * slope])
         follows[1] += sqrt(_ratio(_squared(drift, errors.X), H))
-        b = np.array([errors.driven(one) for one in follows.tolist()])
-        b[0] += _spread(step.A @ wrong, errors.X, innovation) * sqrt(errors.nu)
-        b = errors.of(best @ left, weight) * b
+        before = np.array([errors.driven(one) for one in follows.tolist()])  # d⁻
+        before[0] += _spread(step.A @ wrong, errors.X, innovation) * sqrt(errors.nu)
+        b, d = errors.of(best @ left, weight) * before, errors.of(left, step.Q) * before
         b[0] += _spread(best @ wrong, weight, innovation)
-    return Allowance(_ratio(weight - H, H), *((a + b) * MORE).tolist())
+        d[0] += _spread(wrong, step.Q, innovation)
+        known = left @ prior[0] @ left.T + g @ V @ g.T  # the exact variance is less by those of the error and of g − g*
+        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - inner(step.Q, known)
+        more = float(most.middle[0, 0] + most.radius[0, 0])
+        more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
+        rest += max(more, 0.0)
+    stage = StageError(*(d * MORE).tolist(), float(rest) * MORE, float(squares) * MORE)
+    return Allowance(_ratio(weight - H, H), *((a + b) * MORE).tolist(), stage)
+
+
+def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
+    """Return a diagonal weight of (x, u) above the difference between the stored weights and the exact ones."""
+    exact = arithmetic.exact
+    stored = block([[exact(problem.Q), exact(problem.N)], [exact(problem.N.T), exact(problem.R)]])
+    return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * MORE))
 
 
 def _between(left: E, solution: tuple[E, E], right: E) -> E:
