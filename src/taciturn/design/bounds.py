@@ -17,7 +17,6 @@ from taciturn._text import ordinal
 from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.stored import Proved
 from taciturn.model.theory import ErrorGain, Guarantee, with_silence
 
 PULLED = " + 2γ√(what silence adds), γ of the timetable"
@@ -81,7 +80,9 @@ def less_noise(problem: Discrete, share: str) -> str:
 
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
     """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
-    problem, all_time, pull = certainty.problem, certainty.highest, certainty.pull
+    problem, pull = certainty.problem, certainty.pull
+    all_time, factor = certainty.raised(per_silence, certainty.allowance)
+    per_silence *= factor
     return Guarantee(
         problem.per_unit(with_silence(all_time, per_silence, pull)),
         f"J ≤ J_all + δ(1 − rate){PULLED if pull else ''}, δ the most that silence can cost; mean-square stable",
@@ -90,7 +91,7 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
         per_silence / problem.tick,
         more_sends=True,
         pull=pull / sqrt(problem.tick),
-        proved=certainty.proved is not None,
+        proved=certainty.allowance is not None,
     )
 
 
@@ -173,7 +174,6 @@ def bound_by_attempts(
     every: int,
     lossy: bool,
     lqg: bool = False,
-    proved: Proved | None = None,
 ) -> Guarantee:
     """Return the bound J ≤ J_b + δ(a_b − a) for attempts a of the policy and a_b of the base, both per step.
 
@@ -184,9 +184,7 @@ def bound_by_attempts(
         every: steps between attempts of the base.
         lossy: whether the link drops packets.
         lqg: whether the base is LQG, and not a given controller.
-        proved: an enclosure of ``base`` for an average cost, or None if its error is only estimated.
     """
-    base = base if proved is None else proved.upper
     cost, word = problem.cost, "an attempt to send" if lossy else "a packet"
     name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {ordinal(every)} step")
     base_of = f"{name} the cost of {'LQG' if lqg else 'this controller'} with {word} at {at}"
@@ -202,6 +200,5 @@ def bound_by_attempts(
     statement = f"J ≤ {name} + δ{times}({whole} − rate), {base_of}, δ the most that silence adds on average"
     low, high = (problem.per_unit(base + price * ticks * part) for part in (share - 1, share))
     # a base that is silent in some steps may profit from silence in them
-    rate, known = price * ticks / problem.unit, proved is not None
-    found = Guarantee(high, statement, "antunes2014rollout", low, rate, more_sends=every == 1, proved=known)
-    return found.upwards() if known else found
+    rate = price * ticks / problem.unit
+    return Guarantee(high, statement, "antunes2014rollout", low, rate, more_sends=every == 1)

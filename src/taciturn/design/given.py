@@ -148,7 +148,7 @@ def keep_controller(
         noise_cost=problem.noise_cost,
         settling=max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
         recovery=recovery(route.base, plant, loop.disturbance, steady.slowest) if alike else None,
-        guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg, proved) if finite else None,
+        guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
         innovations=estimation.innovations,
         covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),

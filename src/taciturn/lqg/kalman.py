@@ -103,6 +103,19 @@ def resting_states(plant: Plant) -> Bits:
     return worth_of(_dual(plant.A, plant.C, plant.W, plant.V)).resting
 
 
+def forgets_the_start(plant: Plant, exact: Exact | None) -> bool:
+    """Return whether the filter from any start tends to the steady one.
+
+    It does if noise reaches all modes that do not decay, except those of the resting states.
+    """
+    if plant.full_state or is_definite(plant.W):
+        return True
+    source = None if exact is None else exact.source
+    A, W = (plant.A, plant.W) if source is None else (source.given.A, source.W)
+    lasting = unmoved(A, W, Limit(source is not None)).lasting.size
+    return lasting == (worth_of(_dual(plant.A, plant.C, plant.W, plant.V)).still.size if lasting else 0)
+
+
 def expect_known_start(plant: Plant, seen: Bits) -> None:
     """Raise an error if an uncertain initial state causes a cost forever because no measurement corrects it.
 

@@ -62,13 +62,14 @@ class Proved(NamedTuple):
 
 
 class Closed(NamedTuple, Generic[E]):
-    """Enclosures of a closed loop: ζ⁺ = Fζ + Gw + Jv and u = Tζ + Dv; the first states are those of the plant."""
+    """Enclosures of a closed loop: ζ⁺ = Fζ + Gw + Jv + Me and u = Tζ + Dv + e; the first states are the plant's."""
 
     F: E
     G: E
     J: E
     T: E
     D: E
+    M: E
 
 
 class Closing(Protocol):
@@ -91,6 +92,11 @@ def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None
         steady: the filter; its gain is used.
         L: gain, (m, n).
     """
+    return _proved(problem, closed_by_filter(problem, steady, L))
+
+
+def closed_by_filter(problem: Discrete, steady: Filter, L: Array) -> Closing:
+    """Return the loop of u = L x̂ + e with a steady filter, as stored, with the state ζ = (x, x − x̂⁻)."""
     plant = problem.plant
 
     def close(step: Step[E], arithmetic: type[E]) -> Closed[E]:
@@ -100,9 +106,9 @@ def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None
         T, D = block([[stored, (stored @ left).times(-1.0)]]), stored @ gain
         F = block([[step.A, none], [step.A - A, A @ left]]) + moves @ T
         sensed = block([[arithmetic.exact(np.zeros_like(steady.gain))], [A @ gain]])
-        return Closed(F, block([[one], [one]]), moves @ D - sensed, T, D)
+        return Closed(F, block([[one], [one]]), moves @ D - sensed, T, D, moves)
 
-    return _proved(problem, close)
+    return close
 
 
 def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | None:
@@ -117,11 +123,11 @@ def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | No
         n, k, p = plant.states, len(c.A), plant.outputs
         if not k:
             T = D @ C
-            return Closed(step.A + step.B @ T, arithmetic.exact(np.eye(n)), step.B @ D, T, D)
+            return Closed(step.A + step.B @ T, arithmetic.exact(np.eye(n)), step.B @ D, T, D, step.B)
         T, moves = block([[D @ C, shown]]), block([[step.B], [applied]])
         F = block([[step.A, arithmetic.exact(np.zeros((n, k)))], [read @ C, own]]) + moves @ T
         J = moves @ D + block([[arithmetic.exact(np.zeros((n, p)))], [read]])
-        return Closed(F, arithmetic.exact(np.eye(n + k, n)), J, T, D)
+        return Closed(F, arithmetic.exact(np.eye(n + k, n)), J, T, D, moves)
 
     return _proved(problem, close)
 
@@ -156,7 +162,7 @@ def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
     Raises:
         UnprovedError: the loop is not proved stable, or has too many states for balls.
     """
-    step, V = _step(problem, arithmetic), arithmetic.exact(problem.plant.V)
+    step, V = step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
     loop = close(step, arithmetic)
     n, size = problem.plant.states, loop.F.shape[0]
     if size > MANY and arithmetic is Balls:
@@ -180,7 +186,7 @@ def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
     return Proved(float(found.middle[0, 0]), float(found.radius[0, 0] + spread + rounded) * (1 + 1e-14))
 
 
-def _step(problem: Discrete, arithmetic: type[E]) -> Step[E]:
+def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
     """Return enclosures of the plant and the weights of a step, without those of other parts of the cost."""
     p = problem.plant
     if problem.exact is None:

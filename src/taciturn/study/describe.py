@@ -209,7 +209,7 @@ class Description(Displayed):
             return [("guarantee", f"none for this loop; for the loop of the design: {found['statement']}")]
         lines = [("guarantee", f"{found['statement']}: at most {rounded(found['cost'], 6, 1)} ({found['source']})")]
         if isinstance(self.policy, Policy):
-            lines.append(("proof", proof_text(found["proved"])))
+            lines.append(("proof", proof_text(found["proved"], self.policy.theory.cost_all_time_error is not None)))
         rated = found.get("at_rate")
         if rated is not None and "deciders" in rated:
             deltas = [f"{one['delta']:.4g} ({' and '.join(one['links'])})" for one in rated["deciders"]]

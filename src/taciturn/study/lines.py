@@ -33,11 +33,18 @@ def proved(bound: float | None) -> float | None:
     return None if bound is None else outward(bound, 6, 1)
 
 
-def proof_text(proved: bool) -> str:
-    """Return in words whether a guarantee is computed with proved errors."""
-    if not proved:
-        return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
-    return "J_all is proved for the gains as stored"
+def proof_text(proved: bool, every_sample: bool) -> str:
+    """Return in words which numbers of a guarantee are computed with proved errors.
+
+    Args:
+        proved: whether the whole guarantee is.
+        every_sample: whether the cost of sending every sample is.
+    """
+    if proved:
+        return "J_all and the guarantee are proved for the gains as stored"
+    if every_sample:
+        return "J_all is proved for the gains as stored; what silence adds is computed in doubles, for exact gains"
+    return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
 
 
 def rounded(value: float, digits: int, up: int) -> str:

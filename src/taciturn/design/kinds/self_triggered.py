@@ -98,10 +98,9 @@ def self_triggered(
         initial,
         identity=identity,
         guarantee=Guarantee(
-            problem.per_unit(beta * certainty.highest),
+            problem.per_unit(beta * certainty.cost_all_time),
             f"J ≤ β J_all{less_noise(problem, '(β−1)')}, mean-square stable",
             "gommans2014",
-            proved=certainty.proved is not None,
         ),
         slower=max_interval,
     )
