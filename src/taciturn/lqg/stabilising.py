@@ -302,7 +302,7 @@ class Problem(Displayed):
             raise UnprovedError("the cost-to-go grows without bound")
         found, reason = arithmetic.exact(K), UnprovedError()
         for _ in range(CORRECTIONS):
-            F, stage = given.under(_gain(given, found))
+            F, stage = given.under(_gain(given, found)[0])
             missed = (stage + F.T @ found @ F - found).symmetric().middle
             with np.errstate(all="ignore"):
                 more = summed(F.middle.T, missed)
@@ -317,8 +317,8 @@ class Problem(Displayed):
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        L, exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
-        X, slack, F = _proved(arithmetic, given, K, L, size)
+        (L, weight, H), exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
+        X, slack, F = _proved(arithmetic, given, K, L, weight, H, size)
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
         error = slack * worth + np.diag(4 * UNIT * len(size) * (slack * np.diag(worth) + size))
@@ -328,8 +328,6 @@ class Problem(Displayed):
             L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
             slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
             return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
-        weight = given.B.T @ K
-        H = (given.R + weight @ given.B).symmetric()
         correction = solve(H.centre(), weight.centre()).middle
         try:
             stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
@@ -366,8 +364,8 @@ def not_held(what: str, A: Array) -> UnstableError:
     )
 
 
-def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) -> tuple[E, float, E]:
-    """Return X and ε of the proof that K ± εX contain the solution, with a given gain L, and its closed loop.
+def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, weight: E, H: E, size: Array) -> tuple[E, float, E]:
+    """Return X and ε of the proof that K ± εX contain the solution, with given L, B'K and H, and the closed loop.
 
     Raises:
         UnprovedError: the proof fails in this precision.
@@ -375,8 +373,7 @@ def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) ->
     F, stage = given.under(L)
     X, falls = ranked(arithmetic, F, size)
     missed = (stage + F.T @ K @ F - K).symmetric()
-    weight, pushed = given.B.T @ K, given.B.T @ X
-    H, off = (given.R + weight @ given.B).symmetric(), given.R @ L + given.N.T + weight @ F
+    pushed, off = given.B.T @ X, given.R @ L + given.N.T + weight @ F
     slack = 4 * _slack(missed, off, H, size)
     turned = off - (pushed @ F).times(slack)
     price = H - (pushed @ given.B).symmetric().times(slack)
@@ -455,11 +452,11 @@ def _slowest(F: E) -> float:
     return min(float(np.exp2(exponent)), 1 - UNIT)
 
 
-def _gain(given: Equation[E], K: E) -> E:
-    """Return the gain −(R + B'KB)⁻¹(B'KA + N') without its radii: the proof holds for any gain near it."""
+def _gain(given: Equation[E], K: E) -> tuple[E, E, E]:
+    """Return the gain −H⁻¹(B'KA + N') without its radii, as the proof holds for any gain near it, and B'K and H."""
     weight = given.B.T @ K
     H, off = (given.R + weight @ given.B).symmetric(), weight @ given.A + given.N.T
-    return solve(H.centre(), off.centre()).times(-1.0).centre()
+    return solve(H.centre(), off.centre()).times(-1.0).centre(), weight, H
 
 
 def _sizes(given: Equation[E], K: E, crumb: float) -> Array:
