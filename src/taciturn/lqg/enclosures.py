@@ -14,6 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import reduce
+from math import isfinite
 from typing import Self, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -63,16 +64,15 @@ class Balls(Enclosure):
 
     __slots__ = ("_balls", "_middle", "_radius")
 
-    def __init__(self, balls: arb_mat) -> None:
-        """Take over a matrix of python-flint."""
-        self._balls = balls
-        self._middle: Array | None = None
+    def __init__(self, balls: arb_mat, middle: Array | None = None) -> None:
+        """Take over a matrix of python-flint; its middles may be known as doubles."""
+        self._balls, self._middle = balls, middle
         self._radius: Array | None = None
 
     @classmethod
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
-        return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()))
+        return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()), values)
 
     @classmethod
     def enclosing(cls, middle: Array, radius: Array) -> Self:
@@ -114,7 +114,7 @@ class Balls(Enclosure):
     def middle(self) -> Array:
         """The middles, as the nearest doubles."""
         if self._middle is None:
-            self._middle = np.array([float(one) for one in self._balls.mid().entries()]).reshape(self.shape)
+            self._middle = np.array([*map(float, self._balls.mid().entries())]).reshape(self.shape)
         return self._middle
 
     @property
@@ -183,7 +183,7 @@ class Balls(Enclosure):
 
     def centre(self) -> Self:
         """Return the middles without radii, at the present precision."""
-        return type(self)(self._balls.mid())
+        return type(self)(self._balls.mid(), self._middle)
 
     def symmetric(self) -> Self:
         """Return the mean of the matrix and its transpose, for a matrix that is exactly symmetric."""
@@ -191,9 +191,9 @@ class Balls(Enclosure):
 
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
-        if not np.isfinite(self.most).all():
-            return False
-        return _definite(self.middle, self.radius) or self._has_positive_pivots()
+        return _definite(self.middle, self.radius) or (
+            bool(np.isfinite(self.radius).all()) and self._has_positive_pivots()
+        )
 
     def _has_positive_pivots(self) -> bool:
         """Eliminate row by row: a symmetric matrix is definite if and only if all pivots are positive."""
@@ -222,7 +222,7 @@ class Doubles(Enclosure):
         Raises:
             UnprovedError: a number is too large.
         """
-        if not (np.isfinite(radius).all() and np.isfinite(middle).all()):
+        if not isfinite(float(np.vdot(radius, radius)) + float(np.vdot(middle, middle))):
             raise UnprovedError("a number exceeds the range of doubles")
         self._middle, self._radius = middle, radius
 
@@ -380,17 +380,18 @@ def _definite(middle: Array, radius: Array) -> bool:
     (n + 1) units of roundoff times its trace. So a matrix from whose diagonal twice this and the radii have been
     subtracted is only factorised if the exact matrix is definite.
     """
-    n, diagonal = len(middle), np.diag(middle)
+    n, diagonal = len(middle), middle.diagonal()
     if not (diagonal > 0).all():
         return n == 0
-    with np.errstate(over="ignore", under="ignore"):
-        units = np.exp2(-np.round(np.log2(diagonal) / 2))
-        scaled = symmetrised(middle) * units * units[:, None]
-        spread = (radius * units * units[:, None]).sum(axis=1)  # a diagonal matrix above any error with these radii
-        shift = 1.01 * spread + 4 * (n + 2) * UNIT * float(np.trace(scaled))
-        if not (shift < np.diag(scaled)).all():
+    with np.errstate(all="ignore"):
+        units = np.exp2(-np.rint(np.log2(diagonal) / 2))
+        units = units * units[:, None]
+        scaled, spread = middle * units, (radius * units).sum(axis=1)  # spread: a diagonal matrix above any error
+        diagonal = scaled.diagonal()
+        left = diagonal - (1.01 * spread + 4 * (n + 2) * UNIT * float(diagonal.sum()))
+        if not (left > 0).all():
             return False
-        scaled.flat[:: n + 1] -= shift
+        scaled.flat[:: n + 1] = left
     try:
         np.linalg.cholesky(scaled)
     except np.linalg.LinAlgError:
