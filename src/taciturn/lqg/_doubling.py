@@ -47,9 +47,8 @@ def double(
             turned = F.swapaxes(-1, -2)
             more = turned @ K @ solved[..., :n]
             K = symmetrised(K + more)
-            settled = (np.abs(_diagonal(more)) <= SETTLED * np.abs(worth + _diagonal(K)) + crumb).all(axis=-1)
-            if (settled | ~np.isfinite(K.sum(axis=(-1, -2)))).all():
-                break
+            if not (np.abs(_diagonal(more)) > SETTLED * np.abs(worth + _diagonal(K)) + crumb).any():
+                break  # also if entries are not finite
             G = G + F @ solved[..., n:] @ turned
             F = F @ solved[..., :n]
             both[..., :n], both[..., n:] = F, G

@@ -25,6 +25,7 @@ from taciturn._arrays import Array, Bits, symmetrised
 PRECISIONS = (128, 256, 512, 1024)  # bits that are tried in turn
 UNIT = 2.0**-53  # largest relative error of one rounding
 UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
+SMALL = 8  # most rows for which elimination in balls is faster than a factorisation in doubles with its conversions
 
 Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
 
@@ -49,7 +50,7 @@ class Enclosure(ABC):
     @property
     def most(self) -> Array:
         """Bounds on the moduli of the exact entries."""
-        return np.asarray(np.nextafter(np.abs(self.middle) + self.radius, np.inf), dtype=np.float64)
+        return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)  # an entry that is zero stays zero
 
     @property
     def trace(self) -> tuple[float, float]:
@@ -64,15 +65,14 @@ class Balls(Enclosure):
 
     __slots__ = ("_balls", "_middle", "_radius")
 
-    def __init__(self, balls: arb_mat, middle: Array | None = None) -> None:
-        """Take over a matrix of python-flint; its middles may be known as doubles."""
-        self._balls, self._middle = balls, middle
-        self._radius: Array | None = None
+    def __init__(self, balls: arb_mat, middle: Array | None = None, radius: Array | None = None) -> None:
+        """Take over a matrix of python-flint; its middles may be known as doubles, and their errors."""
+        self._balls, self._middle, self._radius = balls, middle, radius
 
     @classmethod
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
-        return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()), values)
+        return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()), values, np.zeros(values.shape))
 
     @classmethod
     def enclosing(cls, middle: Array, radius: Array) -> Self:
@@ -156,11 +156,9 @@ class Balls(Enclosure):
         more = [arb(0.0, radius) for radius in by.ravel().tolist()]
         return type(self)(self._balls + arb_mat(len(by), by.shape[1], more)) if by.any() else self
 
-    @property
-    def row(self) -> Self:
-        """All entries in one row."""
-        n, m = self.shape
-        return type(self)(arb_mat(1, n * m, self._balls.entries()))
+    def inner(self, other: Self) -> Self:
+        """Return the trace of the product of the transpose with another matrix, (1, 1)."""
+        return type(self)(arb_mat([[(self._balls.transpose() * other._balls).trace()]]))
 
     def part(self, rows: Rows, columns: Rows) -> Self:
         """Return some rows and columns."""
@@ -191,23 +189,20 @@ class Balls(Enclosure):
 
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
-        return _definite(self.middle, self.radius) or (
-            bool(np.isfinite(self.radius).all()) and self._has_positive_pivots()
-        )
+        return (self._balls.nrows() > SMALL and _definite(self.middle, self.radius)) or self._has_positive_pivots()
 
     def _has_positive_pivots(self) -> bool:
         """Eliminate row by row: a symmetric matrix is definite if and only if all pivots are positive."""
         rows = self.rows
         for k, row in enumerate(rows):
             pivot = row[k]
-            if not pivot > 0:
+            if not (pivot > 0 and pivot.is_finite()):
                 return False
             for i in range(k + 1, len(rows)):
-                if not rows[i][k].is_zero():
-                    factor = rows[i][k] / pivot
+                if not row[i].is_zero():
+                    factor, other = row[i] / pivot, rows[i]
                     for j in range(i, len(rows)):
-                        rows[i][j] -= factor * row[j]
-                        rows[j][i] = rows[i][j]
+                        other[j] -= factor * row[j]
         return True
 
 
@@ -313,10 +308,10 @@ class Doubles(Enclosure):
         """Return the matrix with larger radii."""
         return type(self)(self._middle, (self._radius + by) * (1 + 4 * UNIT))
 
-    @property
-    def row(self) -> Self:
-        """All entries in one row."""
-        return type(self)(self._middle.reshape(1, -1), self._radius.reshape(1, -1))
+    def inner(self, other: Self) -> Self:
+        """Return the trace of the product of the transpose with another matrix, (1, 1)."""
+        one, two = (type(self)(part._middle.reshape(1, -1), part._radius.reshape(1, -1)) for part in (self, other))
+        return one @ two.T
 
     def _rounded(self, middle: Array, radius: Array) -> Self:
         """Return an entrywise result whose middle was rounded once."""
@@ -411,7 +406,8 @@ def block(rows: Sequence[Sequence[E]]) -> E:
             found += [reduce(list[arb].__add__, lines) for lines in zip(*(part.rows for part in row), strict=True)]
         return cast("E", Balls.of(found, sum(part.shape[1] for part in rows[0])))
     middle, radius = (
-        np.block([[getattr(part, name) for part in row] for row in rows]) for name in ("middle", "radius")
+        np.concatenate([np.concatenate([getattr(part, name) for part in row], axis=1) for row in rows])
+        for name in ("middle", "radius")
     )
     return cast("E", Doubles(middle, radius))
 

@@ -335,7 +335,7 @@ class Problem(Displayed):
             if self.sampled:  # programs hold the plant in doubles as well
                 A, B = exact(self.given.A), exact(self.given.B)
                 stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
-                _falling(arithmetic, A + B @ stored, X, size)
+                _expect_stable(arithmetic, A + B @ stored, X, size)
             if not (np.diag(excess) <= self.asked * size).all():
                 raise UnprovedError("the rounding of the gain costs too much")
         except UnprovedError:
@@ -407,14 +407,14 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
     return (last + K).centre()
 
 
-def _falling(arithmetic: type[E], F: E, X: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite, for a loop F near the one for which X was computed.
+def _expect_stable(arithmetic: type[E], F: E, X: E, size: Array) -> None:
+    """Prove that a loop F is stable that is near the one for which X was computed.
 
     Raises:
         UnprovedError: the loop is not proved stable.
     """
-    falls = (X - F.T @ X @ F).symmetric()
-    return (X, falls) if falls.definite() else ranked(arithmetic, F, size)
+    if not (X - F.T @ X @ F).symmetric().definite():
+        ranked(arithmetic, F, size)
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
@@ -425,11 +425,12 @@ def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array
     Raises:
         UnprovedError: the loop is not proved stable.
     """
-    X, falls = _falling(arithmetic, F, X, size)
-    spent, unit = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size)
+    spent, unit, falls = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size), (X - F.T @ X @ F).symmetric()
     slack = max(4 * float((spent.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
-    if not (falls.times(slack) - spent).definite():
-        raise UnprovedError("the cost of rounding the gain is not proved")
+    if not (falls.times(slack) - spent).definite():  # otherwise X − F'XF ≻ 0, as off'H off ⪰ 0
+        X, falls = ranked(arithmetic, F, size)
+        if not (falls.times(slack) - spent).definite():
+            raise UnprovedError("the cost of rounding the gain is not proved")
     return slack * symmetrised(X.middle)
 
 

@@ -28,7 +28,7 @@ from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block
-from taciturn.lqg.intervals import Step, inner
+from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.stabilising import ASKED, FEW
@@ -169,15 +169,15 @@ def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
     at = block([[arithmetic.exact(np.eye(n, size))], [loop.T]])
     M = (at.T @ block([[step.Q, step.N], [step.N.T, step.R]]) @ at).symmetric()
     noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
-    constant = inner((loop.D.T @ step.R @ loop.D).symmetric(), V)
+    constant = (loop.D.T @ step.R @ loop.D).symmetric().inner(V)
     keep = closure(  # states that affect the cost, by the zeros of the matrices
         np.asarray((M.most > 0).any(axis=1), dtype=np.bool_), np.asarray(loop.F.most > 0, dtype=np.bool_).T
     )
-    F, M, noise = (part.part(keep, keep) for part in (loop.F, M, noise))
+    F, M, noise = (part if keep.all() else part.part(keep, keep) for part in (loop.F, M, noise))
     if keep.any():
         P, X, slack = _value(arithmetic, F, M)
-        spread = slack * float(inner(X, noise).most[0, 0])
-        found = inner(P, noise) + constant
+        spread = slack * float(X.inner(noise).most[0, 0])
+        found = P.inner(noise) + constant
     else:
         spread, found = 0.0, constant
     noise_cost = 0.0 if problem.exact is None else problem.noise_cost
