@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from flint import fmpq, fmpq_mat, fmpz_mat, nmod_mat
+from flint import fmpq, fmpq_mat, fmpz_mat, nmod, nmod_mat
 
 from taciturn._arrays import Array, Bits
 
@@ -25,20 +25,31 @@ def reaches_all(A: Array, B: Array) -> bool:
 
 
 def _reached(A: Array, B: Array) -> int:
-    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers."""
-    n, m = B.shape
-    moves, block = _modular(A), _modular(B)
-    columns = list[list[int]]()
-    for _ in range(n):
-        columns += [[int(block[i, j]) for i in range(n)] for j in range(m)]
+    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers.
+
+    It is known once it is full, or equal for twice as many powers of A.
+    """
+    (n, m), before, most = B.shape, 0, len(B)
+    moves, block, columns = _modular(A), _modular(B), list[nmod]()
+    while m:
+        columns += block.transpose().entries()
+        count = len(columns) // n
+        if count >= most or count == n * m:
+            rank = nmod_mat(count, n, columns, PRIME).rank()
+            if rank in (n, before) or count == n * m:
+                return rank
+            before, most = rank, 2 * most
         block = moves * block
-    return nmod_mat(len(columns), n, [entry for column in columns for entry in column], PRIME).rank() if m else 0
+    return 0
 
 
 def _modular(values: Array) -> nmod_mat:
-    fractions = [value.as_integer_ratio() for value in values.ravel().tolist()]
-    entries = [above * pow(below, -1, PRIME) % PRIME for above, below in fractions]
-    return nmod_mat(len(values), values.shape[1], entries, PRIME)
+    parts, exponents = np.frexp(np.abs(values))
+    turns = ((exponents - 53) % 61).astype(np.uint64)  # 2^61 is 1: a power of two turns the 61 digits
+    digits = (parts * 2.0**53).astype(np.uint64)
+    turned = (digits << turns) & np.uint64(PRIME) | digits >> (np.uint64(61) - turns)
+    entries = np.where(values < 0, np.uint64(PRIME) - turned, turned)
+    return nmod_mat(*values.shape, entries.ravel().tolist(), PRIME)
 
 
 def rational(values: Array) -> fmpq_mat:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import reduce
+from math import isfinite
 from typing import Self, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -24,6 +25,7 @@ from taciturn._arrays import Array, Bits, symmetrised
 PRECISIONS = (128, 256, 512, 1024)  # bits that are tried in turn
 UNIT = 2.0**-53  # largest relative error of one rounding
 UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
+SMALL = 8  # most rows for which elimination in balls is faster than a factorisation in doubles with its conversions
 
 Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
 
@@ -48,7 +50,7 @@ class Enclosure(ABC):
     @property
     def most(self) -> Array:
         """Bounds on the moduli of the exact entries."""
-        return np.asarray(np.nextafter(np.abs(self.middle) + self.radius, np.inf), dtype=np.float64)
+        return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)  # an entry that is zero stays zero
 
     @property
     def trace(self) -> tuple[float, float]:
@@ -63,16 +65,14 @@ class Balls(Enclosure):
 
     __slots__ = ("_balls", "_middle", "_radius")
 
-    def __init__(self, balls: arb_mat) -> None:
-        """Take over a matrix of python-flint."""
-        self._balls = balls
-        self._middle: Array | None = None
-        self._radius: Array | None = None
+    def __init__(self, balls: arb_mat, middle: Array | None = None, radius: Array | None = None) -> None:
+        """Take over a matrix of python-flint; its middles may be known as doubles, and their errors."""
+        self._balls, self._middle, self._radius = balls, middle, radius
 
     @classmethod
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
-        return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()))
+        return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()), values, np.zeros(values.shape))
 
     @classmethod
     def enclosing(cls, middle: Array, radius: Array) -> Self:
@@ -114,7 +114,7 @@ class Balls(Enclosure):
     def middle(self) -> Array:
         """The middles, as the nearest doubles."""
         if self._middle is None:
-            self._middle = np.array([float(one) for one in self._balls.mid().entries()]).reshape(self.shape)
+            self._middle = np.array([*map(float, self._balls.mid().entries())]).reshape(self.shape)
         return self._middle
 
     @property
@@ -156,11 +156,9 @@ class Balls(Enclosure):
         more = [arb(0.0, radius) for radius in by.ravel().tolist()]
         return type(self)(self._balls + arb_mat(len(by), by.shape[1], more)) if by.any() else self
 
-    @property
-    def row(self) -> Self:
-        """All entries in one row."""
-        n, m = self.shape
-        return type(self)(arb_mat(1, n * m, self._balls.entries()))
+    def inner(self, other: Self) -> Self:
+        """Return the trace of the product of the transpose with another matrix, (1, 1)."""
+        return type(self)(arb_mat([[(self._balls.transpose() * other._balls).trace()]]))
 
     def part(self, rows: Rows, columns: Rows) -> Self:
         """Return some rows and columns."""
@@ -183,7 +181,7 @@ class Balls(Enclosure):
 
     def centre(self) -> Self:
         """Return the middles without radii, at the present precision."""
-        return type(self)(self._balls.mid())
+        return type(self)(self._balls.mid(), self._middle)
 
     def symmetric(self) -> Self:
         """Return the mean of the matrix and its transpose, for a matrix that is exactly symmetric."""
@@ -191,23 +189,20 @@ class Balls(Enclosure):
 
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
-        if not np.isfinite(self.most).all():
-            return False
-        return _definite(self.middle, self.radius) or self._has_positive_pivots()
+        return (self._balls.nrows() > SMALL and _definite(self.middle, self.radius)) or self._has_positive_pivots()
 
     def _has_positive_pivots(self) -> bool:
         """Eliminate row by row: a symmetric matrix is definite if and only if all pivots are positive."""
         rows = self.rows
         for k, row in enumerate(rows):
             pivot = row[k]
-            if not pivot > 0:
+            if not (pivot > 0 and pivot.is_finite()):
                 return False
             for i in range(k + 1, len(rows)):
-                if not rows[i][k].is_zero():
-                    factor = rows[i][k] / pivot
+                if not row[i].is_zero():
+                    factor, other = row[i] / pivot, rows[i]
                     for j in range(i, len(rows)):
-                        rows[i][j] -= factor * row[j]
-                        rows[j][i] = rows[i][j]
+                        other[j] -= factor * row[j]
         return True
 
 
@@ -222,7 +217,7 @@ class Doubles(Enclosure):
         Raises:
             UnprovedError: a number is too large.
         """
-        if not (np.isfinite(radius).all() and np.isfinite(middle).all()):
+        if not isfinite(float(np.vdot(radius, radius)) + float(np.vdot(middle, middle))):
             raise UnprovedError("a number exceeds the range of doubles")
         self._middle, self._radius = middle, radius
 
@@ -313,10 +308,10 @@ class Doubles(Enclosure):
         """Return the matrix with larger radii."""
         return type(self)(self._middle, (self._radius + by) * (1 + 4 * UNIT))
 
-    @property
-    def row(self) -> Self:
-        """All entries in one row."""
-        return type(self)(self._middle.reshape(1, -1), self._radius.reshape(1, -1))
+    def inner(self, other: Self) -> Self:
+        """Return the trace of the product of the transpose with another matrix, (1, 1)."""
+        one, two = (type(self)(part._middle.reshape(1, -1), part._radius.reshape(1, -1)) for part in (self, other))
+        return one @ two.T
 
     def _rounded(self, middle: Array, radius: Array) -> Self:
         """Return an entrywise result whose middle was rounded once."""
@@ -380,17 +375,18 @@ def _definite(middle: Array, radius: Array) -> bool:
     (n + 1) units of roundoff times its trace. So a matrix from whose diagonal twice this and the radii have been
     subtracted is only factorised if the exact matrix is definite.
     """
-    n, diagonal = len(middle), np.diag(middle)
+    n, diagonal = len(middle), middle.diagonal()
     if not (diagonal > 0).all():
         return n == 0
-    with np.errstate(over="ignore", under="ignore"):
-        units = np.exp2(-np.round(np.log2(diagonal) / 2))
-        scaled = symmetrised(middle) * units * units[:, None]
-        spread = (radius * units * units[:, None]).sum(axis=1)  # a diagonal matrix above any error with these radii
-        shift = 1.01 * spread + 4 * (n + 2) * UNIT * float(np.trace(scaled))
-        if not (shift < np.diag(scaled)).all():
+    with np.errstate(all="ignore"):
+        units = np.exp2(-np.rint(np.log2(diagonal) / 2))
+        units = units * units[:, None]
+        scaled, spread = middle * units, (radius * units).sum(axis=1)  # spread: a diagonal matrix above any error
+        diagonal = scaled.diagonal()
+        left = diagonal - (1.01 * spread + 4 * (n + 2) * UNIT * float(diagonal.sum()))
+        if not (left > 0).all():
             return False
-        scaled.flat[:: n + 1] -= shift
+        scaled.flat[:: n + 1] = left
     try:
         np.linalg.cholesky(scaled)
     except np.linalg.LinAlgError:
@@ -410,7 +406,8 @@ def block(rows: Sequence[Sequence[E]]) -> E:
             found += [reduce(list[arb].__add__, lines) for lines in zip(*(part.rows for part in row), strict=True)]
         return cast("E", Balls.of(found, sum(part.shape[1] for part in rows[0])))
     middle, radius = (
-        np.block([[getattr(part, name) for part in row] for row in rows]) for name in ("middle", "radius")
+        np.concatenate([np.concatenate([getattr(part, name) for part in row], axis=1) for row in rows])
+        for name in ("middle", "radius")
     )
     return cast("E", Doubles(middle, radius))
 

@@ -207,7 +207,7 @@ class Interval(NamedTuple, Generic[E]):
             second.Phi @ self.Phi,
             (self.M + self.Phi.T @ second.M @ self.Phi).symmetric(),
             (second.G + second.Phi @ self.G @ second.Phi.T).symmetric(),
-            self.c + second.c + inner(second.M, self.G),
+            self.c + second.c + second.M.inner(self.G),
         )
 
     def repeated(self, times: int) -> Interval[E]:
@@ -228,11 +228,6 @@ class Interval(NamedTuple, Generic[E]):
         x, u = slice(states), slice(states, None)
         Phi, M = self.Phi, self.M
         return Step(Phi.part(x, x), Phi.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u), self.G.part(x, x), self.c)
-
-
-def inner(one: E, other: E) -> E:
-    """Return the trace of one'·other, (1, 1)."""
-    return one.row @ other.row.T
 
 
 def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Array) -> Interval[E]:
@@ -315,7 +310,7 @@ def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
         m, g = (m + m.T).over(k), (g + g.T).over(k)
         weight, noise, change = weight + m, noise + g, change + power
         spread = spread + g.over(k + 1)
-    c = inner(M, spread).times(step)
+    c = M.inner(spread).times(step)
     change = change.widened(_tail(power.most, k, lambda term: term @ most))
     weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
     later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))

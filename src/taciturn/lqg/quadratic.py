@@ -152,9 +152,8 @@ class Span(NamedTuple):
             for _ in range(TURNS):
                 before, span = span.K, span.then(span)
                 found, more = (np.diagonal(part, axis1=-2, axis2=-1) for part in (span.K, span.K - before))
-                settled = (np.abs(more) <= SETTLED * np.abs(worth + found) + crumb).all(axis=-1)
-                if (settled | ~np.isfinite(span.K.sum(axis=(-1, -2)))).all():
-                    break
+                if not (np.abs(more) > SETTLED * np.abs(worth + found) + crumb).any():
+                    break  # also if entries are not finite
         return symmetrised(last + span.K)
 
 

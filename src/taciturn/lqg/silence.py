@@ -41,7 +41,7 @@ from taciturn._modes import COST_ERROR, ROUNDOFF, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, solve
-from taciturn.lqg.intervals import Step, inner
+from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.riccati import Regulator
@@ -272,7 +272,7 @@ def _allowance(
         b[0] += _spread(best @ wrong, weight, innovation)
         d[0] += _spread(wrong, step.Q, innovation)
         known = left @ prior[0] @ left.T + g @ V @ g.T  # the exact variance is less by those of the error and of g − g*
-        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - inner(step.Q, known)
+        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - step.Q.inner(known)
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
@@ -354,7 +354,7 @@ def _squared(T: E, norm: E) -> E:
 
 def _most(one: E, other: E) -> float:
     """Return a bound on the trace of the product of two symmetric matrices."""
-    return float(inner(one, other).most[0, 0])
+    return float(one.inner(other).most[0, 0])
 
 
 def _spread(T: E, norm: E, covariance: E) -> float:

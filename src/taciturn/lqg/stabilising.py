@@ -300,7 +300,7 @@ class Problem(Displayed):
             raise UnprovedError("the cost-to-go grows without bound")
         found, reason = arithmetic.exact(K), UnprovedError()
         for _ in range(CORRECTIONS):
-            F, stage = given.under(_gain(given, found))
+            F, stage = given.under(_gain(given, found)[0])
             missed = (stage + F.T @ found @ F - found).symmetric().middle
             with np.errstate(all="ignore"):
                 more = summed(F.middle.T, missed)
@@ -315,8 +315,8 @@ class Problem(Displayed):
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        L, exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
-        X, slack, F = _proved(arithmetic, given, K, L, size)
+        (L, weight, H), exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
+        X, slack, F = _proved(arithmetic, given, K, L, weight, H, size)
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
         error = slack * worth + np.diag(4 * UNIT * len(size) * (slack * np.diag(worth) + size))
@@ -326,8 +326,6 @@ class Problem(Displayed):
             L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
             slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
             return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
-        weight = given.B.T @ K
-        H = (given.R + weight @ given.B).symmetric()
         correction = solve(H.centre(), weight.centre()).middle
         try:
             stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
@@ -335,7 +333,7 @@ class Problem(Displayed):
             if self.sampled:  # programs hold the plant in doubles as well
                 A, B = exact(self.given.A), exact(self.given.B)
                 stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
-                _falling(arithmetic, A + B @ stored, X, size)
+                _expect_stable(arithmetic, A + B @ stored, X, size)
             if not (np.diag(excess) <= self.asked * size).all():
                 raise UnprovedError("the rounding of the gain costs too much")
         except UnprovedError:
@@ -364,8 +362,8 @@ def not_held(what: str, A: Array) -> UnstableError:
     )
 
 
-def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) -> tuple[E, float, E]:
-    """Return X and ε of the proof that K ± εX contain the solution, with a given gain L, and its closed loop.
+def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, weight: E, H: E, size: Array) -> tuple[E, float, E]:
+    """Return X and ε of the proof that K ± εX contain the solution, with given L, B'K and H, and the closed loop.
 
     Raises:
         UnprovedError: the proof fails in this precision.
@@ -373,8 +371,7 @@ def _proved(arithmetic: type[E], given: Equation[E], K: E, L: E, size: Array) ->
     F, stage = given.under(L)
     X, falls = ranked(arithmetic, F, size)
     missed = (stage + F.T @ K @ F - K).symmetric()
-    weight, pushed = given.B.T @ K, given.B.T @ X
-    H, off = (given.R + weight @ given.B).symmetric(), given.R @ L + given.N.T + weight @ F
+    pushed, off = given.B.T @ X, given.R @ L + given.N.T + weight @ F
     slack = 4 * _slack(missed, off, H, size)
     turned = off - (pushed @ F).times(slack)
     price = H - (pushed @ given.B).symmetric().times(slack)
@@ -408,14 +405,14 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
     return (last + K).centre()
 
 
-def _falling(arithmetic: type[E], F: E, X: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite, for a loop F near the one for which X was computed.
+def _expect_stable(arithmetic: type[E], F: E, X: E, size: Array) -> None:
+    """Prove that a loop F is stable that is near the one for which X was computed.
 
     Raises:
         UnprovedError: the loop is not proved stable.
     """
-    falls = (X - F.T @ X @ F).symmetric()
-    return (X, falls) if falls.definite() else ranked(arithmetic, F, size)
+    if not (X - F.T @ X @ F).symmetric().definite():
+        ranked(arithmetic, F, size)
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
@@ -426,11 +423,12 @@ def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array
     Raises:
         UnprovedError: the loop is not proved stable.
     """
-    X, falls = _falling(arithmetic, F, X, size)
-    spent, unit = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size)
+    spent, unit, falls = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size), (X - F.T @ X @ F).symmetric()
     slack = max(4 * float((spent.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
-    if not (falls.times(slack) - spent).definite():
-        raise UnprovedError("the cost of rounding the gain is not proved")
+    if not (falls.times(slack) - spent).definite():  # otherwise X − F'XF ≻ 0, as off'H off ⪰ 0
+        X, falls = ranked(arithmetic, F, size)
+        if not (falls.times(slack) - spent).definite():
+            raise UnprovedError("the cost of rounding the gain is not proved")
     return slack * symmetrised(X.middle)
 
 
@@ -453,11 +451,11 @@ def _slowest(F: E) -> float:
     return min(float(np.exp2(exponent)), 1 - UNIT)
 
 
-def _gain(given: Equation[E], K: E) -> E:
-    """Return the gain −(R + B'KB)⁻¹(B'KA + N') without its radii: the proof holds for any gain near it."""
+def _gain(given: Equation[E], K: E) -> tuple[E, E, E]:
+    """Return the gain −H⁻¹(B'KA + N') without its radii, as the proof holds for any gain near it, and B'K and H."""
     weight = given.B.T @ K
     H, off = (given.R + weight @ given.B).symmetric(), weight @ given.A + given.N.T
-    return solve(H.centre(), off.centre()).times(-1.0).centre()
+    return solve(H.centre(), off.centre()).times(-1.0).centre(), weight, H
 
 
 def _sizes(given: Equation[E], K: E, crumb: float) -> Array:

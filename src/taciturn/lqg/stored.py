@@ -28,7 +28,7 @@ from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block
-from taciturn.lqg.intervals import Step, inner
+from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.stabilising import ASKED, FEW
@@ -92,7 +92,7 @@ def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None
         steady: the filter; its gain is used.
         L: gain, (m, n).
     """
-    return _proved(problem, closed_by_filter(problem, steady, L))
+    return _proved(problem, closed_by_filter(problem, steady, L), 2 * problem.plant.states)
 
 
 def closed_by_filter(problem: Discrete, steady: Filter, L: Array) -> Closing:
@@ -129,11 +129,11 @@ def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | No
         J = moves @ D + block([[arithmetic.exact(np.zeros((n, p)))], [read]])
         return Closed(F, arithmetic.exact(np.eye(n + k, n)), J, T, D, moves)
 
-    return _proved(problem, close)
+    return _proved(problem, close, plant.states + len(c.A))
 
 
-def _proved(problem: Discrete, close: Closing) -> Proved | None:
-    """Return the proved average cost of a stored loop, or None.
+def _proved(problem: Discrete, close: Closing, states: int) -> Proved | None:
+    """Return the proved average cost of a stored loop with a number of states, or None.
 
     With disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
     state that wanders for ever depends: nothing is proved.
@@ -142,11 +142,12 @@ def _proved(problem: Discrete, close: Closing) -> Proved | None:
     if problem.cost.mission or problem.deviations is not None or (source is not None and source.exosystem is not None):
         return None
     found: Proved | None = None
-    with suppress(UnprovedError), np.errstate(all="ignore"):
-        found = _cost(problem, close, Doubles)
-        if found.radius <= ASKED * found.value:
-            return found
-    for bits in PRECISIONS:
+    if states > FEW:
+        with suppress(UnprovedError), np.errstate(all="ignore"):
+            found = _cost(problem, close, Doubles)
+            if found.radius <= ASKED * found.value:
+                return found
+    for bits in PRECISIONS if states <= MANY else ():
         check_time()
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
             better = _cost(problem, close, Balls)
@@ -160,25 +161,23 @@ def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
     """Return the average cost of a stored loop in one arithmetic.
 
     Raises:
-        UnprovedError: the loop is not proved stable, or has too many states for balls.
+        UnprovedError: the loop is not proved stable.
     """
     step, V = step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
     loop = close(step, arithmetic)
     n, size = problem.plant.states, loop.F.shape[0]
-    if size > MANY and arithmetic is Balls:
-        raise UnprovedError("the loop has too many states for balls")
     at = block([[arithmetic.exact(np.eye(n, size))], [loop.T]])
     M = (at.T @ block([[step.Q, step.N], [step.N.T, step.R]]) @ at).symmetric()
     noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
-    constant = inner((loop.D.T @ step.R @ loop.D).symmetric(), V)
+    constant = (loop.D.T @ step.R @ loop.D).symmetric().inner(V)
     keep = closure(  # states that affect the cost, by the zeros of the matrices
         np.asarray((M.most > 0).any(axis=1), dtype=np.bool_), np.asarray(loop.F.most > 0, dtype=np.bool_).T
     )
-    F, M, noise = (part.part(keep, keep) for part in (loop.F, M, noise))
+    F, M, noise = (part if keep.all() else part.part(keep, keep) for part in (loop.F, M, noise))
     if keep.any():
         P, X, slack = _value(arithmetic, F, M)
-        spread = slack * float(inner(X, noise).most[0, 0])
-        found = inner(P, noise) + constant
+        spread = slack * float(X.inner(noise).most[0, 0])
+        found = P.inner(noise) + constant
     else:
         spread, found = 0.0, constant
     noise_cost = 0.0 if problem.exact is None else problem.noise_cost
@@ -219,8 +218,8 @@ def _value(arithmetic: type[E], F: E, M: E) -> tuple[E, E, float]:
 
 
 def _candidate(arithmetic: type[E], F: E, M: E) -> E:
-    """Return about the sum of F'^k M F^k, without radii."""
-    if arithmetic is Doubles:
+    """Return about the sum of F'^k M F^k, without radii: first that of doubles, corrected once."""
+    if arithmetic is Doubles or arithmetic.unit() == 2.0 ** -PRECISIONS[0]:
         P = arithmetic.exact(summed(F.middle.T, M.middle))
         missed = (M + F.T @ P @ F - P).symmetric().middle
         return (P + arithmetic.exact(summed(F.middle.T, missed))).centre()
