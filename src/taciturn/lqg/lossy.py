@@ -21,6 +21,7 @@ from taciturn.errors import UnstableError
 from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block
+from taciturn.lqg.lyapunov import relative, sizes
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
@@ -268,17 +269,17 @@ def _proved(
                 (one + exact(more)).centre()
                 for one, more in zip((own, both), loop.solve(missed[0].middle, missed[1].middle), strict=True)
             )
-            sizes = [_sizes(here, one.middle) for one in (own, both)]
-            X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in sizes)))
+            scale = [sizes(here.A, here.Q, one.middle, CRUMB) for one in (own, both)]
+            X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in scale)))
         except np.linalg.LinAlgError as error:
             raise UnprovedError("the cost of the gain is too large") from error
         try:
-            slack = step.proved(own, both, X, Z, sizes)
+            slack = step.proved(own, both, X, Z, scale)
         except UnprovedError as error:
             reason = error
             continue
         errors = [slack * form.middle for form in (X, Z)]
-        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, sizes, strict=True)):
+        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
             break
         reason = UnprovedError("the error of the cost-to-go is too large")
     else:
@@ -326,13 +327,13 @@ class LossyStep(NamedTuple, Generic[E]):
         spent = self._arriving(self.L.T @ self.R @ self.L)
         return (first + self.Q + spent - K).symmetric(), (second + self.Q - T).symmetric()
 
-    def proved(self, K: E, T: E, X: E, Z: E, sizes: Sequence[Array]) -> float:
+    def proved(self, K: E, T: E, X: E, Z: E, scale: Sequence[Array]) -> float:
         """Return ε with the best weights, and those of the gain, between (K, T) ± ε(X, Z).
 
         Args:
             K, T: the weights.
             X, Z: a pair that a step without costs reduces.
-            sizes: the diagonals of K and T.
+            scale: the sizes of K and T.
 
         Raises:
             UnprovedError: the proof fails.
@@ -343,9 +344,9 @@ class LossyStep(NamedTuple, Generic[E]):
             raise UnprovedError("the mean square is not proved to be bounded")
         price, pushed = self.R + self.felt(K, T), self.felt(X, Z)
         off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
-        unit, cost = [1 / np.sqrt(size) for size in sizes], np.sqrt(np.maximum(np.diag(price.middle), NO_VARIANCE))
-        parts = [float((form.most * u * u[:, None]).sum(axis=1).max()) for form, u in zip(missed, unit, strict=True)]
-        slack = 4 * max(*parts, float(((off.most * unit[0] / cost[:, None]) ** 2).sum()), 1e-200)
+        cost = np.maximum(np.diag(price.middle), NO_VARIANCE)[:, None]
+        parts = [relative(form, size) for form, size in zip(missed, scale, strict=True)]
+        slack = 4 * max(*parts, float((off.most**2 / scale[0] / cost).sum()))
         off, price = (self._arriving(one - more.times(slack)) for one, more in ((off, turned), (price, pushed)))
         lower = falls[0].times(slack) + missed[0]
         if self.channel.actuator_loss < 1:
@@ -354,12 +355,6 @@ class LossyStep(NamedTuple, Generic[E]):
         if not (lower.definite() and (falls[1].times(slack) + missed[1]).definite() and all(above)):
             raise UnprovedError("the error of the cost-to-go is not proved")
         return slack
-
-
-def _sizes(here: Quadratic, form: Array) -> Array:
-    """Return the cost of each state, or a small part of the terms whose sum it is if it is still smaller."""
-    size = np.maximum(np.diag(form), CRUMB * (np.abs(np.diag(here.Q)) + (here.A**2).T @ np.abs(np.diag(form))))
-    return np.where(size > NO_VARIANCE, size, 1.0)
 
 
 def _stabilising(A: Array, B: Array, channel: Channel) -> Array:

@@ -20,7 +20,6 @@ from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, Unprove
 from taciturn.lqg.structure import closure
 
 TURNS = 100  # doublings
-FADED = 1e-3  # last term of a sum along the loop, relative to its first one
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
@@ -96,21 +95,42 @@ def _proved(F: Array, W: Array, X: Array) -> Array:
 
 
 def _judged(arithmetic: type[E], F: Array, W: Array, X: Array) -> Array:
-    exact, size = arithmetic.exact, np.diag(X)
-    size = np.where(size > NO_VARIANCE, size, 1.0)
-    step, noise = (exact(part).widened(UNIT * np.abs(part)) for part in (F, W))
-    Y, falls = ranked(arithmetic, step.T, size)
+    size = np.where(np.diag(X) > NO_VARIANCE, np.diag(X), 1.0)
+    step, noise = (arithmetic.exact(part).widened(UNIT * np.abs(part)) for part in (F, W))
     for _ in range(2):
-        found = exact(X)
+        found = arithmetic.exact(X)
         missed = (step @ found @ step.T + noise - found).symmetric()
-        unit = 1 / np.sqrt(size)
-        slack = 4 * float((missed.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0))
-        if not slack * float(np.mean(np.diag(Y.middle) / size)) <= COST_ERROR:
-            X = X + summed(F, missed.middle)
-            continue
-        if (falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite():
+        Y, slack = bounded(arithmetic, step.T, missed, size)
+        if slack * float(np.mean(np.diag(Y.middle) / size)) <= COST_ERROR:
             return X
+        X = X + summed(F, missed.middle)
     raise UnprovedError("its terms and their rounding leave too large a residual")
+
+
+def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, float]:
+    """Return X and ε with −εX ⪯ Σ F'^k M F^k ⪯ εX for the residual M of a sum, given about the diagonal of the sum.
+
+    Raises:
+        UnprovedError: the loop is not proved stable, or the bound is not proved.
+    """
+    X, falls = ranked(arithmetic, F, size)
+    slack = 4 * relative(missed, size)
+    if not ((falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite()):
+        raise UnprovedError("the error of a sum along the loop is not proved")
+    return X, slack
+
+
+def sizes(A: Array, Q: Array, K: Array, crumb: float) -> Array:
+    """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
+    diagonal = np.diag(K)
+    size = np.maximum(diagonal, crumb * (np.abs(np.diag(Q)) + (A * A).T @ np.abs(diagonal)))
+    return np.where(size > NO_VARIANCE, size, 1.0)
+
+
+def relative(form: E, size: Array) -> float:
+    """Return a bound on a form relative to the diagonal form of given sizes, above zero."""
+    unit = 1 / np.sqrt(size)
+    return max(float((form.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
 
 
 def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
@@ -127,23 +147,26 @@ def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
         if falls.definite() and X.definite():
             return X, falls
     if arithmetic is Balls:  # double precision does not suffice for the sum
-        X = _summed(arithmetic, F, size)
+        X = total(arithmetic, F, arithmetic.exact(np.diag(size)))
         falls = (X - F.T @ X @ F).symmetric()
         if falls.definite() and X.definite():
             return X, falls
     raise UnprovedError("the closed loop is not proved stable")
 
 
-def _summed(arithmetic: type[E], F: E, size: Array) -> E:
-    """Return the sum of F'^k D F^k for a diagonal D over so many steps that what is left is below D, without radii."""
-    D, power = arithmetic.exact(np.diag(size)), F.centre()
-    found = D
+def total(arithmetic: type[E], F: E, M: E) -> E:
+    """Return about the sum of F'^k M F^k, without radii, by doubling the number of terms.
+
+    Raises:
+        UnprovedError: the loop is not stable.
+    """
+    found, power = M.centre(), F.centre()
     for _ in range(TURNS):
-        found = (found + (power.T @ found @ power).symmetric()).centre()
-        left = np.diag((power.T @ D @ power).middle)
-        if not (np.isfinite(left).all() and np.isfinite(found.middle).all()):
-            raise UnprovedError("the closed loop is not stable")
-        if (left <= FADED / len(size) * size).all():  # a semidefinite matrix is below n times its diagonal
+        more = (power.T @ found @ power).symmetric()
+        found = (found + more).centre()
+        if not np.isfinite(found.middle).all():
+            break
+        if np.abs(more.middle).max(initial=0.0) <= arithmetic.unit() * np.abs(np.diag(found.middle)).max(initial=0.0):
             return found
         power = (power @ power).centre()
     raise UnprovedError("the closed loop does not forget")

@@ -126,16 +126,21 @@ class Span(NamedTuple):
 
     def then(self, later: Span) -> Span:
         """Return these steps and later ones."""
-        n, moved = self.F.shape[-1], np.concatenate([self.F, self.G], axis=-1)
-        solved = _divided(np.eye(n) + self.G @ later.K, moved)
-        more = self.F.mT @ later.K @ solved[..., :n]
-        G = later.G + later.F @ solved[..., n:] @ later.F.mT
-        return Span(later.F @ solved[..., :n], G, symmetrised(self.K + more))
+        return self._through(later, *self._onto(later.K))
 
     def before(self, change: Array) -> Array:
         """Return the Δ before the steps for the Δ after them."""
-        moved = self.F.mT @ change @ _divided(np.eye(self.F.shape[-1]) + self.G @ change, self.F)
-        return symmetrised(self.K + moved)
+        return self._onto(change)[0]
+
+    def _onto(self, change: Array) -> tuple[Array, Array]:
+        """Return the Δ before the steps, and (I + GΔ)^{-1}[F, G]."""
+        n = self.F.shape[-1]
+        solved = _divided(np.eye(n) + self.G @ change, np.concatenate([self.F, self.G], axis=-1))
+        return symmetrised(self.K + self.F.mT @ change @ solved[..., :n]), solved
+
+    def _through(self, later: Span, K: Array, solved: Array) -> Span:
+        n = self.F.shape[-1]
+        return Span(later.F @ solved[..., :n], later.G + later.F @ solved[..., n:] @ later.F.mT, K)
 
     def for_ever(self, last: Array, crumb: Array | float = 0.0) -> Array:
         """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none.
@@ -150,10 +155,11 @@ class Span(NamedTuple):
         span, worth = self, np.diag(last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for _ in range(TURNS):
-                before, span = span.K, span.then(span)
-                found, more = (np.diagonal(part, axis1=-2, axis2=-1) for part in (span.K, span.K - before))
+                K, solved = span._onto(span.K)
+                found, more = (np.diagonal(part, axis1=-2, axis2=-1) for part in (K, K - span.K))
                 if not (np.abs(more) > SETTLED * np.abs(worth + found) + crumb).any():
-                    break  # also if entries are not finite
+                    return symmetrised(last + K)  # also if entries are not finite
+                span = span._through(span, K, solved)
         return symmetrised(last + span.K)
 
 

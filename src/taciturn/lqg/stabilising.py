@@ -48,7 +48,7 @@ from taciturn._progress import check_time
 from taciturn._rational import is_semidefinite, rational
 from taciturn.errors import UnstableError
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
-from taciturn.lqg.lyapunov import ranked
+from taciturn.lqg.lyapunov import bounded, ranked, relative, sizes
 from taciturn.lqg.quadratic import Quadratic, Span, in_powers_of_two
 from taciturn.lqg.structure import Free, free_inputs, worth_of
 
@@ -315,7 +315,8 @@ class Problem(Displayed):
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        (L, weight, H), exact, size = _gain(given, K), arithmetic.exact, _sizes(given, K, arithmetic.unit() ** CRUMB)
+        (L, weight, H), exact = _gain(given, K), arithmetic.exact
+        size = sizes(given.A.middle, given.Q.middle, K.middle, arithmetic.unit() ** CRUMB)
         X, slack, F = _proved(arithmetic, given, K, L, weight, H, size)
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
@@ -423,12 +424,10 @@ def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array
     Raises:
         UnprovedError: the loop is not proved stable.
     """
-    spent, unit, falls = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size), (X - F.T @ X @ F).symmetric()
-    slack = max(4 * float((spent.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
+    spent, falls = (off.T @ H @ off).symmetric(), (X - F.T @ X @ F).symmetric()
+    slack = 4 * relative(spent, size)
     if not (falls.times(slack) - spent).definite():  # otherwise X − F'XF ≻ 0, as off'H off ⪰ 0
-        X, falls = ranked(arithmetic, F, size)
-        if not (falls.times(slack) - spent).definite():
-            raise UnprovedError("the cost of rounding the gain is not proved")
+        X, slack = bounded(arithmetic, F, spent, size)
     return slack * symmetrised(X.middle)
 
 
@@ -458,21 +457,10 @@ def _gain(given: Equation[E], K: E) -> tuple[E, E, E]:
     return solve(H.centre(), off.centre()).times(-1.0).centre(), weight, H
 
 
-def _sizes(given: Equation[E], K: E, crumb: float) -> Array:
-    """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
-    diagonal, A = np.diag(K.middle), given.A.middle
-    terms = np.abs(np.diag(given.Q.middle)) + (A * A).T @ np.abs(diagonal)
-    size = np.maximum(diagonal, crumb * terms)
-    return np.where(size > NO_VARIANCE, size, 1.0)
-
-
 def _slack(missed: E, off: E, H: E, size: Array) -> float:
     """Return an estimate of the least ε of the proof: the size of the residuals in units of the cost-to-go."""
-    unit = 1 / np.sqrt(size)
-    first = float((missed.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0))
-    price = np.sqrt(np.maximum(np.diag(H.middle), NO_VARIANCE))
-    second = float(((off.most * unit / price[:, None]) ** 2).sum())
-    return max(first, second, 1e-200)
+    unit, price = 1 / np.sqrt(size), np.sqrt(np.maximum(np.diag(H.middle), NO_VARIANCE))
+    return max(relative(missed, size), float(((off.most * unit / price[:, None]) ** 2).sum()))
 
 
 def _last(B: Array, Q: Array, R: Array) -> float:

@@ -30,13 +30,12 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter
-from taciturn.lqg.lyapunov import ranked
+from taciturn.lqg.lyapunov import bounded, total
 from taciturn.lqg.stabilising import ASKED, FEW
 from taciturn.lqg.structure import closure
 from taciturn.model.controller import Controller
 
 MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
-TURNS = 80  # doublings of a sum
 
 
 class Proved(NamedTuple):
@@ -205,31 +204,16 @@ def _value(arithmetic: type[E], F: E, M: E) -> tuple[E, E, float]:
     Raises:
         UnprovedError: the proof fails in this precision.
     """
-    P = _candidate(arithmetic, F, M)
+    if arithmetic is Doubles or arithmetic.unit() == 2.0 ** -PRECISIONS[0]:  # that of doubles, corrected once
+        P = arithmetic.exact(summed(F.middle.T, M.middle))
+        P = (P + arithmetic.exact(summed(F.middle.T, _missed(F, M, P).middle))).centre()
+    else:
+        P = total(arithmetic, F, M)
     size = np.diag(P.middle)
     size = np.maximum(size, arithmetic.unit() ** 0.5 * float(size.max(initial=0.0)) + NO_VARIANCE)
-    X, falls = ranked(arithmetic, F, size)
-    missed = (M + F.T @ P @ F - P).symmetric()
-    unit = 1 / np.sqrt(size)
-    slack = 4 * float((missed.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)) + 1e-200
-    if not ((falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite()):
-        raise UnprovedError("the cost of the loop is not proved")
-    return P, X, slack
+    return P, *bounded(arithmetic, F, _missed(F, M, P), size)
 
 
-def _candidate(arithmetic: type[E], F: E, M: E) -> E:
-    """Return about the sum of F'^k M F^k, without radii: first that of doubles, corrected once."""
-    if arithmetic is Doubles or arithmetic.unit() == 2.0 ** -PRECISIONS[0]:
-        P = arithmetic.exact(summed(F.middle.T, M.middle))
-        missed = (M + F.T @ P @ F - P).symmetric().middle
-        return (P + arithmetic.exact(summed(F.middle.T, missed))).centre()
-    P, power = M.centre(), F.centre()
-    for _ in range(TURNS):
-        more = (power.T @ P @ power).symmetric()
-        P = (P + more).centre()
-        if not np.isfinite(P.middle).all():
-            break
-        if np.abs(more.middle).max(initial=0.0) <= arithmetic.unit() * np.abs(np.diag(P.middle)).max(initial=0.0):
-            return P
-        power = (power @ power).centre()
-    raise UnprovedError("the loop is not stable")
+def _missed(F: E, M: E, P: E) -> E:
+    """Return the residual of a value P."""
+    return (M + F.T @ P @ F - P).symmetric()
