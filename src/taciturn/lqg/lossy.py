@@ -12,7 +12,7 @@ from typing import Generic, NamedTuple
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import NO_VARIANCE, Array, Bits, frozen, is_definite, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, mode_text, radius
 from taciturn._precision import precision
@@ -76,19 +76,6 @@ class LossyRegulator(Displayed):
     L: Array
     Gamma: Array
     error: Array
-
-    def within(self, states: Bits) -> LossyRegulator:
-        """Return these gains extended to a plant with additional states that have no cost-to-go.
-
-        Args:
-            states: the states of these gains.
-        """
-        n, place, L = len(states), np.ix_(states, states), np.zeros((len(self.L), len(states)))
-        L[:, states] = self.L
-        forms = {name: np.zeros((n, n)) for name in ("K", "P", "Gamma", "error")}
-        for name, form in forms.items():
-            form[place] = getattr(self, name)
-        return LossyRegulator(L=frozen(L), **{name: frozen(form) for name, form in forms.items()})
 
 
 def lossy_step(
@@ -191,7 +178,9 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
     given = Quadratic(A, B, Q, R, np.zeros_like(B))
     seen = states_with_cost(*given)
     found = _fixed_point(given.among(seen), channel)
-    return found if seen.all() else found.within(seen)
+    to = np.eye(len(seen))[:, seen]
+    K, P, Gamma, error = (frozen(to @ form @ to.T) for form in (found.K, found.P, found.Gamma, found.error))
+    return LossyRegulator(K, P, frozen(found.L @ to.T), Gamma, error)
 
 
 def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:

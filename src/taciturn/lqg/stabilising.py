@@ -120,7 +120,6 @@ class Problem(Displayed):
         continuous: whether time is continuous; then A and B are derivatives, and the weights those of an integral.
         sampled: whether the recipe has more digits than doubles.
         dual: whether the gain that is stored is H⁻¹B'K, of a filter, and not L.
-        asked: relative error of the cost-to-go of each state.
     """
 
     given: Quadratic
@@ -128,7 +127,6 @@ class Problem(Displayed):
     continuous: bool = False
     sampled: bool = False
     dual: bool = False
-    asked: float = ASKED
 
     @cached_property
     def step(self) -> float:
@@ -147,18 +145,16 @@ class Problem(Displayed):
         worth = worth_of(self.given, self.continuous, self.sampled)
         if worth.states.all():
             return self._solved()
-        found, states, n = self.among(worth.states)._solved(), worth.states, len(worth.states)
-        place = np.ix_(states, states)
-        K, error, L, correction = (
-            np.zeros((n, n)),
-            np.zeros((n, n)),
-            np.zeros((len(found.L), n)),
-            np.zeros((len(found.L), n)),
-        )
-        K[place], error[place], L[:, states], correction[:, states] = found.K, found.error, found.L, found.correction
+        found, to = self.among(worth.states)._solved(), np.eye(len(worth.states))[:, worth.states]
         others = worth.decaying.real if self.continuous else np.abs(worth.decaying)
-        slowest = max(found.slowest, float(others.max(initial=-np.inf)))
-        return Solution(K, L, found.H, error, correction, found.free, found.held, slowest)
+        return replace(
+            found,
+            K=to @ found.K @ to.T,
+            L=found.L @ to.T,
+            error=to @ found.error @ to.T,
+            correction=found.correction @ to.T,
+            slowest=max(found.slowest, float(others.max(initial=-np.inf))),
+        )
 
     def among(self, states: Bits) -> Problem:
         """Return the problem restricted to states that the others do not affect."""
@@ -170,7 +166,7 @@ class Problem(Displayed):
                 A.part(states, states), B.part(states, every), Q.part(states, states), R, N.part(states, every)
             )
 
-        return Problem(self.given.among(states), restricted, self.continuous, self.sampled, self.dual, self.asked)
+        return replace(self, given=self.given.among(states), recipe=restricted)
 
     def _solved(self) -> Solution:
         try:
@@ -263,7 +259,7 @@ class Problem(Displayed):
             )  # fmt: skip
 
         rough = Quadratic(*(part.middle for part in reduced(Doubles)))
-        found = Problem(rough, reduced, False, self.sampled, self.dual, self.asked).solve()
+        found = replace(self, given=rough, recipe=reduced).solve()
         onto = np.zeros((int(rest.sum()), n))
         onto[:, rest] = np.eye(len(onto))
         onto[:, free.places] = -T[rest]
@@ -321,7 +317,7 @@ class Problem(Displayed):
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
         error = slack * worth + np.diag(4 * UNIT * len(size) * (slack * np.diag(worth) + size))
-        if not (np.diag(error) <= self.asked * size).all():
+        if not (np.diag(error) <= ASKED * size).all():
             raise UnprovedError("the error of the cost-to-go is too large")
         if self.continuous:
             L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
@@ -335,7 +331,7 @@ class Problem(Displayed):
                 A, B = exact(self.given.A), exact(self.given.B)
                 stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
                 _expect_stable(arithmetic, A + B @ stored, X, size)
-            if not (np.diag(excess) <= self.asked * size).all():
+            if not (np.diag(excess) <= ASKED * size).all():
                 raise UnprovedError("the rounding of the gain costs too much")
         except UnprovedError:
             if arithmetic is Doubles:
