@@ -52,13 +52,6 @@ class Enclosure(ABC):
         """Bounds on the moduli of the exact entries."""
         return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)  # an entry that is zero stays zero
 
-    @property
-    def trace(self) -> tuple[float, float]:
-        """The trace, and a bound on its error."""
-        middle, radius = np.diag(self.middle), np.diag(self.radius)
-        rounding = 2 * len(middle) * UNIT * float(np.abs(middle).sum())
-        return float(middle.sum()), 1.001 * float(radius.sum()) + rounding
-
 
 class Balls(Enclosure):
     """A matrix of balls of python-flint, for use within ``precision``."""
@@ -73,11 +66,6 @@ class Balls(Enclosure):
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
         return cls(arb_mat(len(values), values.shape[1], values.ravel().tolist()), values, np.zeros(values.shape))
-
-    @classmethod
-    def enclosing(cls, middle: Array, radius: Array) -> Self:
-        """Return the matrix with given middles and radii."""
-        return cls.exact(middle).widened(radius)
 
     @classmethod
     def rational(cls, values: fmpq_mat) -> Self:
@@ -225,11 +213,6 @@ class Doubles(Enclosure):
     def exact(cls, values: Array) -> Self:
         """Return the matrix of given doubles, without an error."""
         return cls(values, np.zeros(values.shape))
-
-    @classmethod
-    def enclosing(cls, middle: Array, radius: Array) -> Self:
-        """Return the matrix with given middles and radii."""
-        return cls(middle, radius)
 
     @classmethod
     def rational(cls, values: fmpq_mat) -> Self:

@@ -5,7 +5,7 @@ disturbance moves on and the input is held, so μ moves too:
 
     dξ = (Aξ + Bμ) dt + w − X w_d,   dμ = −U S d dt − U w_d,   dd = S d dt + w_d,
 
-and the cost of a period is the integral of the stage cost over this path (``sample_moving``). If a disturbance that
+and the cost of a period is the integral of the stage cost over this path (``sample``). If a disturbance that
 does not decay changes Ud between samples (U S d ≠ 0: a sinusoid, or a ramp that the input must follow), its ripple
 costs d'(…)d, which grows without limit, so the integral has no average. The cost is then that of the deviations at the
 sampling instants, Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant and without noise between samples.
@@ -25,7 +25,7 @@ from taciturn.lqg._followed import Followed
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.intervals import Exact, Source
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.sampling import Sampled, sample, sample_moving
+from taciturn.lqg.sampling import Sampled, sample
 from taciturn.lqg.structure import paths
 from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
@@ -263,16 +263,10 @@ def _within_a_period(
     moves[q - given :] = 0.0
     noise = np.vstack([-X, np.eye(q), -U])
     W = symmetrised(noise @ moves @ noise.T + block_diagonal(plant.W, np.zeros((q + m, q + m))))
-    return sample_moving(
-        block_diagonal(plant.A, e.S),
-        np.vstack([plant.B, np.zeros((q, m))]),
-        block_diagonal(cost.Q, rest),
-        cost.R,
-        np.vstack([cost.N, np.zeros((q, m))]),
-        W,
-        np.hstack([np.zeros((m, n)), -_moves(U, e.S)]),
-        period,
-    )
+    D = np.hstack([np.zeros((m, n)), -_moves(U, e.S)])
+    B, N = (np.vstack([part, np.zeros((q, m))]) for part in (plant.B, cost.N))
+    A, Q = block_diagonal(plant.A, e.S), block_diagonal(cost.Q, rest)
+    return sample(A, B, Q, cost.R, N, W, period, D)
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:

@@ -14,11 +14,18 @@ from taciturn.lqg.enclosures import E, block
 from taciturn.lqg.intervals import Integrated, Sampled, Source, Step, integrated, sampled
 from taciturn.lqg.quadratic import Quadratic
 
-__all__ = ["Sampled", "sample", "sample_moving", "sample_prediction"]
+__all__ = ["Sampled", "sample", "sample_prediction"]
 
 
 def sample(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, period: float
+    A: ArrayLike,
+    B: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    N: ArrayLike,
+    W: ArrayLike,
+    period: float,
+    moved: ArrayLike | None = None,
 ) -> Sampled:
     """Return the discrete-time LQ problem of a continuous-time problem whose input is held between samples.
 
@@ -27,14 +34,20 @@ def sample(
     with F = [[A, B], [0, 0]], M = [[Q, N], [N', R]], and noise_cost = ∫_0^h tr(Q ∫_0^s e^{Ar}We^{A'r}dr)ds.
     N_d is nonzero even if N = 0. The cost per unit of time is (discrete average + noise_cost)/h.
 
+    An input may also move between samples by itself, du = Dx dt + noise, from the input u at the start of the period:
+    F = [[A, B], [D, 0]]. Such an input is the deviation u − Ud of a held input from what a disturbance d needs at each
+    instant.
+
     Args:
         A: (n, n) dynamics, per unit of time.
         B: (n, m) input matrix, per unit of time.
         Q: (n, n) symmetric state weight, per unit of time.
         R: (m, m) symmetric input weight, per unit of time.
         N: (n, m) cross weight, per unit of time.
-        W: (n, n) semidefinite noise intensity, covariance per unit of time.
+        W: (n, n) semidefinite noise intensity, covariance per unit of time; of states and inputs, (n + m, n + m), if
+            these move.
         period: h > 0, in the same unit of time.
+        moved: D, (m, n), how the states move the inputs, per unit of time; omitted: the inputs are held.
 
     Returns:
         The sampled problem, to the precision of its entries; ``exact`` encloses it.
@@ -49,53 +62,24 @@ def sample(
         >>> found = sample(A, B, Q, [[0]], [[0], [0]], W, 1.0)
         >>> found.B.ravel().tolist(), round(found.noise_cost * 12, 12)
         ([0.5, 1.0], 1.0)
-    """
-    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
-    n, m = B.shape
-    W = _arrays.semidefinite("W", W, n, "states × states")
-    period = _arrays.number("period", period, 0.0)
-    source, moved = Source(Quadratic(A, B, Q, R, N), W, period), np.zeros((m, n))
-    return _sampled(A, B, np.block([[Q, N], [N.T, R]]), _padded(W, m), moved, balancing(A), period, source)
-
-
-def sample_moving(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, moved: ArrayLike, period: float
-) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time problem whose input moves between samples by itself.
-
-    [dx; du] = ([Ax + Bu; Dx])dt + noise of intensity W, from the input u at the start of the period. Weights and
-    noise_cost are those of :func:`sample`, with F = [[A, B], [D, 0]]. Such an input is the deviation u − Ud of a held
-    input from what a disturbance d needs at each instant.
-
-    Args:
-        A: (n, n) dynamics, per unit of time.
-        B: (n, m) input matrix, per unit of time.
-        Q: (n, n) symmetric state weight, per unit of time.
-        R: (m, m) symmetric input weight, per unit of time.
-        N: (n, m) cross weight, per unit of time.
-        W: (n + m, n + m) semidefinite intensity of the noise of states and inputs.
-        moved: D, (m, n), how the states move the inputs, per unit of time.
-        period: h > 0, in the same unit of time.
-
-    Returns:
-        The sampled problem, to the precision of its entries; ``exact`` encloses it.
-
-    Raises:
-        ProblemError: data of the wrong shape or range, or the state overflows within a period.
-
-    Source: vanloan1978
-
-    Example:
-        >>> found = sample_moving([[0]], [[1]], [[1]], [[1]], [[0]], [[0, 0], [0, 1]], [[0]], 1.0)
+        >>> found = sample([[0]], [[1]], [[1]], [[1]], [[0]], [[0, 0], [0, 1]], 1.0, moved=[[0]])
         >>> round(found.noise_cost * 12, 12)  # ∫ Var u dt = 1/2, and ∫ Var x dt = ∫ t³/3 dt = 1/12
         7.0
     """
-    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
+    A, B, Q, R, N = given = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
-    W = _arrays.semidefinite("W", W, n + m, "(states + inputs) × (states + inputs)")
-    D = _arrays.array("moved", moved, (m, n), "inputs × states")
-    period, scale = _arrays.number("period", period, 0.0), balancing(A)
-    return _sampled(A, B, np.block([[Q, N], [N.T, R]]), W, D, scale, period)
+    period, scale, source = _arrays.number("period", period, 0.0), balancing(A), None
+    if moved is None:
+        W = _arrays.semidefinite("W", W, n, "states × states")
+        source, D, G = Source(given, W, period), np.zeros((m, n)), np.pad(W, (0, m))
+    else:
+        D = _arrays.array("moved", moved, (m, n), "inputs × states")
+        G = _arrays.semidefinite("W", W, n + m, "(states + inputs) × (states + inputs)")
+    reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
+    reach = np.where(reach > 0, reach, 1.0)
+    units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
+    F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
+    return sampled(Integrated(F, M, G, period, units, n), n + m, source)
 
 
 def sample_prediction(
@@ -168,19 +152,4 @@ class _Predicted(Displayed):
         F = block([[a, b @ gain], [exact(np.zeros((n, n))), model]])
         across = cross @ gain
         M = block([[q, across], [across.T, (gain.T @ r @ gain).symmetric()]])
-        return integrated(arithmetic, F, M, exact(_padded(self.W, n)), self.period, self.units).split(n)
-
-
-def _sampled(
-    A: Array, B: Array, M: Array, G: Array, D: Array, scale: Array, period: float, source: Source | None = None
-) -> Sampled:
-    """Return the problem of ẋ = Ax + Bu, u̇ = Dx with noise of intensity G, in the units ``scale`` of the states."""
-    reach: Array = np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0)
-    reach = np.where(reach > 0, reach, 1.0)
-    units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
-    F = np.block([[A, B], [D, np.zeros((len(D), len(D)))]])
-    return sampled(Integrated(F, M, G, period, units, len(A)), len(F), source)
-
-
-def _padded(W: Array, more: int) -> Array:
-    return np.pad(W, ((0, more), (0, more)))
+        return integrated(arithmetic, F, M, exact(np.pad(self.W, (0, n))), self.period, self.units).split(n)

@@ -214,7 +214,7 @@ def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
     X, falls = ranked(arithmetic, F.part(states, states), size)
     place, middle, radius = np.ix_(states, states), np.zeros(F.shape), np.zeros(F.shape)
     middle[place], radius[place] = X.middle, X.radius
-    return _Norm(arithmetic.enclosing(middle, radius), _ratio(X, falls), states)
+    return _Norm(arithmetic.exact(middle).widened(radius), _ratio(X, falls), states)
 
 
 def _allowance(

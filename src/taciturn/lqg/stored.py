@@ -193,7 +193,7 @@ def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
     if arithmetic is Doubles and p.states <= FEW:  # the balls of the sampling are known
         with precision(PRECISIONS[0]):
             known = problem.exact(Balls)
-        A, B, Q, R, N, W, c = (arithmetic.enclosing(part.middle, part.radius) for part in known)
+        A, B, Q, R, N, W, c = (arithmetic.exact(part.middle).widened(part.radius) for part in known)
         return Step(A, B, Q, R, N, W, c)
     return problem.exact(arithmetic)
 
