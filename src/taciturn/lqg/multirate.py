@@ -23,6 +23,8 @@ from taciturn._display import Displayed
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.queries import Predictor
 from taciturn.model.network import Network
 
 SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
@@ -125,9 +127,7 @@ class MultirateControl(Displayed):
                 newer = [node for node in self._measured if known.get(node, 0) <= oldest - step]
                 seen = [i for node in newer for i in self._measured[node]]
                 if seen:
-                    C = plant.C[seen]
-                    gain = np.linalg.solve(C @ found @ C.T + plant.V[np.ix_(seen, seen)], C @ found).T
-                    found = symmetrised(found - gain @ C @ found)
+                    found = symmetrised(found - Predictor(plant, seen).correction(found) @ plant.C[seen] @ found)
             self._covariances[ages] = found
         return self._covariances[ages]
 
@@ -139,13 +139,14 @@ class MultirateControl(Displayed):
         """
         cycle, n = lcm(1, *(one.period for one in timings)), self.problem.plant.states
         steps = [self._step(timings, step) for step in range(cycle)]
-        K, size = np.zeros((steps[0].states, steps[0].states)), 1.0
+        K, size = np.zeros(steps[0].A.shape), 1.0
         values, squares = [K] * cycle, [K] * cycle
         for _ in range(max(2, MOST_STEPS // cycle)):
             before = K
             for step in reversed(range(cycle)):
                 values[step] = K[:n, :n]
-                K, squares[step] = steps[step].back(K, n)
+                K, saved = steps[step].back(K)
+                squares[step] = saved[:n, :n]
             size = float(np.abs(K).max())
             if not np.isfinite(size) or size > LARGEST * max(1.0, float(np.abs(self.problem.Q).max())):
                 break
@@ -154,7 +155,7 @@ class MultirateControl(Displayed):
         named = ", ".join(f"{link} every {one.period} steps" for link, one in zip(self._linked, timings, strict=True))
         raise UnstableError(f"the plant is not stabilised by packets {named}; expected shorter periods")
 
-    def _step(self, timings: tuple[Timing, ...], step: int) -> _Step:
+    def _step(self, timings: tuple[Timing, ...], step: int) -> Quadratic:
         """Return the transition, inputs and weights of a step, over the state x and the inputs of later steps."""
         plant, A, B = self.problem.plant, self.problem.plant.A, self.problem.plant.B
         n, m = plant.states, plant.inputs
@@ -190,25 +191,6 @@ class MultirateControl(Displayed):
             [np.eye(n, states), np.zeros((n, given.shape[1]))],
             [from_state, given],
         ])  # fmt: skip
-        return _Step(F, G, whole.T @ M @ whole)
-
-
-class _Step(NamedTuple):
-    """A step z⁺ = Fz + Gv with the cost of (z, v) in M."""
-
-    F: Array
-    G: Array
-    M: Array
-
-    @property
-    def states(self) -> int:
-        return len(self.F)
-
-    def back(self, K: Array, plant: int) -> tuple[Array, Array]:
-        """Return the cost-to-go before the step, and L'HL of the plant's states, from the cost-to-go after it."""
-        n = self.states
-        moved = np.hstack([self.F, self.G])
-        whole = symmetrised(self.M + moved.T @ K @ moved)
-        H, off = whole[n:, n:], whole[n:, :n]
-        saved = off.T @ np.linalg.pinv(H, rcond=1e-13, hermitian=True) @ off
-        return symmetrised(whole[:n, :n] - saved), saved[:plant, :plant]
+        M = symmetrised(whole.T @ M @ whole)
+        x, v = slice(states), slice(states, None)
+        return Quadratic(F, G, M[x, x], M[v, v], M[x, v])

@@ -57,6 +57,12 @@ class Quadratic(NamedTuple):
         A, B, Q, R, N = self
         return Quadratic(kept @ A @ kept.T + more @ S @ more.T, kept @ B + more @ P, kept @ Q @ kept.T, R, kept @ N)
 
+    def back(self, K: Array) -> tuple[Array, Array]:
+        """Return the cost-to-go before an optimal step, and how much its input saves, from the cost-to-go after it."""
+        off = self.B.T @ K @ self.A + self.N.T
+        saved = off.T @ price(self.B, K, self.R)[1] @ off
+        return symmetrised(self.Q + self.A.T @ K @ self.A - saved), symmetrised(saved)
+
     def under(self, L: Array) -> tuple[Array, Array]:
         """Return the closed-loop matrix A + BL for a gain L, and the weight of the state in its stage cost."""
         stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
