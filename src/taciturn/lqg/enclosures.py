@@ -11,7 +11,6 @@ Source: johansson2017, ozaki2012, rump2006
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import reduce
 from math import isfinite
@@ -34,26 +33,7 @@ class UnprovedError(ArithmeticError):
     """A property that does not follow from the enclosures at this precision."""
 
 
-class Enclosure(ABC):
-    """A matrix whose entries lie within known radii of known middles: what both arithmetics conclude from these."""
-
-    @property
-    @abstractmethod
-    def middle(self) -> Array:
-        """The middles, as the nearest doubles."""
-
-    @property
-    @abstractmethod
-    def radius(self) -> Array:
-        """Bounds on the distances of the exact entries from ``middle``."""
-
-    @property
-    def most(self) -> Array:
-        """Bounds on the moduli of the exact entries."""
-        return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)  # an entry that is zero stays zero
-
-
-class Balls(Enclosure):
+class Balls:
     """A matrix of balls of python-flint, for use within ``precision``."""
 
     __slots__ = ("_balls", "_middle", "_radius")
@@ -113,6 +93,11 @@ class Balls(Enclosure):
             rounding = np.where(self.middle == 0, 0.0, 2 * UNIT * np.abs(self.middle) + UNDERFLOW)
             self._radius = np.where(found == 0, rounding, (found + rounding) * (1 + 8 * UNIT))
         return self._radius
+
+    @property
+    def most(self) -> Array:
+        """Bounds on the moduli of the exact entries; that of an entry that is zero is zero."""
+        return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)
 
     def __add__(self, other: Self) -> Self:
         """Return the sum."""
@@ -194,10 +179,10 @@ class Balls(Enclosure):
         return True
 
 
-class Doubles(Enclosure):
+class Doubles:
     """A matrix of doubles with bounds on their errors."""
 
-    __slots__ = ("_middle", "_radius")
+    __slots__ = ("middle", "radius")
 
     def __init__(self, middle: Array, radius: Array) -> None:
         """Take over middles and radii; a middle or radius that is not finite ends the proof.
@@ -207,7 +192,7 @@ class Doubles(Enclosure):
         """
         if not isfinite(float(np.vdot(radius, radius)) + float(np.vdot(middle, middle))):
             raise UnprovedError("a number exceeds the range of doubles")
-        self._middle, self._radius = middle, radius
+        self.middle, self.radius = middle, radius
 
     @classmethod
     def exact(cls, values: Array) -> Self:
@@ -230,57 +215,52 @@ class Doubles(Enclosure):
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of rows and columns."""
-        n, m = self._middle.shape
+        n, m = self.middle.shape
         return n, m
 
     @property
     def T(self) -> Self:
         """The transpose."""
-        return type(self)(self._middle.T, self._radius.T)
+        return type(self)(self.middle.T, self.radius.T)
 
     @property
-    def middle(self) -> Array:
-        """The middles, as the nearest doubles."""
-        return self._middle
-
-    @property
-    def radius(self) -> Array:
-        """Bounds on the distances of the exact entries from ``middle``."""
-        return self._radius
+    def most(self) -> Array:
+        """Bounds on the moduli of the exact entries; that of an entry that is zero is zero."""
+        return (np.abs(self.middle) + self.radius) * (1 + 4 * UNIT)
 
     def __add__(self, other: Self) -> Self:
         """Return the sum."""
-        return self._rounded(self._middle + other._middle, self._radius + other._radius)
+        return self._rounded(self.middle + other.middle, self.radius + other.radius)
 
     def __sub__(self, other: Self) -> Self:
         """Return the difference."""
-        return self._rounded(self._middle - other._middle, self._radius + other._radius)
+        return self._rounded(self.middle - other.middle, self.radius + other.radius)
 
     def __matmul__(self, other: Self) -> Self:
         """Return the product."""
-        k = self._middle.shape[1]
+        k = self.middle.shape[1]
         bits = int((53 - np.log2(max(k, 1))) / 2)
-        high, low, coarse = _split(self._middle, bits)
-        top, bottom, fine = _split(other._middle.T, bits)
-        rest = high @ bottom.T + low @ other._middle
+        high, low, coarse = _split(self.middle, bits)
+        top, bottom, fine = _split(other.middle.T, bits)
+        rest = high @ bottom.T + low @ other.middle
         middle = high @ top.T + rest
-        left, right = np.abs(self._middle), np.abs(other._middle)
+        left, right = np.abs(self.middle), np.abs(other.middle)
         # the first product is exact; only the rest is rounded, and the last sum
         radius = (k + 4) * UNIT * (left.sum(axis=1)[:, None] * fine + coarse[:, None] * right.sum(axis=0))
         radius += UNIT * np.abs(middle)
-        if other._radius.any():
-            radius += left @ other._radius
-        if self._radius.any():
-            radius += self._radius @ (right + other._radius)
+        if other.radius.any():
+            radius += left @ other.radius
+        if self.radius.any():
+            radius += self.radius @ (right + other.radius)
         return type(self)(middle, radius * (1 + (2 * k + 12) * UNIT) + UNDERFLOW)
 
     def times(self, factor: float) -> Self:
         """Return the product with an exact number."""
-        return self._rounded(self._middle * factor, self._radius * abs(factor))
+        return self._rounded(self.middle * factor, self.radius * abs(factor))
 
     def over(self, count: int) -> Self:
         """Return the quotient by a number."""
-        return self._rounded(self._middle / count, self._radius / count)
+        return self._rounded(self.middle / count, self.radius / count)
 
     @classmethod
     def unit(cls) -> float:
@@ -289,11 +269,11 @@ class Doubles(Enclosure):
 
     def widened(self, by: Array) -> Self:
         """Return the matrix with larger radii."""
-        return type(self)(self._middle, (self._radius + by) * (1 + 4 * UNIT))
+        return type(self)(self.middle, (self.radius + by) * (1 + 4 * UNIT))
 
     def inner(self, other: Self) -> Self:
         """Return the trace of the product of the transpose with another matrix, (1, 1)."""
-        one, two = (type(self)(part._middle.reshape(1, -1), part._radius.reshape(1, -1)) for part in (self, other))
+        one, two = (type(self)(part.middle.reshape(1, -1), part.radius.reshape(1, -1)) for part in (self, other))
         return one @ two.T
 
     def _rounded(self, middle: Array, radius: Array) -> Self:
@@ -302,7 +282,7 @@ class Doubles(Enclosure):
 
     def part(self, rows: Rows, columns: Rows) -> Self:
         """Return some rows and columns."""
-        return type(self)(self._middle[rows][:, columns], self._radius[rows][:, columns])
+        return type(self)(self.middle[rows][:, columns], self.radius[rows][:, columns])
 
     def solve(self, right: Self) -> Self:
         """Enclose the solution X of S X = R from an approximate inverse Z: X = X̃ + (ZS)⁻¹Z(R − S X̃).
@@ -311,28 +291,28 @@ class Doubles(Enclosure):
         |Z(R − S X̃)| plus q/(1 − q) times its largest entry.
         """
         try:
-            inverse = type(self).exact(np.asarray(np.linalg.inv(self._middle), dtype=np.float64))
+            inverse = type(self).exact(np.asarray(np.linalg.inv(self.middle), dtype=np.float64))
         except np.linalg.LinAlgError as error:
             raise UnprovedError("the matrix may be singular") from error
-        off = float((type(self).exact(np.eye(len(self._middle))) - inverse @ self).most.sum(axis=1).max(initial=0.0))
+        off = float((type(self).exact(np.eye(len(self.middle))) - inverse @ self).most.sum(axis=1).max(initial=0.0))
         if not off < 0.5:
             raise UnprovedError("the matrix may be singular")
-        found = inverse.middle @ right._middle
+        found = inverse.middle @ right.middle
         missed = (inverse @ (right - self @ type(self).exact(found))).most
         radius = (missed + 2 * off * missed.max(axis=0, initial=0.0)) * (1 + 16 * len(found) * UNIT)
         return type(self)(found, radius)
 
     def centre(self) -> Self:
         """Return the middles without radii."""
-        return type(self).exact(self._middle)
+        return type(self).exact(self.middle)
 
     def symmetric(self) -> Self:
         """Return the mean of the matrix and its transpose, for a matrix that is exactly symmetric."""
-        return self._rounded(symmetrised(self._middle), symmetrised(self._radius))
+        return self._rounded(symmetrised(self.middle), symmetrised(self.radius))
 
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
-        return _definite(self._middle, self._radius)
+        return _definite(self.middle, self.radius)
 
 
 def _split(matrix: Array, bits: int) -> tuple[Array, Array, Array]:
