@@ -70,7 +70,7 @@ class CertaintyEquivalentDesign(Displayed):
 
     @cached_property
     def allowance(self) -> Allowance | None:
-        """What the rounding of the gains adds to the cost of silence; None if it is not proved to be small."""
+        """The effect of the rounding of the gains on the cost of silence; None if it is not proved to be small."""
         return self.allowance_of()
 
     def allowance_of(self, apart: Apart | None = None) -> Allowance | None:
@@ -86,7 +86,7 @@ class CertaintyEquivalentDesign(Displayed):
 
         Args:
             silence: the most that silence adds with exact gains, per step.
-            allowed: what the rounding of the gains adds, or None.
+            allowed: the effect of the rounding of the gains, or None.
         """
         if self.proved is None or allowed is None:
             return self.cost_all_time, 1.0

@@ -1,4 +1,4 @@
-"""What the rounding of stored gains adds to the cost of silence, with a proof.
+"""The effect of the rounding of stored gains on the cost of silence, with a proof.
 
 The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so far, holds for the
 optimal gains. Programs hold doubles. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the
@@ -80,7 +80,7 @@ class StageError(NamedTuple):
 
 
 class Allowance(NamedTuple):
-    """What the rounding of stored gains adds: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
+    """The effect of the rounding of stored gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
 
     Args:
         excess: ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one.
