@@ -11,14 +11,14 @@ regulator's share, and the share of the estimation error with covariance Σ.
 
 Read the modules in this order:
 
-1. ``riccati`` and ``kalman``: gains and filters, over infinite and finite horizons. Their equations are solved by
-   ``stabilising``, with a proof of the error, in one of the arithmetics of ``enclosures``: balls of any precision, or
-   doubles with bounds on their rounding; ``lyapunov`` proves sums along a stable loop. ``structure`` leaves out states
-   whose cost-to-go is zero, and inputs that cost nothing.
+1. ``riccati`` and ``kalman``: gains over infinite and finite horizons, and steady filters. ``stabilising`` solves their
+   equations, with a proof of the error, in one of the arithmetics of ``enclosures``: balls of any precision, or doubles
+   with bounds on their rounding; ``lyapunov`` proves sums along a stable loop. ``structure`` leaves out states whose
+   cost-to-go is zero, and inputs that cost nothing. ``quadratic`` has the problems in doubles, and many steps of them.
 2. ``sampling``, ``intervals`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between
    samples, to the precision that a proof asks for; ``feedthrough``: inputs that the outputs show one step later.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
 4. ``lossy`` and ``_mean_square``: control over links that drop packets, and the critical loss probabilities.
-5. ``queries`` and ``_flow``: the value of a measurement, and the resulting schedule of measurements; ``variances``:
-   schedules of several sensors by the variances of the predicted outputs.
+5. ``queries``: the filter from step to step, the value of a measurement, and the resulting schedule of measurements;
+   ``variances``: schedules of several sensors by the variances of the predicted outputs.
 """
