@@ -25,7 +25,6 @@ from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.display import FED
-from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 from taciturn.model.saturation import limit_entries
@@ -235,10 +234,8 @@ def discretise(
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
-    if plant.D is not None:
-        return _with_feedthrough(plant, cost, period, prediction)
-    if plant.exosystem is not None:
-        return _with_exosystem(plant, plant.exosystem, cost, period, prediction)
+    if plant.D is not None or plant.exosystem is not None:
+        return _with_added_states(plant, cost, period, prediction)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected "
@@ -312,57 +309,29 @@ def discretise(
     )
 
 
-def _with_feedthrough(
+def _with_added_states(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
 ) -> Discrete:
-    """Return the problem of a plant with registers of the inputs that its outputs show."""
-    alone = _without("D", plant, "the outputs have a direct feedthrough D", prediction, {})
-    return with_registers(discretise(alone, cost, period), plant)
-
-
-def _with_exosystem(
-    plant: Plant | ContinuousPlant,
-    exosystem: Exosystem,
-    cost: Cost,
-    period: float | None,
-    prediction: Prediction | None,
-) -> Discrete:
-    """Return the problem of a plant with disturbances and set-points."""
+    """Return the problem of a plant with registers of the inputs that its outputs show, or with its disturbances."""
     from taciturn.lqg.regulation import joined
 
-    refused = {
-        "the cost has a horizon; expected an average cost": cost.horizon is not None,
-        "the cost is discounted; expected an average cost": cost.discount < 1,
-        "the full state is measured without noise; expected C and V": plant.full_state,
-    }
-    alone = _without("exosystem", plant, "disturbances or set-points are given", prediction, refused)
-    return joined(discretise(alone, cost, period), plant, exosystem)
-
-
-def _without(
-    part: str,
-    plant: Plant | ContinuousPlant,
-    given: str,
-    prediction: Prediction | None,
-    refused: Mapping[str, bool],
-) -> Plant | ContinuousPlant:
-    """Return a plant without a part whose states are added to those of its problem, or refuse what these cannot have.
-
-    Args:
-        part: name of the attribute.
-        plant: the plant.
-        given: what the message says of the part.
-        prediction: the model of an actuator that predicts, which is refused, as jumps are.
-        refused: further reasons with their remedies, and whether they hold.
-    """
-    refused = {
-        **refused,
-        "the actuator predicts between sampling instants; expected a held input": prediction is not None,
-        "the plant has jumps; expected Gaussian noise W": isinstance(plant, ContinuousPlant)
-        and plant.jumps is not None,
-    }
+    jumps = isinstance(plant, ContinuousPlant) and plant.jumps is not None
+    part, given, refused = "D", "the outputs have a direct feedthrough D", dict[str, bool]()
+    if plant.D is None:
+        part, given = "exosystem", "disturbances or set-points are given"
+        refused = {
+            "the cost has a horizon; expected an average cost": cost.horizon is not None,
+            "the cost is discounted; expected an average cost": cost.discount < 1,
+            "the full state is measured without noise; expected C and V": plant.full_state,
+        }
+    refused["the actuator predicts between sampling instants; expected a held input"] = prediction is not None
+    refused["the plant has jumps; expected Gaussian noise W"] = jumps
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{given}, and {got}")
     alone = copy(plant)
     object.__setattr__(alone, part, None)
-    return alone
+    found = discretise(alone, cost, period)
+    if plant.D is not None:
+        return with_registers(found, plant)
+    assert plant.exosystem is not None, "states are added for a part of the plant"
+    return joined(found, plant, plant.exosystem)
