@@ -206,7 +206,7 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
     if not W.any() and not V.any():  # nothing is random: the gain is computed as for noise on all states and outputs
         moving = ~worth_of(given, rounded=exact is not None).resting
         noisy = _dual(A, C, np.diag(moving.astype(np.float64)), np.eye(p))
-        unit = _filter(*exactly(noisy), noisy, Limit(False))
+        unit = _filter(*exactly(noisy), noisy, Limit(False), False)
         none = np.zeros((n, n))
         return _frozen(replace(unit, prior=none, posterior=none, innovation=np.zeros((p, p)), error=none))
 
@@ -217,14 +217,10 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
         return Equation(A.T, arithmetic.exact(C.T), W, arithmetic.exact(V), arithmetic.exact(np.zeros((n, p))))
 
     with np.errstate(over="ignore", invalid="ignore"):
-        if exact is None:
-            found = _filter(*exactly(given), given, Limit(False))
-        elif exact.source is None:
-            found = _filter(given, recipe, given, Limit(False), True)
-        else:
-            states, source = slice(n), exact.source
-            before = _dual(source.given.A[states, states], C, source.W[states, states], V)
-            found = _filter(given, recipe, before, Limit(True), True)
+        source, own = exact and exact.source, slice(n)
+        before = given if source is None else _dual(source.given.A[own, own], C, source.W[own, own], V)
+        problem = exactly(given) if exact is None else (given, recipe)
+        found = _filter(*problem, before, Limit(source is not None), exact is not None)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
@@ -254,7 +250,7 @@ def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
     return Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape))
 
 
-def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, sampled: bool = False) -> Filter:
+def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, sampled: bool) -> Filter:
     """Return the filter by duality with the regulator of (A', C', W, V), given also as it was before sampling."""
     A, C, V = given.A.T, given.B.T, given.R
     try:
