@@ -122,8 +122,8 @@ class Balls(Enclosure):
         """Bounds on the distances of the exact entries from ``middle``."""
         if self._radius is None:
             found = np.array([float(one.rad()) for one in self._balls.entries()]).reshape(self.shape)
-            rounding = np.where(self.middle == 0, 0.0, 2 * UNIT * np.abs(self.middle) + UNDERFLOW)
-            self._radius = np.where(found == 0, rounding, (found + rounding) * (1 + 8 * UNIT))
+            rounding = 2 * UNIT * np.abs(self.middle) + UNDERFLOW * (self.middle != 0)
+            self._radius = (found + rounding) * (1 + 8 * UNIT)
         return self._radius
 
     def __add__(self, other: Self) -> Self:
@@ -162,8 +162,11 @@ class Balls(Enclosure):
 
     def part(self, rows: Rows, columns: Rows) -> Self:
         """Return some rows and columns."""
-        table, (n, m) = self.rows, self.shape
+        n, m = self.shape
         down, across = _places(n, rows), _places(m, columns)
+        if len(down) == n and len(across) == m:
+            return self
+        table = self.rows
         return self.of([[table[i][j] for j in across] for i in down], len(across))
 
     def solve(self, right: Self) -> Self:
@@ -275,21 +278,24 @@ class Doubles(Enclosure):
 
     def __matmul__(self, other: Self) -> Self:
         """Return the product."""
-        k = self._middle.shape[1]
-        bits = int((53 - np.log2(max(k, 1))) / 2)
-        high, low, coarse = _split(self._middle, bits)
-        top, bottom, fine = _split(other._middle.T, bits)
-        rest = high @ bottom.T + low @ other._middle
-        middle = high @ top.T + rest
+        k, spread, others = self._middle.shape[1], bool(self._radius.any()), bool(other._radius.any())
+        if not ((spread or self._middle.any()) and (others or other._middle.any())):
+            return type(self).exact(np.zeros((len(self._middle), other._middle.shape[1])))
+        bits = int((53 - np.log2(k)) / 2)
         left, right = np.abs(self._middle), np.abs(other._middle)
+        high, low, coarse = _split(self._middle, left, bits)
+        top, bottom, fine = _split(other._middle.T, right.T, bits)
+        middle = high @ top.T + (high @ bottom.T + low @ other._middle)
         # the first product is exact; only the rest is rounded, and the last sum
-        radius = (k + 4) * UNIT * (left.sum(axis=1)[:, None] * fine + coarse[:, None] * right.sum(axis=0))
-        radius += UNIT * np.abs(middle)
-        if other._radius.any():
+        one, two = np.array([left.sum(axis=1), coarse]), np.array([fine, right.sum(axis=0)])
+        radius = ((k + 4) * UNIT * one.T) @ two + UNIT * np.abs(middle)
+        if others:
             radius += left @ other._radius
-        if self._radius.any():
+        if spread:
             radius += self._radius @ (right + other._radius)
-        return type(self)(middle, radius * (1 + (2 * k + 12) * UNIT) + UNDERFLOW)
+        radius *= 1 + (2 * k + 12) * UNIT
+        radius += UNDERFLOW
+        return type(self)(middle, radius)
 
     def times(self, factor: float) -> Self:
         """Return the product with an exact number."""
@@ -352,15 +358,16 @@ class Doubles(Enclosure):
         return _definite(self._middle, self._radius)
 
 
-def _split(matrix: Array, bits: int) -> tuple[Array, Array, Array]:
+def _split(matrix: Array, size: Array, bits: int) -> tuple[Array, Array, Array]:
     """Return the leading bits of the entries of each row, the rest, and twice a bound on the rest of each row.
 
     The leading parts of a row are multiples of one power of two, and at most 2^bits of it. So sums of products of such
-    parts are whole numbers below 2^53, which are exact.
+    parts are whole numbers below 2^53, which are exact. ``size`` are the moduli of the entries.
     """
-    unit = np.exp2(np.ceil(np.log2(np.maximum(np.abs(matrix).max(axis=1, initial=0.0), 1e-280))) - bits)
+    unit = np.exp2(np.ceil(np.log2(np.maximum(size.max(axis=1, initial=0.0), 1e-280))) - bits)
     shift = (1.5 * 2.0**52 * unit)[:, None]
-    high = (matrix + shift) - shift
+    high = matrix + shift
+    high -= shift
     return high, matrix - high, unit
 
 

@@ -36,15 +36,17 @@ from taciturn._modes import COST_ERROR, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, solve
-from taciturn.lqg.intervals import Step, inner
+from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.riccati import Regulator
+from taciturn.lqg.stabilising import FEW
 from taciturn.lqg.stored import MANY, Proved, closed_by_filter, step_of
 from taciturn.lqg.structure import closure
 
 MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
 TRIALS = 40  # doublings of a bound until it is proved
+SQUARINGS = 2  # of a matrix whose norm is sought
 ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which no more digits are tried
 
 
@@ -127,8 +129,9 @@ def allowance(problem: Discrete, regulator: Regulator, steady: Filter, cost: flo
     if not forgets_the_start(problem.plant, problem.exact):
         return None
     found: Allowance | None = None
-    attempts: list[tuple[int, type[Doubles] | type[Balls]]] = [(PRECISIONS[0], Doubles)]
-    attempts += [(bits, Balls) for bits in PRECISIONS[:2] if 2 * problem.plant.states <= MANY]
+    states, attempts = 2 * problem.plant.states, list[tuple[int, type[Doubles] | type[Balls]]]()
+    attempts += [(PRECISIONS[0], Doubles)] if states > FEW else []
+    attempts += [(bits, Balls) for bits in PRECISIONS[:2] if states <= MANY]
     for bits, arithmetic in attempts:
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
             found = _allowance(arithmetic, problem, regulator, steady, cost)
@@ -239,7 +242,7 @@ def _allowance(arithmetic: type[E], problem: Discrete, regulator: Regulator, ste
         b[0] += _spread(best @ wrong, weight, innovation)
         d[0] += _spread(wrong, step.Q, innovation)
         known = left @ prior[0] @ left.T + g @ V @ g.T  # the exact variance is less by those of the error and of g − g*
-        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - inner(step.Q, known)
+        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - step.Q.inner(known)
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
@@ -267,7 +270,7 @@ def _squared(T: E, norm: E) -> E:
 
 def _most(one: E, other: E) -> float:
     """Return a bound on the trace of the product of two symmetric matrices."""
-    return float(inner(one, other).most[0, 0])
+    return float(one.inner(other).most[0, 0])
 
 
 def _spread(T: E, norm: E, covariance: E) -> float:
@@ -278,19 +281,25 @@ def _spread(T: E, norm: E, covariance: E) -> float:
 def _ratio(M: E, D: E) -> float:
     """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
 
+    It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
+
     Raises:
-        UnprovedError: D is not proved definite.
+        UnprovedError: the bound is not proved.
     """
     if not M.most.any():
         return 0.0
     unit = 1 / np.sqrt(np.maximum(np.diag(D.middle), NO_VARIANCE))
-    values, vectors = np.linalg.eigh(D.middle * unit * unit[:, None])
-    if not values[0] > 0:
-        raise UnprovedError("a weight is not definite")
-    turn = vectors / np.sqrt(values)
-    middle, radius = (part * unit * unit[:, None] for part in (M.middle, M.radius))
-    least = float(np.linalg.eigvalsh(symmetrised(turn.T @ middle @ turn))[-1])
-    ratio = 1.001 * max(least, 0.0) + 2 * float(radius.sum(axis=1).max()) / float(values[0]) + 1e-200
+    unit = unit * unit[:, None]
+    try:
+        power = np.linalg.solve(D.middle * unit, M.middle * unit + np.diag((M.radius * unit).sum(axis=1)))
+    except np.linalg.LinAlgError as error:
+        raise UnprovedError("a weight is not definite") from error
+    size = float(np.linalg.norm(power)) + NO_VARIANCE
+    power = power / size
+    for _ in range(SQUARINGS):
+        power = power @ power
+    trace = max(float(np.vdot(power.T, power)), 0.0)
+    ratio = 1.001 * size * trace ** 2.0 ** -(SQUARINGS + 1) + 1e-200
     for _ in range(TRIALS):
         if (D.times(ratio) - M).definite():
             return ratio
