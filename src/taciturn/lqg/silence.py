@@ -31,17 +31,16 @@ from typing import Generic, NamedTuple
 
 import numpy as np
 
-from taciturn._arrays import NO_VARIANCE, Array, Bits, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._modes import COST_ERROR, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, solve
+from taciturn.lqg.enclosures import PRECISIONS, E, UnprovedError, block, solve
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.riccati import Regulator
-from taciturn.lqg.stabilising import FEW
-from taciturn.lqg.stored import MANY, Proved, closed_by_filter, step_of
+from taciturn.lqg.stored import Proved, Stored
 from taciturn.lqg.structure import closure
 
 MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
@@ -117,24 +116,23 @@ class Allowance(NamedTuple):
         return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * MORE
 
 
-def allowance(problem: Discrete, regulator: Regulator, steady: Filter, cost: float) -> Allowance | None:
+def allowance(loop: Stored, regulator: Regulator, steady: Filter, cost: float) -> Allowance | None:
     """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small.
 
     Args:
-        problem: the discrete-time problem, with an average cost.
+        loop: the loop of regulator and filter as stored.
         regulator: the regulator, whose gain L and weight H are used.
         steady: the filter, whose gain is used.
         cost: J_all, relative to which the addition is to be small.
     """
-    if not forgets_the_start(problem.plant, problem.exact):
+    if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
     found: Allowance | None = None
-    states, attempts = 2 * problem.plant.states, list[tuple[int, type[Doubles] | type[Balls]]]()
-    attempts += [(PRECISIONS[0], Doubles)] if states > FEW else []
-    attempts += [(bits, Balls) for bits in PRECISIONS[:2] if states <= MANY]
-    for bits, arithmetic in attempts:
+    for bits, arithmetic in loop.attempts:
+        if bits > PRECISIONS[1]:
+            break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-            found = _allowance(arithmetic, problem, regulator, steady, cost)
+            found = _allowance(arithmetic, loop, regulator, steady, cost)
             if found.fixed * (found.fixed + sqrt(cost)) <= ENOUGH * cost and found.slope <= ENOUGH:
                 return found
     small = found is not None and found.fixed * (found.fixed + sqrt(cost)) <= COST_ERROR * cost
@@ -194,14 +192,14 @@ def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
     return _Norm(arithmetic.enclosing(middle, radius), _ratio(X, falls), states)
 
 
-def _allowance(arithmetic: type[E], problem: Discrete, regulator: Regulator, steady: Filter, cost: float) -> Allowance:
+def _allowance(arithmetic: type[E], stored: Stored, regulator: Regulator, steady: Filter, cost: float) -> Allowance:
     """Return the bounds in one arithmetic.
 
     Raises:
         UnprovedError: the loop is not proved stable, or H is not proved definite.
     """
-    plant, exact, step = problem.plant, arithmetic.exact, step_of(problem, arithmetic)
-    loop = closed_by_filter(problem, steady, regulator.L)(step, arithmetic)
+    problem, plant, exact = stored.problem, stored.problem.plant, arithmetic.exact
+    _, step, loop, states, noise, X, falls = stored(arithmetic)
     L, H, g, C, V = map(exact, (regulator.L, regulator.H, steady.gain, plant.C, plant.V))
     worth = exact(regulator.K), exact(regulator.error)
     weight = (step.R + _between(step.B, worth, step.B)).symmetric()
@@ -211,13 +209,13 @@ def _allowance(arithmetic: type[E], problem: Discrete, regulator: Regulator, ste
     off, drift = L - best, step.B - exact(plant.B)
     moved = (step.A - exact(plant.A)) + drift @ L  # ΔA + ΔB L
 
-    noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
-    pushed = loop.M.middle @ np.linalg.solve(regulator.H, loop.M.middle.T)
-    variances = np.diag(summed(loop.F.middle, symmetrised(noise.middle + cost * pushed)))
     unlike = _unlike(problem, step, arithmetic)
     used = block([[exact(np.eye(plant.states))], [L]])  # (x̂, û) without e
     seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
-    norm = _norm(arithmetic, loop.F, variances, seen)
+    norm = _Norm(X, _ratio(X, falls), states)
+    if not states.all():  # other states may affect what is seen
+        noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
+        norm = _norm(arithmetic, loop.F, np.diag(summed(loop.F.middle, noise.middle)), seen)
     fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ
     share = norm.of(off @ S, weight)
     a = np.array([share * fixed + _spread(off @ g, weight, V), share * slope])
@@ -299,7 +297,7 @@ def _ratio(M: E, D: E) -> float:
     for _ in range(SQUARINGS):
         power = power @ power
     trace = max(float(np.vdot(power.T, power)), 0.0)
-    ratio = 1.001 * size * trace ** 2.0 ** -(SQUARINGS + 1) + 1e-200
+    ratio = 1.001 * size * trace**2.0 ** -(SQUARINGS + 1) + 1e-200
     for _ in range(TRIALS):
         if (D.times(ratio) - M).definite():
             return ratio

@@ -18,11 +18,13 @@ Source: anderson1990optimal, rump2006
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Generic, NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import Generic, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from taciturn._arrays import NO_VARIANCE, Array
+from taciturn._arrays import NO_VARIANCE, Array, Bits, block_diagonal, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import summed
 from taciturn._precision import precision
 from taciturn._progress import check_time
@@ -31,6 +33,7 @@ from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.lyapunov import ranked
+from taciturn.lqg.riccati import Regulator
 from taciturn.lqg.stabilising import ASKED, FEW
 from taciturn.lqg.structure import closure
 from taciturn.model.controller import Controller
@@ -80,27 +83,104 @@ class Closing(Protocol):
         ...
 
 
-def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None:
-    """Return the average cost per step of u = L x̂ with a steady filter, both as stored; None if it is not proved.
+class Valued(NamedTuple, Generic[E]):
+    """A stored loop with its proof in one arithmetic.
 
-    The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
-    from the exact one by rounding. The inter-sample noise cost is not part of the cost,
-    but the rounding of the stored one is part of the radius.
+    Args:
+        cost: the average cost per step.
+        step: enclosures of the plant and the weights.
+        loop: the closed loop.
+        states: the states that affect the cost, (ζ,).
+        noise: covariance of the noise of these states.
+        X: of the proof, for these states.
+        falls: X − F'XF, which is definite.
+    """
+
+    cost: Proved
+    step: Step[E]
+    loop: Closed[E]
+    states: Bits
+    noise: E
+    X: E
+    falls: E
+
+
+class Near(NamedTuple):
+    """What is about known of a loop with u = L x̂ + e, up to rounding.
+
+    Args:
+        K: cost-to-go of the states of the plant.
+        variances: of the states of the loop, if the errors e cost as much as the rest.
+    """
+
+    K: Array
+    variances: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stored(Displayed):
+    """A controller as it is stored, in a loop with the exact plant; what was proved once is kept.
 
     Args:
         problem: the discrete-time problem, with an average cost.
-        steady: the filter; its gain is used.
-        L: gain, (m, n).
+        close: closes the loop.
+        states: number of states of the loop.
+        near: for u = L x̂, what is known of the loop.
     """
-    return _proved(problem, closed_by_filter(problem, steady, L), 2 * problem.plant.states)
+
+    problem: Discrete
+    close: Closing
+    states: int
+    near: Near | None = None
+    _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
+
+    @property
+    def attempts(self) -> list[tuple[int, type[Doubles] | type[Balls]]]:
+        """Precisions and arithmetics in the order in which they are tried."""
+        doubles: list[tuple[int, type[Doubles] | type[Balls]]] = [(PRECISIONS[0], Doubles)] if self.states > FEW else []
+        return doubles + [(bits, Balls) for bits in PRECISIONS if self.states <= MANY]
+
+    def __call__(self, arithmetic: type[E], /) -> Valued[E]:
+        """Return the loop and the proof of its cost, in the present precision.
+
+        Raises:
+            UnprovedError: the loop is not proved stable.
+        """
+        key = arithmetic, arithmetic.unit()
+        if key not in self._kept:
+            self._kept[key] = _valued(self.problem, self.close, self.near, arithmetic)
+        return cast("Valued[E]", self._kept[key])
+
+    def cost(self) -> Proved | None:
+        """Return the average cost per step, or None if it is not proved to nine digits.
+
+        The inter-sample noise cost is not part of it, but the rounding of the stored one is part of the radius. With
+        disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
+        state that wanders for ever depends: nothing is proved.
+        """
+        problem, source = self.problem, self.problem.source
+        moves = problem.deviations is not None or (source is not None and source.exosystem is not None)
+        for bits, arithmetic in [] if problem.cost.mission or moves else self.attempts:
+            check_time()
+            with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
+                found = self(arithmetic).cost
+                if found.radius <= ASKED * found.value:
+                    return found
+        return None
 
 
-def closed_by_filter(problem: Discrete, steady: Filter, L: Array) -> Closing:
-    """Return the loop of u = L x̂ + e with a steady filter, as stored, with the state ζ = (x, x − x̂⁻)."""
+def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stored:
+    """Return the loop of u = L x̂ + e with the gains of a regulator and a steady filter.
+
+    The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
+    from the exact one by rounding.
+    """
     plant = problem.plant
 
     def close(step: Step[E], arithmetic: type[E]) -> Closed[E]:
-        A, B, C, gain, stored = (arithmetic.exact(part) for part in (plant.A, plant.B, plant.C, steady.gain, L))
+        A, B, C, gain, stored = (
+            arithmetic.exact(part) for part in (plant.A, plant.B, plant.C, steady.gain, regulator.L)
+        )
         one, none = arithmetic.exact(np.eye(plant.states)), arithmetic.exact(np.zeros_like(plant.A))
         left, moves = one - gain @ C, block([[step.B], [step.B - B]])
         T, D = block([[stored, (stored @ left).times(-1.0)]]), stored @ gain
@@ -108,11 +188,15 @@ def closed_by_filter(problem: Discrete, steady: Filter, L: Array) -> Closing:
         sensed = block([[arithmetic.exact(np.zeros_like(steady.gain))], [A @ gain]])
         return Closed(F, block([[one], [one]]), moves @ D - sensed, T, D, moves)
 
-    return close
+    best, noise = plant.A + plant.B @ regulator.L, steady.prior - steady.posterior
+    pushed = plant.B @ np.linalg.solve(regulator.H, plant.B.T)
+    cost = float(np.trace(problem.Q @ steady.posterior) + np.trace(regulator.K @ noise))
+    known, errors = np.diag(summed(best, best @ noise @ best.T + cost * pushed)), np.diag(steady.prior)
+    return Stored(problem, close, 2 * plant.states, Near(regulator.K, np.concatenate([known + errors, errors])))
 
 
-def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | None:
-    """Return the average cost per step of a linear controller as stored, with every sample; None if it is not proved.
+def controller_loop(problem: Discrete, controller: Controller) -> Stored:
+    """Return the loop of a linear controller, with every sample.
 
     The loop has the state ζ = (x, z) with z⁺ = A z + B y + E u, u = C z + D y of the controller.
     """
@@ -129,40 +213,10 @@ def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | No
         J = moves @ D + block([[arithmetic.exact(np.zeros((n, p)))], [read]])
         return Closed(F, arithmetic.exact(np.eye(n + k, n)), J, T, D, moves)
 
-    return _proved(problem, close, plant.states + len(c.A))
+    return Stored(problem, close, plant.states + len(c.A))
 
 
-def _proved(problem: Discrete, close: Closing, states: int) -> Proved | None:
-    """Return the proved average cost of a stored loop with a number of states, or None.
-
-    With disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
-    state that wanders for ever depends: nothing is proved.
-    """
-    source = problem.source
-    if problem.cost.mission or problem.deviations is not None or (source is not None and source.exosystem is not None):
-        return None
-    found: Proved | None = None
-    if states > FEW:
-        with suppress(UnprovedError), np.errstate(all="ignore"):
-            found = _cost(problem, close, Doubles)
-            if found.radius <= ASKED * found.value:
-                return found
-    for bits in PRECISIONS if states <= MANY else ():
-        check_time()
-        with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-            better = _cost(problem, close, Balls)
-            found = better if found is None or better.radius < found.radius else found
-        if found is not None and found.radius <= ASKED * found.value:
-            return found
-    return None
-
-
-def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
-    """Return the average cost of a stored loop in one arithmetic.
-
-    Raises:
-        UnprovedError: the loop is not proved stable.
-    """
+def _valued(problem: Discrete, close: Closing, near: Near | None, arithmetic: type[E]) -> Valued[E]:
     step, V = step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
     loop = close(step, arithmetic)
     n, size = problem.plant.states, loop.F.shape[0]
@@ -174,15 +228,12 @@ def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
         np.asarray((M.most > 0).any(axis=1), dtype=np.bool_), np.asarray(loop.F.most > 0, dtype=np.bool_).T
     )
     F, M, noise = (part if keep.all() else part.part(keep, keep) for part in (loop.F, M, noise))
-    if keep.any():
-        P, X, slack = _value(arithmetic, F, M)
-        spread = slack * float(X.inner(noise).most[0, 0])
-        found = P.inner(noise) + constant
-    else:
-        spread, found = 0.0, constant
+    P, X, falls, slack = _value(arithmetic, F, M, near if keep.all() else None)
+    found, spread = P.inner(noise) + constant, slack * float(X.inner(noise).most.sum())
     noise_cost = 0.0 if problem.exact is None else problem.noise_cost
     rounded = float((step.c - arithmetic.exact(np.array([[noise_cost]]))).most[0, 0])
-    return Proved(float(found.middle[0, 0]), float(found.radius[0, 0] + spread + rounded) * (1 + 1e-14))
+    cost = Proved(float(found.middle[0, 0]), float(found.radius[0, 0] + spread + rounded) * (1 + 1e-14))
+    return Valued(cost, step, loop, keep, noise, X, falls)
 
 
 def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
@@ -199,37 +250,54 @@ def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
     return problem.exact(arithmetic)
 
 
-def _value(arithmetic: type[E], F: E, M: E) -> tuple[E, E, float]:
-    """Return P̃, X and ε of the proof.
+def _value(arithmetic: type[E], F: E, M: E, near: Near | None) -> tuple[E, E, E, float]:
+    """Return P̃, X, X − F'XF and ε of the proof.
 
     Raises:
         UnprovedError: the proof fails in this precision.
     """
-    P = _candidate(arithmetic, F, M)
+    if arithmetic is Balls and arithmetic.unit() < 2.0 ** -PRECISIONS[0]:
+        P = _summed(F, M)
+    else:
+        P = arithmetic.exact(_guess(F.middle, M.middle, near))
     size = np.diag(P.middle)
     size = np.maximum(size, arithmetic.unit() ** 0.5 * float(size.max(initial=0.0)) + NO_VARIANCE)
+    if near is not None:
+        size = size + float(size @ near.variances) / np.maximum(near.variances, NO_VARIANCE)
     X, falls = ranked(arithmetic, F, size)
     missed = (M + F.T @ P @ F - P).symmetric()
+    if np.linalg.norm(missed.middle) > np.linalg.norm(missed.radius):
+        P = (P + arithmetic.exact(summed(F.middle.T, missed.middle))).centre()
+        missed = (M + F.T @ P @ F - P).symmetric()
     unit = 1 / np.sqrt(size)
     slack = 4 * float((missed.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)) + 1e-200
     if not ((falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite()):
         raise UnprovedError("the cost of the loop is not proved")
-    return P, X, slack
+    return P, X, falls, slack
 
 
-def _candidate(arithmetic: type[E], F: E, M: E) -> E:
-    """Return about the sum of F'^k M F^k, without radii: first that of doubles, corrected once."""
-    if arithmetic is Doubles or arithmetic.unit() == 2.0 ** -PRECISIONS[0]:
-        P = arithmetic.exact(summed(F.middle.T, M.middle))
-        missed = (M + F.T @ P @ F - P).symmetric().middle
-        return (P + arithmetic.exact(summed(F.middle.T, missed))).centre()
+def _guess(F: Array, M: Array, near: Near | None) -> Array:
+    """Return about the sum of F'^k M F^k.
+
+    If u = L x̂ with the best gain L, and F = [F₁ G; 0 F₂], the sum is that of K for x and of F₂'^k(M₂ + G'KG)F₂^k for
+    the error, without a cross term.
+    """
+    if near is None:
+        return summed(F.T, M)
+    n, K = len(near.K), near.K
+    across = F[:n, n:]
+    return block_diagonal(K, summed(F[n:, n:].T, symmetrised(M[n:, n:] + across.T @ K @ across)))
+
+
+def _summed(F: Balls, M: Balls) -> Balls:
+    """Return about the sum of F'^k M F^k, without radii."""
     P, power = M.centre(), F.centre()
     for _ in range(TURNS):
         more = (power.T @ P @ power).symmetric()
         P = (P + more).centre()
         if not np.isfinite(P.middle).all():
             break
-        if np.abs(more.middle).max(initial=0.0) <= arithmetic.unit() * np.abs(np.diag(P.middle)).max(initial=0.0):
+        if np.abs(more.middle).max(initial=0.0) <= Balls.unit() * np.abs(np.diag(P.middle)).max(initial=0.0):
             return P
         power = (power @ power).centre()
     raise UnprovedError("the loop is not stable")
