@@ -35,7 +35,7 @@ from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._modes import COST_ERROR, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.enclosures import PRECISIONS, E, UnprovedError, block, solve
+from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError, block, solve
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
@@ -46,7 +46,7 @@ from taciturn.lqg.structure import closure
 MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
 TRIALS = 40  # doublings of a bound until it is proved
 SQUARINGS = 2  # of a matrix whose norm is sought
-ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which no more digits are tried
+ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class StageError(NamedTuple):
@@ -133,8 +133,9 @@ def allowance(loop: Stored, regulator: Regulator, steady: Filter, cost: float) -
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
             found = _allowance(arithmetic, loop, regulator, steady, cost)
-            if found.fixed * (found.fixed + sqrt(cost)) <= ENOUGH * cost and found.slope <= ENOUGH:
-                return found
+            enough = found.fixed * (found.fixed + sqrt(cost)) <= ENOUGH * cost and found.slope <= ENOUGH
+            if enough or arithmetic is Balls:  # what balls leave is the rounding of the gains
+                break
     small = found is not None and found.fixed * (found.fixed + sqrt(cost)) <= COST_ERROR * cost
     return found if small and found is not None and max(found.slope, found.excess) <= COST_ERROR else None
 
@@ -158,10 +159,12 @@ class _Norm(NamedTuple, Generic[E]):
         Raises:
             UnprovedError: T depends on states that this norm does not measure.
         """
-        seen, every, states = _squared(T, norm), slice(None), self.states
-        if seen.part(~states, every).most.any():
-            raise UnprovedError("a state that does not decay has a weight")
-        return sqrt(_ratio(seen.part(states, states), self.X.part(states, states)))
+        seen, states, X = _squared(T, norm), self.states, self.X
+        if not states.all():
+            if seen.part(~states, slice(None)).most.any():
+                raise UnprovedError("a state that does not decay has a weight")
+            seen, X = seen.part(states, states), X.part(states, states)
+        return sqrt(_ratio(seen, X))
 
     def noise(self, covariance: E) -> float:
         """Return a bound on the root mean square of |ζ| that independent noise of a covariance causes."""
@@ -212,8 +215,9 @@ def _allowance(arithmetic: type[E], stored: Stored, regulator: Regulator, steady
     unlike = _unlike(problem, step, arithmetic)
     used = block([[exact(np.eye(plant.states))], [L]])  # (x̂, û) without e
     seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
-    norm = _Norm(X, _ratio(X, falls), states)
-    if not states.all():  # other states may affect what is seen
+    if states.all():
+        norm = _Norm(X, _ratio(X, falls), states)
+    else:  # other states may affect what is seen
         noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
         norm = _norm(arithmetic, loop.F, np.diag(summed(loop.F.middle, noise.middle)), seen)
     fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ

@@ -38,6 +38,7 @@ from taciturn.lqg.stabilising import ASKED, FEW
 from taciturn.lqg.structure import closure
 from taciturn.model.controller import Controller
 
+SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
 MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
 TURNS = 80  # doublings of a sum
 
@@ -137,7 +138,9 @@ class Stored(Displayed):
     @property
     def attempts(self) -> list[tuple[int, type[Doubles] | type[Balls]]]:
         """Precisions and arithmetics in the order in which they are tried."""
-        doubles: list[tuple[int, type[Doubles] | type[Balls]]] = [(PRECISIONS[0], Doubles)] if self.states > FEW else []
+        doubles: list[tuple[int, type[Doubles] | type[Balls]]] = (
+            [(PRECISIONS[0], Doubles)] if self.states > SMALL else []
+        )
         return doubles + [(bits, Balls) for bits in PRECISIONS if self.states <= MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
