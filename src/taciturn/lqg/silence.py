@@ -46,7 +46,7 @@ from taciturn.lqg.structure import closure
 MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
 TRIALS = 40  # doublings of a bound until it is proved
 SQUARINGS = 2  # of a matrix whose norm is sought
-ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which doubles suffice
+ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class StageError(NamedTuple):

@@ -425,6 +425,8 @@ def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array
     Raises:
         UnprovedError: the loop is not proved stable.
     """
+    if not off.most.any():
+        return np.zeros(X.shape)
     spent, unit, falls = (off.T @ H @ off).symmetric(), 1 / np.sqrt(size), (X - F.T @ X @ F).symmetric()
     slack = max(4 * float((spent.most * unit * unit[:, None]).sum(axis=1).max(initial=0.0)), 1e-200)
     if not (falls.times(slack) - spent).definite():  # otherwise X − F'XF ≻ 0, as off'H off ⪰ 0
