@@ -428,3 +428,10 @@ def solve(left: E, right: E) -> E:
     if isinstance(left, Balls):
         return left.solve(right)
     return left.solve(right)  # the same method of the other arithmetic, which type checkers take for another one
+
+
+def inner(one: E, other: E) -> E:
+    """Return the trace of the product of the transpose of a matrix with another one, (1, 1)."""
+    if isinstance(one, Balls):
+        return one.inner(other)
+    return one.inner(other)  # the same method of the other arithmetic

@@ -35,7 +35,7 @@ from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._modes import COST_ERROR, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError, block, solve
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner, solve
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
@@ -128,13 +128,14 @@ def allowance(loop: Stored, regulator: Regulator, steady: Filter, cost: float) -
     if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
     found: Allowance | None = None
-    for bits, arithmetic in loop.attempts:
+    for bits, doubles in loop.attempts:
         if bits > PRECISIONS[1]:
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-            found = _allowance(arithmetic, loop, regulator, steady, cost)
+            given = loop, regulator, steady, cost
+            found = _allowance(Doubles, *given) if doubles else _allowance(Balls, *given)
             enough = found.fixed * (found.fixed + sqrt(cost)) <= ENOUGH * cost and found.slope <= ENOUGH
-            if enough or arithmetic is Balls:  # what balls leave is the rounding of the gains
+            if enough or not doubles:  # what balls leave is the rounding of the gains
                 break
     small = found is not None and found.fixed * (found.fixed + sqrt(cost)) <= COST_ERROR * cost
     return found if small and found is not None and max(found.slope, found.excess) <= COST_ERROR else None
@@ -244,7 +245,7 @@ def _allowance(arithmetic: type[E], stored: Stored, regulator: Regulator, steady
         b[0] += _spread(best @ wrong, weight, innovation)
         d[0] += _spread(wrong, step.Q, innovation)
         known = left @ prior[0] @ left.T + g @ V @ g.T  # the exact variance is less by those of the error and of g − g*
-        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - step.Q.inner(known)
+        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - inner(step.Q, known)
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
@@ -272,7 +273,7 @@ def _squared(T: E, norm: E) -> E:
 
 def _most(one: E, other: E) -> float:
     """Return a bound on the trace of the product of two symmetric matrices."""
-    return float(one.inner(other).most[0, 0])
+    return float(inner(one, other).most[0, 0])
 
 
 def _spread(T: E, norm: E, covariance: E) -> float:

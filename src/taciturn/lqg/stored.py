@@ -29,7 +29,7 @@ from taciturn._modes import summed
 from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.lyapunov import ranked
@@ -107,7 +107,7 @@ class Valued(NamedTuple, Generic[E]):
 
 
 class Near(NamedTuple):
-    """What is about known of a loop with u = L x̂ + e, up to rounding.
+    """Estimates of a loop with u = L x̂ + e, in doubles.
 
     Args:
         K: cost-to-go of the states of the plant.
@@ -126,7 +126,7 @@ class Stored(Displayed):
         problem: the discrete-time problem, with an average cost.
         close: closes the loop.
         states: number of states of the loop.
-        near: for u = L x̂, what is known of the loop.
+        near: for u = L x̂, estimates of its values and variances.
     """
 
     problem: Discrete
@@ -136,12 +136,10 @@ class Stored(Displayed):
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
     @property
-    def attempts(self) -> list[tuple[int, type[Doubles] | type[Balls]]]:
-        """Precisions and arithmetics in the order in which they are tried."""
-        doubles: list[tuple[int, type[Doubles] | type[Balls]]] = (
-            [(PRECISIONS[0], Doubles)] if self.states > SMALL else []
-        )
-        return doubles + [(bits, Balls) for bits in PRECISIONS if self.states <= MANY]
+    def attempts(self) -> list[tuple[int, bool]]:
+        """Precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
+        doubles = [(PRECISIONS[0], True)] if self.states > SMALL else []
+        return doubles + [(bits, False) for bits in PRECISIONS if self.states <= MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
         """Return the loop and the proof of its cost, in the present precision.
@@ -163,10 +161,10 @@ class Stored(Displayed):
         """
         problem, source = self.problem, self.problem.source
         moves = problem.deviations is not None or (source is not None and source.exosystem is not None)
-        for bits, arithmetic in [] if problem.cost.mission or moves else self.attempts:
+        for bits, doubles in [] if problem.cost.mission or moves else self.attempts:
             check_time()
             with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-                found = self(arithmetic).cost
+                found = (self(Doubles) if doubles else self(Balls)).cost
                 if found.radius <= ASKED * found.value:
                     return found
         return None
@@ -226,13 +224,13 @@ def _valued(problem: Discrete, close: Closing, near: Near | None, arithmetic: ty
     at = block([[arithmetic.exact(np.eye(n, size))], [loop.T]])
     M = (at.T @ block([[step.Q, step.N], [step.N.T, step.R]]) @ at).symmetric()
     noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
-    constant = (loop.D.T @ step.R @ loop.D).symmetric().inner(V)
+    constant = inner((loop.D.T @ step.R @ loop.D).symmetric(), V)
     keep = closure(  # states that affect the cost, by the zeros of the matrices
         np.asarray((M.most > 0).any(axis=1), dtype=np.bool_), np.asarray(loop.F.most > 0, dtype=np.bool_).T
     )
     F, M, noise = (part if keep.all() else part.part(keep, keep) for part in (loop.F, M, noise))
     P, X, falls, slack = _value(arithmetic, F, M, near if keep.all() else None)
-    found, spread = P.inner(noise) + constant, slack * float(X.inner(noise).most.sum())
+    found, spread = inner(P, noise) + constant, slack * float(inner(X, noise).most.sum())
     noise_cost = 0.0 if problem.exact is None else problem.noise_cost
     rounded = float((step.c - arithmetic.exact(np.array([[noise_cost]]))).most[0, 0])
     cost = Proved(float(found.middle[0, 0]), float(found.radius[0, 0] + spread + rounded) * (1 + 1e-14))
@@ -260,7 +258,7 @@ def _value(arithmetic: type[E], F: E, M: E, near: Near | None) -> tuple[E, E, E,
         UnprovedError: the proof fails in this precision.
     """
     if arithmetic is Balls and arithmetic.unit() < 2.0 ** -PRECISIONS[0]:
-        P = _summed(F, M)
+        P = _summed(arithmetic, F, M)
     else:
         P = arithmetic.exact(_guess(F.middle, M.middle, near))
     size = np.diag(P.middle)
@@ -292,7 +290,7 @@ def _guess(F: Array, M: Array, near: Near | None) -> Array:
     return block_diagonal(K, summed(F[n:, n:].T, symmetrised(M[n:, n:] + across.T @ K @ across)))
 
 
-def _summed(F: Balls, M: Balls) -> Balls:
+def _summed(arithmetic: type[E], F: E, M: E) -> E:
     """Return about the sum of F'^k M F^k, without radii."""
     P, power = M.centre(), F.centre()
     for _ in range(TURNS):
@@ -300,7 +298,7 @@ def _summed(F: Balls, M: Balls) -> Balls:
         P = (P + more).centre()
         if not np.isfinite(P.middle).all():
             break
-        if np.abs(more.middle).max(initial=0.0) <= Balls.unit() * np.abs(np.diag(P.middle)).max(initial=0.0):
+        if np.abs(more.middle).max(initial=0.0) <= arithmetic.unit() * np.abs(np.diag(P.middle)).max(initial=0.0):
             return P
         power = (power @ power).centre()
     raise UnprovedError("the loop is not stable")
