@@ -35,7 +35,7 @@ def test_evaluate_reaches_the_default_precision() -> None:
     assert document["cost"]["method"] == "simulation"
     assert document["proved"]
     highest = document["cost_all_time"] + document["cost_all_time_error"]
-    assert document["cost_bound"] == pytest.approx(1.1 * highest, rel=1e-13)
+    assert 1.1 * highest <= document["cost_bound"] <= 1.1 * highest * (1 + 1e-9)  # with the rounding of the gains
     assert document["cost_all_time_error"] <= 1e-9 * document["cost_all_time"]
 
 

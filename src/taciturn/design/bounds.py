@@ -81,7 +81,7 @@ def less_noise(problem: Discrete, share: str) -> str:
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
     """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
     problem, pull = certainty.problem, certainty.pull
-    all_time, factor = certainty.raised(per_silence)
+    all_time, factor = certainty.raised(per_silence, certainty.allowance)
     per_silence *= factor
     return Guarantee(
         problem.per_unit(with_silence(all_time, per_silence, pull)),

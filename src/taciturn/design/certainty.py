@@ -25,7 +25,7 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain
-from taciturn.lqg.silence import Allowance, allowance
+from taciturn.lqg.silence import Allowance, Apart, allowance
 from taciturn.lqg.stored import Proved, Stored, filter_loop
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
@@ -72,22 +72,27 @@ class CertaintyEquivalentDesign(Displayed):
 
     @cached_property
     def allowance(self) -> Allowance | None:
-        """What the rounding of the gains adds to the cost of silence; None if it is not proved to be small."""
+        """The effect of the rounding of the gains on the cost of silence; None if it is not proved to be small."""
+        return self.allowance_of()
+
+    def allowance_of(self, apart: Apart | None = None) -> Allowance | None:
+        """Return the allowance of an estimate that is a sum of contributions of sensors that filter apart."""
         if self.proved is None or self.loop is None or self.timed:
             return None
-        return allowance(self.loop, self.regulator, self.filter, self.cost_all_time)
+        return allowance(self.loop, self.regulator, self.filter, self.cost_all_time, apart)
 
-    def raised(self, silence: float) -> tuple[float, float]:
+    def raised(self, silence: float, allowed: Allowance | None) -> tuple[float, float]:
         """Return J_all and a factor of the cost of silence in a bound, so that it holds for the gains as stored.
 
         Without a proof, they are J_all as computed, and 1.
 
         Args:
             silence: the most that silence adds with exact gains, per step.
+            allowed: the effect of the rounding of the gains, or None.
         """
-        if self.proved is None or self.allowance is None:
+        if self.proved is None or allowed is None:
             return self.cost_all_time, 1.0
-        return self.allowance.raised(self.proved.upper, silence)
+        return allowed.raised(self.proved.upper, silence)
 
     def relative(self, theta: float) -> float | None:
         """Return a bound on the cost per step if silence adds at most θ/(1 + θ) of the stage cost; None if unproved."""

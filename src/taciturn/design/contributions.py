@@ -18,6 +18,7 @@ from taciturn._display import Displayed
 from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
 from taciturn.design.estimation import ESTIMATE
 from taciturn.lqg.kalman import filter_checked, resting_states
+from taciturn.lqg.silence import Apart
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Acknowledged, Assign, Condition, Decide, Received, Send, Step, Terms
@@ -64,6 +65,11 @@ class ContributionSteps(Displayed):
         """Return the steps after all inputs are known, as a sum ``held`` of the controller's signals."""
         moved = {name: self._plant.B @ columns for name, columns in held.items()}
         return (Assign(self.network.controller, "prior", {"own": self._plant.A, **moved}),)
+
+    @property
+    def apart(self) -> Apart:
+        """The sensors that filter at another place than the controller."""
+        return Apart([self._sensors[node][2] for node in self._remote], self._left, self._left @ self._plant.A)
 
     @property
     def initial(self) -> dict[str, Array]:

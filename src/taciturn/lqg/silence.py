@@ -1,4 +1,4 @@
-"""What the rounding of stored gains adds to the cost of silence, with a proof.
+"""The effect of the rounding of stored gains on the cost of silence, with a proof.
 
 The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so far, holds for the
 optimal gains. Programs hold doubles. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the
@@ -17,6 +17,10 @@ covariance S*, and the differences ΔA, ΔB between the exact plant and the stor
 
 Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop.
 
+If several sensors filter apart, programs add contributions ξˢ⁺ = Ωξˢ + g_s y_s with Ω ≈ (I − gC)A, and the estimate
+differs from that of the stored filter by Δ⁺ = (I − gC)AΔ + (roundings of Ω and I − gC)·(ξ, x̂, e). It counts as an error
+LΔ of the input.
+
 A trigger that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights. Its mean is that
 of the true stage cost up to |d| in the norm of Q, and up to the rounding of the weights.
 
@@ -25,6 +29,7 @@ Source: khashooei2017, anderson1990optimal
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from math import sqrt
 from typing import Generic, NamedTuple
@@ -32,7 +37,7 @@ from typing import Generic, NamedTuple
 import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, Bits
-from taciturn._modes import COST_ERROR, summed
+from taciturn._modes import COST_ERROR, ROUNDOFF, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner, solve
@@ -49,6 +54,20 @@ SQUARINGS = 2  # of a matrix whose norm is sought
 ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
+class Apart(NamedTuple):
+    """Sensors that filter apart, and the matrices of their filters as programs hold them.
+
+    Args:
+        outputs: the outputs of each sensor that is not at the controller's place.
+        rest: about I − gC, (n, n).
+        moved: Ω, about (I − gC)A, (n, n).
+    """
+
+    outputs: Sequence[Sequence[int]]
+    rest: Array
+    moved: Array
+
+
 class StageError(NamedTuple):
     """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one.
 
@@ -62,7 +81,7 @@ class StageError(NamedTuple):
 
 
 class Allowance(NamedTuple):
-    """What the rounding of stored gains adds: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
+    """The effect of the rounding of stored gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
 
     Args:
         excess: ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one.
@@ -76,6 +95,11 @@ class Allowance(NamedTuple):
     slope: float
     stage: StageError
 
+    def within(self, share: float, cost: float) -> bool:
+        """Return whether the rounding adds at most a share of a cost, J_all."""
+        fixed = self.fixed * (self.fixed + sqrt(cost)) <= share * cost
+        return fixed and max(self.slope, self.excess) <= share
+
     def raised(self, base: float, silence: float) -> tuple[float, float]:
         """Return a base and a factor of the cost of silence that allow for the rounding.
 
@@ -88,10 +112,9 @@ class Allowance(NamedTuple):
             t > 0, here t = η/√S.
         """
         s = sqrt(silence)
-        if s == 0:  # every step sends, and the loop is that of J_all
-            return base, 1.0
         added = (self.fixed + self.slope * s) * MORE
-        return (base + added * (added + s)) * MORE, (1 + self.excess) * (1 + added / s) * MORE
+        factor = (1 + self.excess) * (1 + added / s) * MORE if s > 0 else 1.0
+        return (base + added * (added + s)) * MORE, factor
 
     def relative(self, base: Proved, theta: float) -> float | None:
         """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None.
@@ -116,7 +139,9 @@ class Allowance(NamedTuple):
         return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * MORE
 
 
-def allowance(loop: Stored, regulator: Regulator, steady: Filter, cost: float) -> Allowance | None:
+def allowance(
+    loop: Stored, regulator: Regulator, steady: Filter, cost: float, apart: Apart | None = None
+) -> Allowance | None:
     """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small.
 
     Args:
@@ -124,21 +149,19 @@ def allowance(loop: Stored, regulator: Regulator, steady: Filter, cost: float) -
         regulator: the regulator, whose gain L and weight H are used.
         steady: the filter, whose gain is used.
         cost: J_all, relative to which the addition is to be small.
+        apart: the sensors that filter apart, if the estimate is a sum of contributions.
     """
     if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
-    found: Allowance | None = None
+    found, given = None, (loop, regulator, steady, cost, apart)
     for bits, doubles in loop.attempts:
         if bits > PRECISIONS[1]:
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-            given = loop, regulator, steady, cost
             found = _allowance(Doubles, *given) if doubles else _allowance(Balls, *given)
-            enough = found.fixed * (found.fixed + sqrt(cost)) <= ENOUGH * cost and found.slope <= ENOUGH
-            if enough or not doubles:  # what balls leave is the rounding of the gains
+            if not doubles or found.within(ENOUGH, cost):  # what balls leave is the rounding of the gains
                 break
-    small = found is not None and found.fixed * (found.fixed + sqrt(cost)) <= COST_ERROR * cost
-    return found if small and found is not None and max(found.slope, found.excess) <= COST_ERROR else None
+    return found if found is not None and found.within(COST_ERROR, cost) else None
 
 
 class _Norm(NamedTuple, Generic[E]):
@@ -196,7 +219,14 @@ def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
     return _Norm(arithmetic.enclosing(middle, radius), _ratio(X, falls), states)
 
 
-def _allowance(arithmetic: type[E], stored: Stored, regulator: Regulator, steady: Filter, cost: float) -> Allowance:
+def _allowance(
+    arithmetic: type[E],
+    stored: Stored,
+    regulator: Regulator,
+    steady: Filter,
+    cost: float,
+    apart: Apart | None,
+) -> Allowance:
     """Return the bounds in one arithmetic.
 
     Raises:
@@ -249,8 +279,62 @@ def _allowance(arithmetic: type[E], stored: Stored, regulator: Regulator, steady
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
-    stage = StageError(*(d * MORE).tolist(), float(rest) * MORE, float(squares) * MORE)
-    return Allowance(_ratio(weight - H, H), *((a + b) * MORE).tolist(), stage)
+    stage = StageError(float(d[0]) * MORE, float(d[1]) * MORE, float(rest) * MORE, float(squares) * MORE)
+    excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * MORE, float(a[1] + b[1]) * MORE
+    if apart is not None and not plant.full_state:
+        # e + LΔ in place of e: s' ≤ (s + l₀)/(1 − l₁)
+        first, more = _of_contributions(arithmetic, problem, regulator, steady, apart, norm, (fixed, slope))
+        along = (sqrt(1 + excess) + rise) / (1 - more)
+        root, rise = (root + along * first) * MORE, (along - sqrt(1 + excess)) * MORE + ROUNDOFF * 8
+    return Allowance(excess, root, rise, stage)
+
+
+def _of_contributions(
+    arithmetic: type[E],
+    problem: Discrete,
+    regulator: Regulator,
+    steady: Filter,
+    apart: Apart,
+    norm: _Norm[E],
+    size: tuple[float, float],
+) -> tuple[float, float]:
+    """Return l₀ and l₁ of the bound l₀ + l₁·s on the root of E[(LΔ)'H(LΔ)].
+
+    Args:
+        arithmetic: that of the norm.
+        problem, regulator, steady: the stored loop.
+        apart: the sensors that filter apart.
+        norm: the norm of the states ζ of the stored loop.
+        size: fixed part and slope of their root mean square.
+    """
+    plant, exact, every = problem.plant, arithmetic.exact, slice(None)
+    A, B, C, V, L, H, g = map(exact, (plant.A, plant.B, plant.C, plant.V, regulator.L, regulator.H, steady.gain))
+    one = exact(np.eye(plant.states))
+    left, moved = one - g @ C, apart.moved
+    turn = left @ A
+    wrong, product = exact(apart.rest) - left, exact(moved) - turn
+    errors = _norm(  # it contracts along Ω and along the exact product
+        arithmetic, turn.widened(np.abs(moved - turn.middle) * MORE), np.diag(steady.prior), L.most
+    )
+    parts = np.zeros(2)
+    for outputs in apart.outputs:
+        chosen = np.isin(np.arange(plant.outputs), outputs)
+        gain = g.part(every, chosen)
+        measured = block([[gain @ C.part(chosen, every), exact(np.zeros(plant.A.shape))]])
+        seen = norm.of(measured, errors.X) * np.array(size)
+        seen[0] += _spread(gain, errors.X, V.part(chosen, chosen))
+        parts += np.array([errors.driven(part) for part in seen.tolist()])
+    S, closed = block([[one, left.times(-1.0)]]), wrong @ (A + B @ L)
+    pushed = norm.of(closed @ S, errors.X) * np.array(size)
+    pushed += (errors.of(wrong @ A, errors.X) + errors.of(product, errors.X)) * parts
+    pushed += [_spread(closed @ g, errors.X, V), sqrt(_ratio(_squared(wrong @ B, errors.X), H))]
+    kept = 1 - errors.driven(errors.of(wrong @ A, errors.X))
+    if not kept > 0.5:
+        raise UnprovedError("the contributions of sensors are not proved to be accurate")
+    first, more = (errors.of(L, H) * errors.driven(part) / kept * MORE for part in pushed.tolist())
+    if not more < 0.5:
+        raise UnprovedError("the contributions of sensors are not proved to be accurate")
+    return first, more
 
 
 def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:

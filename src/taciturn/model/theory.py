@@ -39,8 +39,8 @@ class Guarantee(Displayed):
         weights: share of each link in the rate of a bound that depends on one rate; default: one link has it all.
         pull: γ of set-points that change at known times, with which an error of the input is correlated: if S is what
             silence adds to the base, the bound is base + S + 2γ√S; 0 for other set-points.
-        proved: whether the bound follows from a proved enclosure of the cost of the stored controller that sends every
-            sample, and is rounded upwards; otherwise this cost is computed in doubles, with an estimate of its error.
+        proved: whether the bound is proved for the gains as they are stored, and rounded upwards; otherwise it is that
+            of the theorem for exact gains, computed in doubles.
         more_sends: whether the bound also holds if packets are sent in further steps, since it limits the cost of each
             silent step and a packet ends silence.
     """

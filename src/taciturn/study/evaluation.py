@@ -89,8 +89,8 @@ class Evaluation(Tabular):
         without_limits: how often a limit of the inputs binds, and the loop without limits; None if no input has one.
         as_written: the loop without a slow disturbance that a default has added to the plant; None if none was added.
         violations: probabilities that the limits of the problem are violated, or None.
-        proved: whether the bounds follow from a proved enclosure of the cost of the stored controller that sends every
-            sample, and are rounded upwards; otherwise this cost has an estimated error.
+        proved: whether the bounds are proved for the gains as they are stored, and rounded upwards; otherwise they are
+            those of the theorem for exact gains, computed in doubles.
         cost_all_time_error: proved bound on the error of ``cost_all_time``; None if its error is only estimated.
     """
 

@@ -41,7 +41,7 @@ def proof_text(proved: bool, every_sample: bool) -> str:
         every_sample: whether the cost of sending every sample is.
     """
     if proved:
-        return "J_all and the guarantee are proved for the gains as stored"
+        return "J_all and guarantee are proved for the gains as stored"
     if every_sample:
         return "J_all is proved for the gains as stored; what silence adds is computed in doubles, for exact gains"
     return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"

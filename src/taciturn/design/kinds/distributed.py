@@ -18,12 +18,13 @@ from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.loop import close
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.silence import Allowance
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.theory import Guarantee, Identity, Theory, with_silence
+from taciturn.model.theory import Guarantee, Identity, Theory, rounded_up, with_silence
 from taciturn.model.trigger import Form
 
 MOST_SETS = 4  # actuator links of which the controller compares all sets
@@ -147,6 +148,7 @@ def _policy(
     square = Identity(lossless, (Form((EXCESS,), certainty.regulator.H / problem.tick),))
     covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
     sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
+    allowed = None if lossy else certainty.allowance_of(sensors.apart)
     policy = Policy(
         kind="distributed",
         steps=(*sensors.measure(), *sensors.add(), *inputs.decide(), *sensors.predict(inputs.held)),
@@ -154,11 +156,11 @@ def _policy(
         theory=Theory(
             cost=problem.cost,
             cost_all_time=problem.per_unit(all_time),
-            cost_all_time_error=certainty.error if all_time == certainty.cost_all_time else None,
+            cost_all_time_error=_error(certainty, allowed) if all_time == certainty.cost_all_time else None,
             noise_cost=problem.noise_cost,
             settling=certainty.settling,
             recovery=certainty.recovery,
-            guarantee=None if lossy else _guarantee(certainty, thresholds),
+            guarantee=None if lossy else _guarantee(certainty, thresholds, allowed),
             identity=square if told and not certainty.timed else None,
             innovations=sensors.innovations() if told else None,
             sums=sums if told else {},
@@ -202,20 +204,32 @@ def _thresholds(
     return {group: whole * (sum(given[link] for link in group) / total) ** 2 for group in groups}
 
 
-def _guarantee(certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[str, ...], float]) -> Guarantee:
+def _error(certainty: CertaintyEquivalentDesign, allowed: Allowance | None) -> float | None:
+    """Return the proved error of J_all, also for the sum of the contributions, in the user's units; or None."""
+    if certainty.error is None or allowed is None:
+        return None
+    return rounded_up(certainty.error + allowed.fixed**2 / certainty.problem.unit)
+
+
+def _guarantee(
+    certainty: CertaintyEquivalentDesign, thresholds: Mapping[tuple[str, ...], float], allowed: Allowance | None
+) -> Guarantee:
     """Return J ≤ J_all + (Σ√δ_l)² and, at the rates, J ≤ J_all + (Σ√(δ_l(1 − r_l)))², by Minkowski's inequality."""
-    problem, all_time, pull = certainty.problem, certainty.cost_all_time, certainty.pull
+    problem, pull = certainty.problem, certainty.pull
     added = sum(sqrt(delta) for delta in thresholds.values()) ** 2
-    return Guarantee(
-        problem.per_unit(with_silence(all_time, added, pull)),
+    all_time, factor = certainty.raised(added, allowed)
+    found = Guarantee(
+        problem.per_unit(with_silence(all_time, factor * added, pull)),
         f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
         f"its rate; mean-square stable{f'; {AT_INSTANTS}' if problem.instants else ''}",
         "khashooei2017",
         problem.per_unit(all_time),
-        deciders={group: delta / problem.tick for group, delta in thresholds.items()},
+        deciders={group: factor * delta / problem.tick for group, delta in thresholds.items()},
         more_sends=True,
         pull=pull / sqrt(problem.tick),
+        proved=allowed is not None,
     )
+    return found.upwards() if found.proved else found
 
 
 KIND = Kind(
