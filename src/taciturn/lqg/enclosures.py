@@ -121,9 +121,11 @@ class Balls(Enclosure):
     def radius(self) -> Array:
         """Bounds on the distances of the exact entries from ``middle``."""
         if self._radius is None:
-            found = np.array([float(one.rad()) for one in self._balls.entries()]).reshape(self.shape)
-            rounding = 2 * UNIT * np.abs(self.middle) + UNDERFLOW * (self.middle != 0)
-            self._radius = (found + rounding) * (1 + 8 * UNIT)
+            balls, moved = self._balls.entries(), self.middle.ravel() != 0
+            if not moved.all():  # a number may be too small for a double
+                moved = np.array([not one.is_zero() for one in balls], dtype=np.bool_)
+            found = np.array([float(one.rad()) for one in balls]) + UNDERFLOW * moved
+            self._radius = (found.reshape(self.shape) + 2 * UNIT * np.abs(self.middle)) * (1 + 8 * UNIT)
         return self._radius
 
     def __add__(self, other: Self) -> Self:
@@ -395,10 +397,10 @@ def _definite(middle: Array, radius: Array) -> bool:
             return False
         scaled.flat[:: n + 1] = left
     try:
-        np.linalg.cholesky(scaled)
+        factor = np.linalg.cholesky(scaled)
     except np.linalg.LinAlgError:
         return False
-    return True
+    return isfinite(float(np.vdot(factor, factor)))
 
 
 E = TypeVar("E", Balls, Doubles)
