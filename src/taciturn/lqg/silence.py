@@ -245,10 +245,10 @@ def _allowance(
 
     unlike = _unlike(problem, step, arithmetic)
     used = block([[exact(np.eye(plant.states))], [L]])  # (x̂, û) without e
-    seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
     if states.all():
         norm = _Norm(X, _ratio(X, falls), states)
     else:  # other states may affect what is seen
+        seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
         noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
         norm = _norm(arithmetic, loop.F, np.diag(summed(loop.F.middle, noise.middle)), seen)
     fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ
@@ -339,7 +339,9 @@ def _of_contributions(
 
 def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
     """Return a diagonal weight of (x, u) above the difference between the stored weights and the exact ones."""
-    exact = arithmetic.exact
+    exact, size = arithmetic.exact, sum(problem.plant.B.shape)
+    if problem.exact is None:
+        return exact(np.zeros((size, size)))
     stored = block([[exact(problem.Q), exact(problem.N)], [exact(problem.N.T), exact(problem.R)]])
     return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * MORE))
 
