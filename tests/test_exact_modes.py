@@ -6,6 +6,7 @@ from flint import fmpq_mat
 
 from taciturn import ContinuousPlant, Cost, UnstableError, design
 from taciturn._exact_modes import Limit, Lost, modes_of, unmoved
+from taciturn._rational import above, rational, reaches_all
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
@@ -147,3 +148,20 @@ def test_a_sum_is_called_divergent_only_if_it_diverges():
         F = U @ (np.diag(np.full(6, 1 - distance)) + np.diag(np.ones(5), 1)) @ inverse
         with pytest.raises(UnstableError, match=said):
             accumulate(F, np.eye(6))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_input_reaches_all_states_if_its_powers_have_full_rank(seed):
+    """Sparse matrices of doubles from 1e-300 to 1e300: the rank of B, AB, A²B, … in rational numbers decides."""
+    draws = np.random.default_rng(seed)
+    answers = set()
+    for _ in range(30):
+        n, m = int(draws.integers(1, 7)), int(draws.integers(1, 4))
+        A, B = (draws.normal(size=size) * 10.0 ** draws.integers(-300, 301, size) for size in ((n, n), (n, m)))
+        A, B = A * (draws.random((n, n)) < 0.4), B * (draws.random((n, m)) < 0.5)
+        exact, columns = rational(A), [rational(B)]
+        for _ in range(n - 1):
+            columns.append(exact * columns[-1])
+        answers.add(reaches_all(A, B))
+        assert reaches_all(A, B) == (above(*(column.transpose() for column in columns)).rank() == n)
+    assert answers == {True, False}

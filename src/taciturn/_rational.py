@@ -49,7 +49,7 @@ def _modular(values: Array) -> nmod_mat:
     digits = (parts * 2.0**53).astype(np.uint64)
     turned = (digits << turns) & np.uint64(PRIME) | digits >> (np.uint64(61) - turns)
     entries = np.where(values < 0, np.uint64(PRIME) - turned, turned)
-    return nmod_mat(*values.shape, entries.ravel().tolist(), PRIME)
+    return nmod_mat(len(values), values.shape[1], entries.ravel().tolist(), PRIME)
 
 
 def rational(values: Array) -> fmpq_mat:

@@ -12,7 +12,7 @@ from taciturn.design.certainty import design_certainty
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.enclosures import Balls
 from taciturn.lqg.silence import Apart, allowance
-from taciturn.lqg.stored import cost_of_filter
+from taciturn.lqg.stored import filter_loop
 
 BITS, DOUBLINGS = 1024, 40
 
@@ -110,8 +110,9 @@ def test_the_bound_holds_for_the_errors_that_the_rounding_of_gains_makes_dearest
     regulator, steady = exactly.regulator, exactly.filter
     off, wrong = (1e-9 * draws.normal(size=part.shape) * part for part in (regulator.L, steady.gain))
     regulator, steady = replace(regulator, L=regulator.L + off), replace(steady, gain=steady.gain + wrong)
-    base = cost_of_filter(problem, steady, regulator.L)
-    allowed = allowance(problem, regulator, steady, base.value)
+    loop = filter_loop(problem, steady, regulator)
+    base = loop.cost()
+    allowed = allowance(loop, regulator, steady, base.value)
     along = off, regulator.L @ wrong
     with precision(BITS):
         _, small, _ = reference(problem, steady, regulator.L, along)
@@ -220,7 +221,7 @@ def test_the_radius_covers_a_gain_that_is_not_the_best_one():
     problem = discretise(Plant([[1.2]], [[1.0]], [[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), None)
     found = design_certainty("lqg", problem)
     L = found.regulator.L + 0.1
-    worse = cost_of_filter(problem, found.filter, L)
+    worse = filter_loop(problem, found.filter, replace(found.regulator, L=L)).cost()
     with precision(BITS):
         assert abs(reference(problem, found.filter, L) - arb(worse.value)) <= arb(worse.radius)
     assert worse.lower > found.proved.upper
@@ -233,3 +234,19 @@ def test_a_given_controller_has_a_proved_cost():
     assert abs(policy.cost_all_time - 17 / 15) <= policy.theory.cost_all_time_error + 2**-52 < 1e-9
     assert not policy.guarantee.proved  # what silence adds is computed in doubles
     assert policy.guarantee.cost >= 1.1 * 17 / 15 - 1e-9
+
+
+def test_states_that_the_cost_does_not_see_need_not_decay():
+    """A drift beside an unstable plant: neither its noise nor its mode on the unit circle counts."""
+    alone = design_certainty(
+        "lqg", discretise(Plant([[1.2]], [[1.0]], [[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), None)
+    )
+    both = Plant(np.diag([1.2, 1.0]), [[1.0], [0.0]], np.eye(2), np.eye(2), np.eye(2))
+    found = design_certainty("lqg", discretise(both, Cost(np.diag([1.0, 0.0]), [[1.0]]), None))
+    assert abs(found.proved.value - alone.proved.value) <= found.proved.radius + alone.proved.radius
+
+
+def test_a_loop_without_a_cost_costs_nothing():
+    """No state and no input of a stable plant has an effect on the cost."""
+    found = design_certainty("lqg", discretise(Plant([[0.5]], [[1.0]], [[1.0]]), Cost([[0.0]], [[1.0]]), None))
+    assert found.proved == (0.0, 0.0)

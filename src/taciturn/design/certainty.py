@@ -26,7 +26,7 @@ from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain
 from taciturn.lqg.silence import Allowance, Apart, allowance
-from taciturn.lqg.stored import Proved, cost_of_filter
+from taciturn.lqg.stored import Proved, Stored, filter_loop
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import IDEAL, Network
@@ -54,6 +54,7 @@ class CertaintyEquivalentDesign(Displayed):
         estimation: policy steps of the filter.
         cost_all_time: cost of sending at every step, per step, without the inter-sample noise cost.
         proved: an enclosure of this cost for the gains as they are stored; None if its error is only estimated.
+        loop: the loop of these gains.
         settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
         pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
             error e of the input, in the norm of the inverse of H; 0 for other set-points.
@@ -67,6 +68,7 @@ class CertaintyEquivalentDesign(Displayed):
     settling: float
     pull: float = 0.0
     proved: Proved | None = None
+    loop: Stored | None = None
 
     @cached_property
     def allowance(self) -> Allowance | None:
@@ -75,9 +77,9 @@ class CertaintyEquivalentDesign(Displayed):
 
     def allowance_of(self, apart: Apart | None = None) -> Allowance | None:
         """Return the allowance of an estimate that is a sum of contributions of sensors that filter apart."""
-        if self.proved is None or self.timed:
+        if self.proved is None or self.loop is None or self.timed:
             return None
-        return allowance(self.problem, self.regulator, self.filter, self.cost_all_time, apart)
+        return allowance(self.loop, self.regulator, self.filter, self.cost_all_time, apart)
 
     def raised(self, silence: float, allowed: Allowance | None) -> tuple[float, float]:
         """Return J_all and a factor of the cost of silence in a bound, so that it holds for the gains as stored.
@@ -173,7 +175,8 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    pull, proved = 0.0, None if plant.changes is not None else cost_of_filter(problem, steady, regulator.L)
+    pull, loop = 0.0, None if plant.changes is not None else filter_loop(problem, steady, regulator)
+    proved = None if loop is None else loop.cost()
     if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
         added, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
         cost += added
@@ -186,7 +189,7 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
         cost = proved.value
     settling = 1 / (1 - max(regulator.slowest, steady.slowest))
     return CertaintyEquivalentDesign(
-        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, proved
+        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, proved, loop
     )
 
 

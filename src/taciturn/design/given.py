@@ -28,7 +28,7 @@ from taciturn.design.silence import BELIEF, cost_of_silence
 from taciturn.design.step_counter import StepCounter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.stored import cost_of_controller
+from taciturn.lqg.stored import controller_loop
 from taciturn.model.controller import Controller
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
@@ -109,7 +109,7 @@ def keep_controller(
         all_time = _cost(problem, _every_sample(problem, always.base, loop.remedy, chain, network.lost(link)), always)
     proved = None
     if every == 1 and not lossy:
-        proved = cost_of_controller(problem, controller)
+        proved = controller_loop(problem, controller).cost()
         base = all_time = base if proved is None else proved.value
     price = price_at(base / problem.ticks)
     estimation = estimate_state(plant, steady, route.node, time.gains)
@@ -200,7 +200,7 @@ def send_every_sample(
     problem, average = loop.problem, not loop.problem.cost.mission
     plant = problem.plant
     route = route_over(link, problem, loop.controller, "hold", False, start=loop.point.start)
-    found, proved = _every_sample(problem, route.base, loop.remedy), cost_of_controller(problem, loop.controller)
+    found, proved = _every_sample(problem, route.base, loop.remedy), controller_loop(problem, loop.controller).cost()
     always = Decide(route.node, SEND, Trigger({"silent": Form(constant=1.0), SEND: Form()}))
     policy = Policy(
         kind=kind,

@@ -119,6 +119,8 @@ class Followed(Displayed):
 def followed(given: Quadratic) -> Followed | None:
     """Return the deviations from what costs nothing, or None if no state needs them or an input cannot cancel it."""
     free = ~closure((given.B != 0).any(axis=1), np.asarray(given.A != 0, dtype=np.bool_))
+    if not free.any():
+        return None
     others = [states for states in _lasting(given.A, free) if not np.array_equal(states, free)]
     # states that decay slowly cost little between samples; if the others suffice, no cost is left out
     tried = [(free, EXACTLY), *((states, CANCELS) for states in others)] if others else []

@@ -89,9 +89,11 @@ class Balls:
     def radius(self) -> Array:
         """Bounds on the distances of the exact entries from ``middle``."""
         if self._radius is None:
-            found = np.array([float(one.rad()) for one in self._balls.entries()]).reshape(self.shape)
-            rounding = np.where(self.middle == 0, 0.0, 2 * UNIT * np.abs(self.middle) + UNDERFLOW)
-            self._radius = np.where(found == 0, rounding, (found + rounding) * (1 + 8 * UNIT))
+            balls, moved = self._balls.entries(), self.middle.ravel() != 0
+            if not moved.all():  # a number may be too small for a double
+                moved = np.array([not one.is_zero() for one in balls], dtype=np.bool_)
+            found = np.array([float(one.rad()) for one in balls]) + UNDERFLOW * moved
+            self._radius = (found.reshape(self.shape) + 2 * UNIT * np.abs(self.middle)) * (1 + 8 * UNIT)
         return self._radius
 
     @property
@@ -135,8 +137,11 @@ class Balls:
 
     def part(self, rows: Rows, columns: Rows) -> Self:
         """Return some rows and columns."""
-        table, (n, m) = self.rows, self.shape
+        n, m = self.shape
         down, across = _places(n, rows), _places(m, columns)
+        if len(down) == n and len(across) == m:
+            return self
+        table = self.rows
         return self.of([[table[i][j] for j in across] for i in down], len(across))
 
     def solve(self, right: Self) -> Self:
@@ -238,21 +243,24 @@ class Doubles:
 
     def __matmul__(self, other: Self) -> Self:
         """Return the product."""
-        k = self.middle.shape[1]
-        bits = int((53 - np.log2(max(k, 1))) / 2)
-        high, low, coarse = _split(self.middle, bits)
-        top, bottom, fine = _split(other.middle.T, bits)
-        rest = high @ bottom.T + low @ other.middle
-        middle = high @ top.T + rest
+        k, spread, others = self.middle.shape[1], bool(self.radius.any()), bool(other.radius.any())
+        if not ((spread or self.middle.any()) and (others or other.middle.any())):
+            return type(self).exact(np.zeros((len(self.middle), other.middle.shape[1])))
+        bits = int((53 - np.log2(k)) / 2)
         left, right = np.abs(self.middle), np.abs(other.middle)
+        high, low, coarse = _split(self.middle, left, bits)
+        top, bottom, fine = _split(other.middle.T, right.T, bits)
+        middle = high @ top.T + (high @ bottom.T + low @ other.middle)
         # the first product is exact; only the rest is rounded, and the last sum
-        radius = (k + 4) * UNIT * (left.sum(axis=1)[:, None] * fine + coarse[:, None] * right.sum(axis=0))
-        radius += UNIT * np.abs(middle)
-        if other.radius.any():
+        one, two = np.array([left.sum(axis=1), coarse]), np.array([fine, right.sum(axis=0)])
+        radius = ((k + 4) * UNIT * one.T) @ two + UNIT * np.abs(middle)
+        if others:
             radius += left @ other.radius
-        if self.radius.any():
+        if spread:
             radius += self.radius @ (right + other.radius)
-        return type(self)(middle, radius * (1 + (2 * k + 12) * UNIT) + UNDERFLOW)
+        radius *= 1 + (2 * k + 12) * UNIT
+        radius += UNDERFLOW
+        return type(self)(middle, radius)
 
     def times(self, factor: float) -> Self:
         """Return the product with an exact number."""
@@ -315,15 +323,16 @@ class Doubles:
         return _definite(self.middle, self.radius)
 
 
-def _split(matrix: Array, bits: int) -> tuple[Array, Array, Array]:
+def _split(matrix: Array, size: Array, bits: int) -> tuple[Array, Array, Array]:
     """Return the leading bits of the entries of each row, the rest, and twice a bound on the rest of each row.
 
     The leading parts of a row are multiples of one power of two, and at most 2^bits of it. So sums of products of such
-    parts are whole numbers below 2^53, which are exact.
+    parts are whole numbers below 2^53, which are exact. ``size`` are the moduli of the entries.
     """
-    unit = np.exp2(np.ceil(np.log2(np.maximum(np.abs(matrix).max(axis=1, initial=0.0), 1e-280))) - bits)
+    unit = np.exp2(np.ceil(np.log2(np.maximum(size.max(axis=1, initial=0.0), 1e-280))) - bits)
     shift = (1.5 * 2.0**52 * unit)[:, None]
-    high = (matrix + shift) - shift
+    high = matrix + shift
+    high -= shift
     return high, matrix - high, unit
 
 
@@ -351,10 +360,10 @@ def _definite(middle: Array, radius: Array) -> bool:
             return False
         scaled.flat[:: n + 1] = left
     try:
-        np.linalg.cholesky(scaled)
+        factor = np.linalg.cholesky(scaled)
     except np.linalg.LinAlgError:
         return False
-    return True
+    return isfinite(float(np.vdot(factor, factor)))
 
 
 E = TypeVar("E", Balls, Doubles)
@@ -384,3 +393,10 @@ def solve(left: E, right: E) -> E:
     if isinstance(left, Balls):
         return left.solve(right)
     return left.solve(right)  # the same method of the other arithmetic, which type checkers take for another one
+
+
+def inner(one: E, other: E) -> E:
+    """Return the trace of the product of the transpose of a matrix with another one, (1, 1)."""
+    if isinstance(one, Balls):
+        return one.inner(other)
+    return one.inner(other)  # the same method of the other arithmetic

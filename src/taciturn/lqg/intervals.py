@@ -27,7 +27,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._precision import precision
 from taciturn.errors import ProblemError
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.stabilising import FEW, Equation
 
@@ -207,7 +207,7 @@ class Interval(NamedTuple, Generic[E]):
             second.Phi @ self.Phi,
             (self.M + self.Phi.T @ second.M @ self.Phi).symmetric(),
             (second.G + second.Phi @ self.G @ second.Phi.T).symmetric(),
-            self.c + second.c + second.M.inner(self.G),
+            self.c + second.c + inner(second.M, self.G),
         )
 
     def repeated(self, times: int) -> Interval[E]:
@@ -310,7 +310,7 @@ def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
         m, g = (m + m.T).over(k), (g + g.T).over(k)
         weight, noise, change = weight + m, noise + g, change + power
         spread = spread + g.over(k + 1)
-    c = M.inner(spread).times(step)
+    c = inner(M, spread).times(step)
     change = change.widened(_tail(power.most, k, lambda term: term @ most))
     weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
     later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))

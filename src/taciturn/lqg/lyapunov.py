@@ -100,15 +100,15 @@ def _judged(arithmetic: type[E], F: Array, W: Array, X: Array) -> Array:
     for _ in range(2):
         found = arithmetic.exact(X)
         missed = (step @ found @ step.T + noise - found).symmetric()
-        Y, slack = bounded(arithmetic, step.T, missed, size)
+        Y, _, slack = bounded(arithmetic, step.T, missed, size)
         if slack * float(np.mean(np.diag(Y.middle) / size)) <= COST_ERROR:
             return X
         X = X + summed(F, missed.middle)
     raise UnprovedError("its terms and their rounding leave too large a residual")
 
 
-def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, float]:
-    """Return X and ε with −εX ⪯ Σ F'^k M F^k ⪯ εX for the residual M of a sum, given about the diagonal of the sum.
+def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, E, float]:
+    """Return X, X − F'XF and ε with −εX ⪯ Σ F'^k M F^k ⪯ εX for the residual M of a sum of about the given diagonal.
 
     Raises:
         UnprovedError: the loop is not proved stable, or the bound is not proved.
@@ -117,7 +117,7 @@ def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, float
     slack = 4 * relative(missed, size)
     if not ((falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite()):
         raise UnprovedError("the error of a sum along the loop is not proved")
-    return X, slack
+    return X, falls, slack
 
 
 def sizes(A: Array, Q: Array, K: Array, crumb: float) -> Array:

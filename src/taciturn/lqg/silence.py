@@ -36,21 +36,22 @@ from typing import Generic, NamedTuple
 
 import numpy as np
 
-from taciturn._arrays import NO_VARIANCE, Array, Bits, symmetrised
+from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._modes import COST_ERROR, ROUNDOFF, summed
 from taciturn._precision import precision
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, solve
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner, solve
 from taciturn.lqg.intervals import Step
 from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.riccati import Regulator
-from taciturn.lqg.stored import MANY, Proved, closed_by_filter, step_of
+from taciturn.lqg.stored import Proved, Stored
 from taciturn.lqg.structure import closure
 
 MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
 TRIALS = 40  # doublings of a bound until it is proved
-ENOUGH = 1e-9  # what rounding adds, relative to the cost, below which no more digits are tried
+SQUARINGS = 2  # of a matrix whose norm is sought
+ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class Apart(NamedTuple):
@@ -139,28 +140,27 @@ class Allowance(NamedTuple):
 
 
 def allowance(
-    problem: Discrete, regulator: Regulator, steady: Filter, cost: float, apart: Apart | None = None
+    loop: Stored, regulator: Regulator, steady: Filter, cost: float, apart: Apart | None = None
 ) -> Allowance | None:
     """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small.
 
     Args:
-        problem: the discrete-time problem, with an average cost.
+        loop: the loop of regulator and filter as stored.
         regulator: the regulator, whose gain L and weight H are used.
         steady: the filter, whose gain is used.
         cost: J_all, relative to which the addition is to be small.
         apart: the sensors that filter apart, if the estimate is a sum of contributions.
     """
-    if not forgets_the_start(problem.plant, problem.exact):
+    if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
-    given = problem, regulator, steady, cost, apart
-    found: Allowance | None = None
-    with suppress(UnprovedError), np.errstate(all="ignore"):
-        found = _allowance(Doubles, *given)
-    for bits in PRECISIONS[:2]:
-        if 2 * problem.plant.states > MANY or (found is not None and found.within(ENOUGH, cost)):
+    found, given = None, (loop, regulator, steady, cost, apart)
+    for bits, doubles in loop.attempts:
+        if bits > PRECISIONS[1]:
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-            found = _allowance(Balls, *given)
+            found = _allowance(Doubles, *given) if doubles else _allowance(Balls, *given)
+            if not doubles or found.within(ENOUGH, cost):  # what balls leave is the rounding of the gains
+                break
     return found if found is not None and found.within(COST_ERROR, cost) else None
 
 
@@ -183,10 +183,12 @@ class _Norm(NamedTuple, Generic[E]):
         Raises:
             UnprovedError: T depends on states that this norm does not measure.
         """
-        seen, every, states = _squared(T, norm), slice(None), self.states
-        if seen.part(~states, every).most.any():
-            raise UnprovedError("a state that does not decay has a weight")
-        return sqrt(_ratio(seen.part(states, states), self.X.part(states, states)))
+        seen, states, X = _squared(T, norm), self.states, self.X
+        if not states.all():
+            if seen.part(~states, slice(None)).most.any():
+                raise UnprovedError("a state that does not decay has a weight")
+            seen, X = seen.part(states, states), X.part(states, states)
+        return sqrt(_ratio(seen, X))
 
     def noise(self, covariance: E) -> float:
         """Return a bound on the root mean square of |ζ| that independent noise of a covariance causes."""
@@ -219,7 +221,7 @@ def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
 
 def _allowance(
     arithmetic: type[E],
-    problem: Discrete,
+    stored: Stored,
     regulator: Regulator,
     steady: Filter,
     cost: float,
@@ -230,8 +232,8 @@ def _allowance(
     Raises:
         UnprovedError: the loop is not proved stable, or H is not proved definite.
     """
-    plant, exact, step = problem.plant, arithmetic.exact, step_of(problem, arithmetic)
-    loop = closed_by_filter(problem, steady, regulator.L)(step, arithmetic)
+    problem, plant, exact = stored.problem, stored.problem.plant, arithmetic.exact
+    _, step, loop, states, noise, X, falls = stored(arithmetic)
     L, H, g, C, V = map(exact, (regulator.L, regulator.H, steady.gain, plant.C, plant.V))
     worth = exact(regulator.K), exact(regulator.error)
     weight = (step.R + _between(step.B, worth, step.B)).symmetric()
@@ -241,13 +243,14 @@ def _allowance(
     off, drift = L - best, step.B - exact(plant.B)
     moved = (step.A - exact(plant.A)) + drift @ L  # ΔA + ΔB L
 
-    noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
-    pushed = loop.M.middle @ np.linalg.solve(regulator.H, loop.M.middle.T)
-    variances = np.diag(summed(loop.F.middle, symmetrised(noise.middle + cost * pushed)))
     unlike = _unlike(problem, step, arithmetic)
     used = block([[exact(np.eye(plant.states))], [L]])  # (x̂, û) without e
-    seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
-    norm = _norm(arithmetic, loop.F, variances, seen)
+    if states.all():
+        norm = _Norm(X, _ratio(X, falls), states)
+    else:  # other states may affect what is seen
+        seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
+        noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
+        norm = _norm(arithmetic, loop.F, np.diag(summed(loop.F.middle, noise.middle)), seen)
     fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ
     share = norm.of(off @ S, weight)
     a = np.array([share * fixed + _spread(off @ g, weight, V), share * slope])
@@ -272,7 +275,7 @@ def _allowance(
         b[0] += _spread(best @ wrong, weight, innovation)
         d[0] += _spread(wrong, step.Q, innovation)
         known = left @ prior[0] @ left.T + g @ V @ g.T  # the exact variance is less by those of the error and of g − g*
-        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - step.Q.inner(known)
+        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - inner(step.Q, known)
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
@@ -336,7 +339,9 @@ def _of_contributions(
 
 def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
     """Return a diagonal weight of (x, u) above the difference between the stored weights and the exact ones."""
-    exact = arithmetic.exact
+    exact, size = arithmetic.exact, sum(problem.plant.B.shape)
+    if problem.exact is None:
+        return exact(np.zeros((size, size)))
     stored = block([[exact(problem.Q), exact(problem.N)], [exact(problem.N.T), exact(problem.R)]])
     return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * MORE))
 
@@ -354,7 +359,7 @@ def _squared(T: E, norm: E) -> E:
 
 def _most(one: E, other: E) -> float:
     """Return a bound on the trace of the product of two symmetric matrices."""
-    return float(one.inner(other).most[0, 0])
+    return float(inner(one, other).most[0, 0])
 
 
 def _spread(T: E, norm: E, covariance: E) -> float:
@@ -365,19 +370,25 @@ def _spread(T: E, norm: E, covariance: E) -> float:
 def _ratio(M: E, D: E) -> float:
     """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
 
+    It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
+
     Raises:
-        UnprovedError: D is not proved definite.
+        UnprovedError: the bound is not proved.
     """
     if not M.most.any():
         return 0.0
     unit = 1 / np.sqrt(np.maximum(np.diag(D.middle), NO_VARIANCE))
-    values, vectors = np.linalg.eigh(D.middle * unit * unit[:, None])
-    if not values[0] > 0:
-        raise UnprovedError("a weight is not definite")
-    turn = vectors / np.sqrt(values)
-    middle, radius = (part * unit * unit[:, None] for part in (M.middle, M.radius))
-    least = float(np.linalg.eigvalsh(symmetrised(turn.T @ middle @ turn))[-1])
-    ratio = 1.001 * max(least, 0.0) + 2 * float(radius.sum(axis=1).max()) / float(values[0]) + 1e-200
+    unit = unit * unit[:, None]
+    try:
+        power = np.linalg.solve(D.middle * unit, M.middle * unit + np.diag((M.radius * unit).sum(axis=1)))
+    except np.linalg.LinAlgError as error:
+        raise UnprovedError("a weight is not definite") from error
+    size = float(np.linalg.norm(power)) + NO_VARIANCE
+    power = power / size
+    for _ in range(SQUARINGS):
+        power = power @ power
+    trace = max(float(np.vdot(power.T, power)), 0.0)
+    ratio = 1.001 * size * trace**2.0 ** -(SQUARINGS + 1) + 1e-200
     for _ in range(TRIALS):
         if (D.times(ratio) - M).definite():
             return ratio

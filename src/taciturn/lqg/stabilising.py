@@ -420,10 +420,12 @@ def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array
     Raises:
         UnprovedError: the loop is not proved stable.
     """
+    if not off.most.any():
+        return np.zeros(X.shape)
     spent, falls = (off.T @ H @ off).symmetric(), (X - F.T @ X @ F).symmetric()
     slack = 4 * relative(spent, size)
     if not (falls.times(slack) - spent).definite():  # otherwise X − F'XF ≻ 0, as off'H off ⪰ 0
-        X, slack = bounded(arithmetic, F, spent, size)
+        X, _, slack = bounded(arithmetic, F, spent, size)
     return slack * symmetrised(X.middle)
 
 
