@@ -24,7 +24,8 @@ import numpy as np
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import mode_text, radius
+from taciturn._exact_modes import Limit
+from taciturn._modes import radius
 from taciturn._progress import check_time
 from taciturn._text import ordinal
 from taciturn.design import _fixed_point
@@ -237,7 +238,7 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
     modes = np.linalg.eigvals(base.Phi + base.Gamma @ base.K)
     worst = complex(modes[np.argmax(np.abs(modes))])
     raise UnstableError(
-        f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
+        f"the loop that sends every sample is not stable: it has the eigenvalue {Limit(False).named(worst)}; expected "
         f"eigenvalues inside the unit circle: {remedy}"
     )
 
