@@ -56,6 +56,8 @@ class CertaintyEquivalentDesign(Displayed):
         settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
         pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
             error e of the input, in the norm of the inverse of H; 0 for other set-points.
+        overlap: what set-points that change at known times cost per step beyond unrelated changes, because one changes
+            before the transient of the change before has ended.
     """
 
     problem: Discrete
@@ -65,6 +67,7 @@ class CertaintyEquivalentDesign(Displayed):
     cost_all_time: float
     settling: float
     pull: float = 0.0
+    overlap: float = 0.0
     proved: Proved | None = None
 
     @property
@@ -149,10 +152,10 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    pull, proved = 0.0, None if plant.changes is not None else cost_of_filter(problem, steady, regulator.L)
+    overlap, pull, proved = 0.0, 0.0, None if plant.changes is not None else cost_of_filter(problem, steady, regulator.L)
     if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
-        added, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
-        cost += added
+        overlap, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
+        cost += overlap
     if proved is None:
         left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
         square = regulator.L.T @ regulator.H @ regulator.L
@@ -162,7 +165,7 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
         cost = proved.value
     settling = 1 / (1 - max(regulator.slowest, steady.slowest))
     return CertaintyEquivalentDesign(
-        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, proved
+        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, overlap, proved
     )
 
 
