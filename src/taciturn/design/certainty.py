@@ -152,7 +152,8 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    overlap, pull, proved = 0.0, 0.0, None if plant.changes is not None else cost_of_filter(problem, steady, regulator.L)
+    proved = None if plant.changes is not None else cost_of_filter(problem, steady, regulator.L)
+    overlap, pull = 0.0, 0.0
     if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
         overlap, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
         cost += overlap

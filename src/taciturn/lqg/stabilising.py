@@ -179,10 +179,9 @@ class Problem(Displayed):
         try:
             return self._proved(PRECISIONS[:1], len(self.given.A) > FEW)
         except UnprovedError:
-            if self.continuous or is_definite(self.given.R):
-                return self._proved(PRECISIONS[1:], False)
+            definite = self.continuous or is_definite(self.given.R)
         weight = np.block([[self.given.Q, self.given.N], [self.given.N.T, self.given.R]])
-        free = free_inputs(self.given, rational(weight))
+        free = None if definite else free_inputs(self.given, rational(weight))
         if free is not None:
             return self._without(free)
         try:
@@ -190,9 +189,11 @@ class Problem(Displayed):
         except UnprovedError:
             # A weight of low rank may be semidefinite only up to the rounding of its entries.
             rows = root(weight).T  # its square may have a solution although a semidefinite weight itself has none
-            if len(rows) == len(weight) or (not self.sampled and is_semidefinite(weight)):
+            if len(rows) == len(weight) or (self.sampled and definite):
                 raise
-        squared, free = self._squared(rows), free_inputs(self.given, rational(rows))
+            if not self.sampled and is_semidefinite(weight):
+                raise
+        squared, free = self._squared(rows), None if definite else free_inputs(self.given, rational(rows))
         return squared._proved(PRECISIONS, False) if free is None else squared._without(free)
 
     def _squared(self, rows: Array) -> Problem:
