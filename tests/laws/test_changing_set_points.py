@@ -92,7 +92,7 @@ def test_set_points_that_change_cost_their_transients(changes: RandomSteps | Tim
 
 @pytest.mark.parametrize("pace", [1, 4])
 def test_a_schedule_of_measurements_costs_the_transients_of_a_timetable(pace: int) -> None:
-    """Errors of the estimate do not depend on set-points, so the means of the states cost what they do without noise."""
+    """Errors of the estimate do not depend on set-points, so the means cost what they do without noise."""
     table = Timetable(pace * np.array([0, 2, 3, 5]), [[1, -2], [2, 0], [0, 5], [1, -2]])
     plant = changing(table)
     policy, constant = (design.variance(one, COST, threshold=0.2) for one in (plant, plant_with(PUSH)))
