@@ -35,7 +35,7 @@ from taciturn.lqg.stabilising import ASKED, FEW
 from taciturn.lqg.structure import closure
 from taciturn.model.controller import Controller
 
-MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
+MANY = 48  # states of plant and controller above which only doubles with bounds are tried first: balls take seconds
 TURNS = 80  # doublings of a sum
 
 
@@ -79,7 +79,7 @@ class Closing(Protocol):
         ...
 
 
-def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None:
+def cost_of_filter(problem: Discrete, steady: Filter, L: Array, patient: bool = False) -> Proved | None:
     """Return the average cost per step of u = L x̂ with a steady filter, both as stored; None if it is not proved.
 
     The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
@@ -90,6 +90,7 @@ def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None
         problem: the discrete-time problem, with an average cost.
         steady: the filter; its gain is used.
         L: gain, (m, n).
+        patient: whether balls, which take seconds for many states, may be tried for any number of states.
     """
     plant = problem.plant
 
@@ -102,7 +103,7 @@ def cost_of_filter(problem: Discrete, steady: Filter, L: Array) -> Proved | None
         sensed = block([[arithmetic.exact(np.zeros_like(steady.gain))], [A @ gain]])
         return Closed(F, block([[one], [one]]), moves @ D - sensed, T, D)
 
-    return _proved(problem, close)
+    return _proved(problem, close, patient)
 
 
 def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | None:
@@ -126,7 +127,7 @@ def cost_of_controller(problem: Discrete, controller: Controller) -> Proved | No
     return _proved(problem, close)
 
 
-def _proved(problem: Discrete, close: Closing) -> Proved | None:
+def _proved(problem: Discrete, close: Closing, patient: bool = False) -> Proved | None:
     """Return the proved average cost of a stored loop, or None.
 
     With disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
@@ -143,14 +144,14 @@ def _proved(problem: Discrete, close: Closing) -> Proved | None:
     for bits in PRECISIONS:
         check_time()
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
-            better = _cost(problem, close, Balls)
+            better = _cost(problem, close, Balls, patient)
             found = better if found is None or better.radius < found.radius else found
         if found is not None and found.radius <= ASKED * found.value:
             return found
     return None
 
 
-def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
+def _cost(problem: Discrete, close: Closing, arithmetic: type[E], patient: bool = False) -> Proved:
     """Return the average cost of a stored loop in one arithmetic.
 
     Raises:
@@ -159,7 +160,7 @@ def _cost(problem: Discrete, close: Closing, arithmetic: type[E]) -> Proved:
     step, V = _step(problem, arithmetic), arithmetic.exact(problem.plant.V)
     loop = close(step, arithmetic)
     n, size = problem.plant.states, loop.F.shape[0]
-    if size > MANY and arithmetic is Balls:
+    if size > MANY and arithmetic is Balls and not patient:
         raise UnprovedError("the loop has too many states for balls")
     at = block([[arithmetic.exact(np.eye(n, size))], [loop.T]])
     M = (at.T @ block([[step.Q, step.N], [step.N.T, step.R]]) @ at).symmetric()
