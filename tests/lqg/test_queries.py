@@ -13,6 +13,7 @@ from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digi
 from taciturn import Cost, Plant, UnstableError, design
 from taciturn.lqg import queries
 from taciturn.lqg.queries import Predictor, QueryValue, Weights, follow_every_query, schedule_queries
+from taciturn.lqg.riccati import regulate_discounted
 from taciturn.model.schedule import Schedule
 
 
@@ -273,3 +274,16 @@ def test_a_schedule_says_what_it_is(tmp_path) -> None:
         assert (tmp_path / "schedule.svg").stat().st_size > 1000
         assert [axis.get_xlabel() for axis in shown.plot().axes] == ["", "step"]
     assert shown.repeating().start is shown.period is None
+
+
+def test_with_a_discount_a_covariance_need_not_converge() -> None:
+    """Nothing moves a constant: its variance 1/(k + 1) after k measurements tends to 0 for ever, at a finite cost."""
+    constant = Plant([[1.0]], [[1.0]], [[0.0]], [[1.0]], [[1.0]], covariance=[[1.0]])
+    covariance, start = follow_every_query(constant, np.eye(1), None, 0.9)
+    assert start == len(covariance) - 1 < 2000
+    assert covariance[:, 0, 0] == pytest.approx(1 / (1 + np.arange(len(covariance))), rel=1e-9)
+    policy = design.remote_lqg(constant, Cost([[1.0]], [[1.0]], discount=0.9), theta=0.1, controller="sensor")
+    found = regulate_discounted([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.9)
+    k = np.arange(1000)
+    sums = float(found.K[0, 0] + np.sum(0.9**k / (k + 1)) * (found.L[0, 0] ** 2 * found.H[0, 0]))
+    assert policy.cost_all_time == pytest.approx(sums, rel=1e-12)

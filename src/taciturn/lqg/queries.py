@@ -25,6 +25,8 @@ from taciturn.model.schedule import Schedule
 NEGLIGIBLE = 1e-14  # last term of a sum, relative to the sum
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as equal when a cycle is sought
+FORGOTTEN = 1e-20  # share of the largest weighed variance of a state below which later steps do not count
+USUAL = 1000  # steps within which most covariances converge
 LONGEST = 100_000  # steps within which a schedule must repeat
 WORK = 6e10  # longest time for one schedule, approximate nanoseconds
 VALUE, TERM, STEP = (
@@ -315,13 +317,17 @@ def _scheduled(
     return _schedule(plant, covariance[:-1], value, price, None, 1.0)
 
 
-def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
+def follow_every_query(
+    plant: Plant, initial: Array, horizon: int | None, discount: float = 1.0
+) -> tuple[Array, int | None]:
     """Return the error covariances with a sensor query at every step, and the step from which they repeat.
 
     Args:
         plant: plant with A, C, W and V.
         initial: Σ_0, covariance of the initial prediction, (n, n).
         horizon: number of steps; None: until the covariance has converged.
+        discount: α, by which the cost of a later step counts less: a covariance that has not converged within 1,000
+            steps stays as it is at the step from which on α^k leaves no variance a weight.
 
     Returns:
         The covariances, (steps, n, n), and the step from which they repeat, or None with a horizon.
@@ -332,6 +338,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     Source: khashooei2017
     """
     predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
+    weight, largest = 1.0, initial.diagonal()
     for _ in range((horizon or LONGEST) - 1):
         check_time()
         covariance.append(predictor.follow(covariance[-1], True))
@@ -339,6 +346,11 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
             cycle = cycle_of(predictor, covariance)
             if cycle is not None:
                 return frozen(np.array(covariance[: cycle[1]])), cycle[0]
+            weight *= discount
+            weighed = weight * covariance[-1].diagonal()
+            largest = np.maximum(largest, weighed)
+            if len(covariance) > USUAL and (weighed <= FORGOTTEN * (1 - discount) * largest).all():
+                return frozen(np.array(covariance)), len(covariance) - 1
             continue
         period = repetition.period(len(covariance), covariance[-1])
         if period is not None:
