@@ -319,3 +319,14 @@ def test_the_least_eigenvalue_keeps_its_digits_beside_large_entries():
     assert least_eigenvalue(np.diag([1.0, -1.0])) == -1.0
     assert least_eigenvalue(np.diag([1.0, 0.0])) == 0.0
     assert least_eigenvalue(np.ones((2, 2))) <= 0.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_cost_that_the_input_can_avoid_is_solved(seed):
+    """The square of one output cx + du: the input keeps it at zero, and what rounding leaves has no digits."""
+    draws = np.random.default_rng(seed)
+    (c, d), b = draws.normal(size=2), 1.0
+    a = b * c / d + draws.uniform(-0.99, 0.99)
+    found = regulate([[a]], [[b]], [[c * c]], [[d * d]], [[c * d]])
+    assert found.L[0, 0] == pytest.approx(-c / d, rel=1e-6)
+    assert abs(found.K[0, 0]) < 1e-12 * c * c

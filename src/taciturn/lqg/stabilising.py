@@ -334,14 +334,14 @@ class Problem(Displayed):
         weight = given.B.T @ K
         H = (given.R + weight @ given.B).symmetric()
         correction = solve(H.centre(), weight.centre()).middle
-        excess, lacking = self._rounded(arithmetic, given, L, correction, H, X, size)
+        excess, lacking = self._rounded(arithmetic, given, K, L, correction, H, X, size)
         if lacking and arithmetic is Doubles:
             raise UnprovedError(lacking)
         error, price = error + excess, symmetrised(H.middle)
         return Solution(middle, L.middle, price, error, correction, False, lacking, _slowest(F))
 
     def _rounded(
-        self, arithmetic: type[E], given: Equation[E], L: E, correction: Array, H: E, X: E, size: Array
+        self, arithmetic: type[E], given: Equation[E], K: E, L: E, correction: Array, H: E, X: E, size: Array
     ) -> tuple[Array, str]:
         """Return a bound on what the gain as it is stored costs more, and why it is not enough; empty if it is."""
         exact, none = arithmetic.exact, np.zeros_like(X.middle)
@@ -357,7 +357,8 @@ class Problem(Displayed):
                 _falling(arithmetic, A + B @ stored, X, size)
             except UnprovedError as error:
                 return none, f"with the rounded gain and the rounded matrices of the sampled plant, {error}"
-        more = float((np.diag(excess) / size).max(initial=0.0))
+        # next to the terms of its sum, a cost-to-go has no digits below one rounding of the weights
+        more = float((np.diag(excess) / np.maximum(size, _sizes(given, K, UNIT))).max(initial=0.0))
         if more > self.asked:
             return none, f"rounded, it costs up to {more:.1e} of the cost-to-go of a state more, above {self.asked:.0e}"
         return excess, ""
