@@ -287,3 +287,14 @@ def test_with_a_discount_a_covariance_need_not_converge() -> None:
     k = np.arange(1000)
     sums = float(found.K[0, 0] + np.sum(0.9**k / (k + 1)) * (found.L[0, 0] ** 2 * found.H[0, 0]))
     assert policy.cost_all_time == pytest.approx(sums, rel=1e-12)
+
+
+def test_noise_of_rank_one_and_exact_outputs_leave_no_negative_variance() -> None:
+    """After a few measurements only the noise of the last step is unknown; its rounding is divided by nothing."""
+    A = np.array([[1, 0, 0, 0], [0, 0, 0, 0], [0, 0, -0.664, 165.0], [-1.06, 0.053, -0.00282, -0.664]])
+    C = np.array([[-3.47e-3, -1.2e-4, -2.88e-6, -2.25e-3], [-1.53, -0.067, -1.04e-3, -0.0988]])
+    spread = np.array([0.494, -15.9, 103.0, 1.92])
+    plant = Plant(A, np.ones((4, 1)), np.outer(spread, spread), C, np.zeros((2, 2)))
+    found, _ = follow_every_query(plant, np.diag([12.4, 1845.0, 1.36e5, 40.5]), 60)
+    assert (np.diagonal(found, axis1=1, axis2=2) > 0).all()
+    assert found[-1] == pytest.approx(plant.W, rel=1e-6)

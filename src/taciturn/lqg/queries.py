@@ -10,13 +10,13 @@ import numpy as np
 
 from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import radius, summed
+from taciturn._modes import radius, root, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg._flow import Flow, riccati_flow
 from taciturn.lqg._repetition import Repetition
-from taciturn.lqg.kalman import resting_states, steady_filter
+from taciturn.lqg.kalman import CRUMB, resting_states, steady_filter
 from taciturn.lqg.quadratic import price
 from taciturn.lqg.structure import closure
 from taciturn.model.plant import Plant
@@ -103,7 +103,14 @@ class Predictor:
         """Return the next error covariance with a measurement, in Joseph's form, (…, n, n)."""
         p = self.plant
         F, turned = p.A - gain @ self._C, gain.swapaxes(-1, -2)
-        return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ self._V @ turned + p.W)
+        moved = symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ self._V @ turned)
+        if not self._noisy and np.isfinite(moved).all():
+            # outputs without noise leave exact zeros, whose rounding the next gain must not divide by
+            before = symmetrised(p.A @ Sigma @ p.A.T)
+            pairs = zip(moved.reshape(-1, *p.A.shape), before.reshape(-1, *p.A.shape), strict=True)
+            halves = (root(one, beside, CRUMB) for one, beside in pairs)
+            moved = np.reshape([half @ half.T for half in halves], moved.shape)
+        return moved + p.W
 
     def change(self, before: Array, after: Array) -> Array:
         """Return the largest difference of each covariance from a reference, in standard deviations of the reference.
