@@ -164,7 +164,8 @@ def regulate_lossy_finite(
             fill_earlier((K, P, L, Gamma), k, period)
             break
     found = (K, P, L, Gamma)
-    if is_definite(R) and any(_is_narrow(part[k]) for part in (K, P) for k in (0, horizon // 2)):
+    price = R + B.T @ (K[1] + channel.coupling * P[1]) @ B
+    if is_definite(R) and any(map(_is_narrow, (price, *(part[k] for part in (K, P) for k in (0, horizon // 2))))):
         found = _finite_in_balls((A, B, Q, R), terminal, horizon, channel)
     return LossyRegulator(*(frozen(part) for part in (*found, np.zeros((n, n)))))
 
