@@ -491,3 +491,15 @@ def test_inputs_that_hardly_cost_anything_together_are_solved_over_lossy_links()
         K, P = with_digits((A, B, Q, R), *(arb_mat(part.tolist()) for part in (found.K, found.P)), channel)
         for part, after in ((found.K, K), (found.P, P)):
             assert np.diag(np.array(after.tolist(), dtype=np.float64)) == pytest.approx(np.diag(part), rel=1e-8)
+
+
+def test_a_mode_that_an_input_hardly_moves_is_not_called_uncontrollable():
+    """Turned coordinates, and an input of 1e-12: doubles do not suffice, or the losses are too large."""
+    T = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    A, B = T @ np.diag([1.2, -0.5]) @ T.T, T @ np.array([[1e-12], [1.0]])
+    for loss, said in (
+        (0.1, "over lossy links could not be"),
+        (0.9, "mean-square stability allows actuator losses below 0.694"),
+    ):
+        with pytest.raises(UnstableError, match=said):
+            regulate_lossy(A, B, np.eye(2), np.eye(1), Channel(loss, 0.0, True, False))

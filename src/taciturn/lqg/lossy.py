@@ -14,7 +14,8 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import NO_VARIANCE, Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, mode_text, radius
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import SCATTER, balancing, eigenvalues, mode_text, radius
 from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
@@ -25,6 +26,7 @@ from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
 TURNS = 100
+CIRCLE = Limit(False)  # the edge of the modes that decay
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
 NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
@@ -164,8 +166,8 @@ def regulate_lossy_finite(
             fill_earlier((K, P, L, Gamma), k, period)
             break
     found = (K, P, L, Gamma)
-    price = R + B.T @ (K[1] + channel.coupling * P[1]) @ B
-    if is_definite(R) and any(map(_is_narrow, (price, *(part[k] for part in (K, P) for k in (0, horizon // 2))))):
+    H = R + B.T @ (K[1] + channel.coupling * P[1]) @ B
+    if is_definite(R) and any(map(_is_narrow, (H, *(part[k] for part in (K, P) for k in (0, horizon // 2))))):
         found = _finite_in_balls((A, B, Q, R), terminal, horizon, channel)
     return LossyRegulator(*(frozen(part) for part in (*found, np.zeros((n, n)))))
 
@@ -208,18 +210,18 @@ def _recursion_in_balls(
 ) -> tuple[Array, Array, Array, Array]:
     """Return K, P, L and Γ by the recursion of :func:`lossy_step` with the middles of balls."""
     A, B, Q, R = (Balls.exact(part) for part in given)
-    K, P = Balls.exact(terminal), Balls.exact(np.zeros_like(terminal))
+    K: Balls = Balls.exact(terminal)
+    P: Balls = Balls.exact(np.zeros_like(terminal))
     weights, gains = [(K.middle, P.middle)], list[tuple[Array, Array]]()
     for _ in range(horizon):
         check_time()
-        M = R + B.T @ (K + P.times(channel.exposure).times(0.0 if channel.acknowledged else channel.actuator_loss)) @ B
+        felt = K if channel.acknowledged else K + P.times(channel.exposure).times(channel.actuator_loss)
+        M = R + B.T @ felt @ B
         L = M.centre().solve((B.T @ K @ A).centre()).times(-1.0).centre()
         whole = (L.T @ M @ L).symmetric()
         Gamma = whole - whole.times(channel.actuator_loss)
-        K, P = (
-            one.symmetric().centre()
-            for one in (Q + A.T @ K @ A - Gamma, Gamma + (A.T @ P @ A).times(channel.sensor_loss))
-        )
+        K = (Q + A.T @ K @ A - Gamma).symmetric().centre()
+        P = (Gamma + (A.T @ P @ A).times(channel.sensor_loss)).symmetric().centre()
         weights.append((K.middle, P.middle))
         gains.append((L.middle, Gamma.middle))
     forms, answers = zip(*weights[::-1], strict=True), zip(*gains[::-1], strict=True)
@@ -284,7 +286,8 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
     raise UnstableError(
         f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
-        "expected loss probabilities further from their critical values, or states that decay faster"
+        "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
+        "states that decay faster"
     )
 
 
@@ -505,9 +508,9 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     n, m = B.shape
     scale = balancing(A)  # the result must not depend on the units of the states
     A, B = A / scale[:, None] * scale, B / scale[:, None]
-    lost = lost_modes(A, B, False)
+    lost = unmoved(A, B, CIRCLE).lasting
     if lost.size:
-        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which is uncontrollable through B")
+        raise UnstableError(f"A has the eigenvalue {CIRCLE.named(complex(lost[0]))}, which is uncontrollable through B")
     A_u, V = _scipy.unstable_part(A, 1 - SCATTER)
     B_u, count = V @ B, len(V)
     if count == 0:
