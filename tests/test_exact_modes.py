@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from flint import fmpq_mat
 
-from taciturn import ContinuousPlant, Cost, UnstableError, design
-from taciturn._exact_modes import Limit, Lost, modes_of, unmoved
+from taciturn import ContinuousPlant, Cost, Plant, ProblemError, UnstableError, design
+from taciturn._exact_modes import Limit, Lost, modes_of, unmoved, unmoved_and_seen
 from taciturn._rational import above, rational, reaches_all
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.riccati import regulate
+from taciturn.lqg.riccati import regulate, regulate_discounted
 from taciturn.lqg.structure import unpaid
 
 CIRCLE, AXIS = Limit(False), Limit(True)
@@ -130,6 +130,60 @@ def test_a_block_that_nothing_touches_is_left_out_unless_it_grows(mode: float, s
     found = regulate(*given)
     assert not found.L[0, :2].any()
     assert found.slowest == pytest.approx(slowest, abs=1e-15)
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.25])
+@pytest.mark.parametrize("seen", [False, True])
+def test_the_message_says_whether_a_marginal_mode_affects_the_cost(seen: bool, discount: float):
+    """The mode on the limit and one of 0.5 in whole-number coordinates: the cost, or noise, shows both or only 0.5."""
+    U, inverse = np.array([[2.0, 1.0], [1.0, 1.0]]), np.array([[1.0, -1.0], [-1.0, 2.0]])
+    A, Q = np.diag([0.0, 0.0, 1.2]), np.eye(3)
+    A[:2, :2] = U @ np.diag([discount**-0.5, 0.5]) @ inverse
+    if not seen:
+        Q[:2, :2] = np.outer(inverse[1], inverse[1])
+    B, R, N = np.array([[0.0], [0.0], [1.0]]), np.eye(1), np.zeros((3, 1))
+    with pytest.raises(UnstableError, match="and affects the cost" if seen else "does not affect the cost, but it is"):
+        regulate_discounted(A, B, Q, R, N, discount)
+    if discount == 1:
+        said = "noise W reaches it; expected" if seen else "noise W does not reach it, but it is a combination"
+        with pytest.raises(UnstableError, match=said):
+            steady_filter(A.T, B.T, Q, R)
+
+
+def test_of_two_marginal_modes_the_message_names_the_one_that_affects_the_cost():
+    """A mode 1 that no cost depends on and an oscillator that one depends on, mixed by whole numbers."""
+    draws = np.random.default_rng(2)
+    A, T = mixed(np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 0.5]]), draws)
+    rows = np.round(np.linalg.inv(T))
+    B, unmoved_rows = T[:, 3:], rows[1:]
+    with pytest.raises(UnstableError, match=r"eigenvalue 0\+1i, .* and affects the cost"):
+        regulate(A, B, unmoved_rows.T @ unmoved_rows, np.eye(1), np.zeros((4, 1)))
+    found = unmoved_and_seen(A, B, unmoved_rows, CIRCLE)
+    assert split(found) == [[], [1j, -1j], []]
+    assert split(unmoved_and_seen(A, B, np.eye(4), CIRCLE)) == split(unmoved(A, B, CIRCLE))
+    assert split(unmoved_and_seen(A, B, rows[3:], CIRCLE)) == [[], [], []]
+
+
+def test_a_mode_is_named_with_the_digits_that_tell_it_from_the_limit():
+    """Modes near the circle, the axis and the circle of a discount; a mode on the limit has the usual digits."""
+    inner = 1 / 0.81**0.5
+    for limit, mode, text in (
+        (CIRCLE, 1 + 1.6e-8, "1.00000002"),
+        (CIRCLE, 1 - 1.2e-8, "0.99999999"),
+        (CIRCLE, -1 - 1e-12, "-1.000000000001"),
+        (CIRCLE, 2.0, "2"),
+        (CIRCLE, complex(0.6, 0.8), "0.6+0.8i"),
+        (AXIS, complex(1e-12, 1), "1e-12+1i"),
+        (Limit(False, 0.81), inner + 2e-8, "1.11111113"),
+        (Limit(False, 0.81), inner, "1.11111"),
+    ):
+        assert limit.named(mode) == text
+    assert str(Limit(False, 0.81)).endswith("= 1.11111")
+    with pytest.raises(UnstableError, match=r"eigenvalue 1\.1111111\d, .* 1/√discount = 1\.11111111 must be"):
+        regulate_discounted(np.diag([inner + 1e-8, 2.0]), [[0], [1]], np.eye(2), np.eye(1), np.zeros((2, 1)), 0.81)
+    with pytest.raises(ProblemError, match=r"the mode at 1\.0000002, which grows"):
+        Plant(np.diag([1 + 2e-7, 0.5]), [[0.0], [1.0]], np.eye(2))
+    assert "unstable: 1.000002, 0.5" in str(Plant(np.diag([1 + 2e-6, 0.5]), [[1.0], [1.0]], np.eye(2)))
 
 
 def test_states_measured_without_noise_need_a_gain_that_a_double_holds():

@@ -25,11 +25,13 @@ import numpy as np
 from flint import acb, arb, fmpq, fmpq_mat, fmpq_poly
 
 from taciturn._arrays import Array
-from taciturn._modes import Modes
+from taciturn._modes import Modes, mode_text
 from taciturn._precision import precision
-from taciturn._rational import basis, beside, lines, pivots, rational, reaches_all
+from taciturn._rational import basis, beside, kernel, lines, pivots, rational, reaches_all
 
 BITS = 128  # first precision of the roots; it doubles until the limit separates them
+FEWEST, MOST = 6, 17  # digits of a mode in a message
+SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
 
 
 class Lost(NamedTuple):
@@ -70,16 +72,40 @@ class Limit(NamedTuple):
 
     def __str__(self) -> str:
         """Return the edge as text."""
+        return self.text(FEWEST)
+
+    def text(self, digits: int) -> str:
+        """Return the edge as text, with a number of digits."""
         if self.continuous:
-            at = -float(np.log(self.discount)) / (2 * self.period)
-            return "the imaginary axis" if at == 0 else f"the line Re s = {at:.6g}"
-        at = 1 / float(np.sqrt(self.discount))
-        return "the unit circle" if at == 1 else f"the circle of radius 1/√discount = {at:.6g}"
+            return "the imaginary axis" if self.at == 0 else f"the line Re s = {self.at:.{digits}g}"
+        return "the unit circle" if self.at == 1 else f"the circle of radius 1/√discount = {self.at:.{digits}g}"
+
+    def region(self, digits: int) -> str:
+        """Return the region of the modes that decay as text, with a number of digits."""
+        return "the open left half-plane" if self.continuous and self.discount == 1 else self.text(digits)
 
     @property
-    def region(self) -> str:
-        """The region of the modes that decay, as text."""
-        return "the open left half-plane" if self.continuous and self.discount == 1 else str(self)
+    def at(self) -> float:
+        """Real part or modulus of the edge."""
+        if self.continuous:
+            return -float(np.log(self.discount)) / (2 * self.period)
+        return 1 / float(np.sqrt(self.discount))
+
+    def named(self, mode: complex) -> str:
+        """Return a mode as text, with as many digits as tell it from the edge."""
+        return mode_text(mode, self.digits(mode))
+
+    def digits(self, mode: complex) -> int:
+        """Return the least number of digits, six or more, in which a mode and the edge lie as they do."""
+        at, own = self.at, mode.real if self.continuous else abs(mode)
+        if abs(own - at) <= SAME * at:
+            return FEWEST  # the double may be that of a mode on the edge
+        for digits in range(FEWEST, MOST):
+            rounded = complex(*(float(f"{part:.{digits}g}") for part in (mode.real, mode.imag)))
+            shown, edge = rounded.real if self.continuous else abs(rounded), float(f"{at:.{digits}g}")
+            if shown != edge and (shown > edge) == (own > at):
+                return digits
+        return MOST
 
     @property
     def reaching(self) -> bool:
@@ -118,12 +144,37 @@ def unmoved(A: Array, B: Array, limit: Limit) -> Lost:
     """
     if not len(A) or reaches_all(A, B):
         return NONE
-    F, reached = rational(A), basis(rational(B))
+    return _beyond(rational(A), basis(rational(B)), limit)
+
+
+def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit) -> Lost:
+    """Return the modes of A that the input through B does not move and on which combinations of states depend.
+
+    They are the modes of A on the states modulo those that the input reaches and those that never show.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        rows: the combinations, (any, n).
+        limit: the edge of the modes that count as decaying.
+    """
+    F = rational(A)
+    hidden = kernel(_larger(F.transpose(), basis(rational(rows.T))).transpose())
+    return _beyond(F, basis(beside(rational(B), hidden)), limit)
+
+
+def _larger(F: fmpq_mat, reached: fmpq_mat) -> fmpq_mat:
+    """Return a basis of the least subspace that contains another one, and that F does not leave."""
     while True:
         larger = basis(beside(reached, F * reached))
         if larger.ncols() == reached.ncols():
-            break
+            return reached
         reached = larger
+
+
+def _beyond(F: fmpq_mat, some: fmpq_mat, limit: Limit) -> Lost:
+    """Return the modes of F on the states modulo those to which it moves some states."""
+    reached = _larger(F, some)
     # a state modulo the reached ones has as coordinates its entries outside the pivots, without their combination
     inside = pivots(reached)
     rest, kept = np.flatnonzero(~inside).tolist(), np.flatnonzero(inside).tolist()

@@ -92,11 +92,11 @@ def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
     return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
 
 
-def mode_text(mode: complex) -> str:
+def mode_text(mode: complex, digits: int = 6) -> str:
     """Return an eigenvalue as text for a message."""
     if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
-        return f"{mode.real:.6g}"
-    return f"{mode.real:.6g}{mode.imag:+.6g}i"
+        return f"{mode.real:.{digits}g}"
+    return f"{mode.real:.{digits}g}{mode.imag:+.{digits}g}i"
 
 
 def least_eigenvalue(matrix: Array) -> float:

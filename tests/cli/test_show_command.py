@@ -190,6 +190,14 @@ def test_modes_that_no_input_moves_are_told(run: Run, write: Write) -> None:
     assert found["observable"] == "except for the mode 0.5, which no measurement shows"
 
 
+def test_a_mode_that_an_input_hardly_moves_counts_as_controllable(run: Run, write: Write) -> None:
+    """As in the design, whose gain stabilises it: 1e-12 of a mode in turned coordinates."""
+    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    A, B = (turn @ np.diag([1.2, -0.5]) @ turn.T).tolist(), (turn @ np.array([[1e-12], [1.0]])).tolist()
+    path = write(plant=f"[plant]\nA = {A}\nB = {B}\nW = [[1, 0], [0, 1]]\ndt = 1\n", cost=WEIGHTS)
+    assert rows(run("show", path).out)["controllable"] == "yes"
+
+
 def test_missions_links_and_tables_are_told(run: Run) -> None:
     """Gains by the clock, the network, the schedule of queries."""
     shown = run("show", "rover").out

@@ -90,6 +90,27 @@ def test_set_points_that_change_cost_their_transients(changes: RandomSteps | Tim
     assert squares.value < policy.cost_all_time + 0.1
 
 
+@pytest.mark.parametrize("pace", [1, 4])
+def test_a_schedule_of_measurements_costs_the_transients_of_a_timetable(pace: int) -> None:
+    """Errors of the estimate do not depend on set-points, so the means cost what they do without noise."""
+    table = Timetable(pace * np.array([0, 2, 3, 5]), [[1, -2], [2, 0], [0, 5], [1, -2]])
+    plant = changing(table)
+    policy, constant = (design.variance(one, COST, threshold=0.2) for one in (plant, plant_with(PUSH)))
+    problem = discretise(plant, COST, None)
+    L, model, last = problem.regulator().L, problem.plant, 5 * pace
+    x, spent = np.array(model.mean), 0.0
+    for k in range(60 * last):
+        x[-2:] = table.values[np.searchsorted(table.times, k % last, "right") - 1] - table.values[0]
+        u = L @ x
+        spent += (x @ problem.Q @ x + u @ problem.R @ u + 2 * x @ problem.N @ u) * (k >= 59 * last)
+        x = model.A @ x + model.B @ u
+    found, still = policy.theory.closed_form, constant.theory.closed_form
+    assert found is not None
+    assert still is not None
+    assert found.rates == still.rates
+    assert found.cost == pytest.approx(still.cost + spent / last, rel=1e-9)
+
+
 @pytest.mark.parametrize("sensors", [("hold", "hold"), ("model", "model")])
 def test_sensors_that_decide_need_not_know_the_set_points(sensors: tuple[str, str]) -> None:
     """Only the controller is given them; the bound of the whole holds."""

@@ -429,3 +429,19 @@ def test_a_run_goes_on_with_control_variates_in_the_same_states(kind: str) -> No
     found = average(loop, steps=16_000_000, seed=1).cost
     without = average(loop, steps=1_000_000, seed=2).cost
     assert abs(found.value - without.value) < 5 * without.standard_error
+
+
+def test_a_feedthrough_that_hides_the_outputs_by_rounding_is_refused() -> None:
+    """With less, a simulation in doubles costs what is claimed; with more, an estimator would lose digits."""
+
+    def with_entry(entry: float, point: OperatingPoint | None = None) -> Plant:
+        return Plant(A, B, W, C, V, D=[[entry]], operating_point=point)
+
+    policy = design.all_time(with_entry(1e12), COST)
+    found = average(close(with_entry(1e12), policy), steps=100_000).cost
+    assert found.value == pytest.approx(design.all_time(with_entry(1.0), COST).cost_all_time, rel=0.03)
+    far = OperatingPoint(np.linalg.solve(np.eye(2) - A, B @ [1e14]), [1e14])
+    for plant, said in ((with_entry(1e14), r"1e\+14, with .* output 1 so much"), (with_entry(0.7, far), "0.7, with")):
+        for kind in (design.all_time, lambda one, cost: design.remote_lqg(one, cost, controller="actuator", zeta=0.1)):
+            with pytest.raises(ProblemError, match=f"D has the entry {said}"):
+                kind(plant, COST)

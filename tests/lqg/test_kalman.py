@@ -12,6 +12,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn._modes import radius
+from taciturn._rational import is_semidefinite
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.queries import Predictor, follow_every_query
@@ -257,3 +258,16 @@ def test_outputs_whose_variance_no_number_holds_are_refused(size):
     with pytest.raises(ProblemError, match="use larger units"):
         steady_filter([[0.5]], [[size]], [[1.0]], [[1.0]])
     assert steady_filter([[0.5]], [[1e150]], [[1.0]], [[1.0]]).posterior.max() < 1e-290
+
+
+def test_a_covariance_that_is_semidefinite_up_to_rounding_is_filtered_next_to_precise_sensors():
+    """Noise of rank one on a chain of integrators: what its rounding leaves is far above the noise of the sensors."""
+    A = np.eye(4) + np.diag([1.6e-6, 1.2e-7, 715.0], -1)
+    C = np.array([[0.0, 0.0, 0.0, 4.4e-3], [0.0, 5.2e-4, 0.0, 8.2e-5]])
+    spread = np.array([6.8e7, -6.6e4, 37.839, -3.28e4])
+    W, V = np.outer(spread, spread), np.array([[2.1e-19, -4.8e-21], [-4.8e-21, 3.9e-22]])
+    assert not is_semidefinite(W)
+    found = steady_filter(A, C, W, V)
+    assert found.slowest < 1
+    assert np.abs(found.prior / riccati_step(A, C, W, V, found.prior) - 1).max() < 1e-6
+    assert np.abs(found.prior / W - 1).max() < 1e-6  # almost all of the state is known

@@ -445,3 +445,61 @@ def test_a_mission_whose_cost_overflows_is_refused():
     """A plant that grows beyond all numbers while everything is lost gives a sentence, not inf."""
     with pytest.raises(UnstableError, match=r"overflows \d+ steps before the end of the horizon of 200: the losses"):
         regulate_lossy_finite(1e3 * np.eye(1), *[np.eye(1)] * 4, 200, at_losses(UDP, 1.0, 0.0))
+
+
+def with_digits(given: tuple[np.ndarray, ...], K: arb_mat, P: arb_mat, channel: Channel) -> tuple[arb_mat, arb_mat]:
+    """Return K and P one step earlier, as the page on lossy links states them, from the middles of balls."""
+    A, B, Q, R = (arb_mat(np.asarray(part, dtype=np.float64).tolist()) for part in given)
+    alpha, beta, turned = arb(channel.actuator_loss), arb(channel.sensor_loss), A.transpose()
+    seen = K if channel.acknowledged else K + P * (alpha * channel.exposure)
+    reach = B.transpose() * K * A
+    gamma = (1 - alpha) * (reach.transpose() * (R + B.transpose() * seen * B).solve(reach))
+    return (Q + turned * K * A - gamma).mid(), (gamma + beta * (turned * P * A)).mid()
+
+
+LEAKING = [[-0.81, -1e-5], [1.8e5, 3.26]], [[-2e-6, -1.5e-5], [13.4, -1.03]]  # its weight of an error grows by 1e33
+ALIKE = [[1.0, 0.0], [2.2e-3, 0.87]], [[0.0118, 362.0], [0.0, 0.0]]  # inputs of which a combination costs 1e-14 of both
+HARD = {
+    "small and large costs": (LEAKING, [[1.7e4, 0.66], [0.66, 6.3e-5]], [[6.5e-3, -1.3e-3], [-1.3e-3, 3.1e-4]], 60),
+    "a cheap combination": (ALIKE, [[35.5, 0.18], [0.18, 1.2e-3]], [[6.4e-17, 8.3e-13], [8.3e-13, 7.1e-8]], 7),
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_over_a_horizon_small_costs_next_to_large_ones_keep_their_digits(name):
+    """Rounding would hide what a direction of states or inputs costs: K, P and L are those of 1,024 bits."""
+    plant, *weights, steps = HARD[name]
+    A, B, Q, R = (np.array(part) for part in (*plant, *weights))
+    channel = Channel(0.05, 0.344, name == "a cheap combination", False)
+    found = regulate_lossy_finite(A, B, Q, R, Q, steps, channel)
+    with precision(1024):
+        K, P = arb_mat(Q.tolist()), arb_mat(2, 2)
+        for _ in range(steps):
+            K, P = with_digits((A, B, Q, R), K, P, channel)
+        for part, exact in ((found.K[0], K), (found.P[0], P)):
+            assert part == pytest.approx(np.array(exact.tolist(), dtype=np.float64), rel=1e-12)
+
+
+def test_inputs_that_hardly_cost_anything_together_are_solved_over_lossy_links():
+    """Of two inputs that push alike, a combination costs 1e-10 of the others: no digit of its gain may be left out."""
+    A = np.array([[1.0, 0, 0], [9e-5, 1, 0], [0, 11526.0, 1]])
+    B, spread = np.array([[375.0, 58], [0, 0], [0, 0]]), np.array([[66827.0], [-13921.0]])
+    Q, R = np.diag([0.17, 3.2e5, 6.5e-5]), spread @ spread.T + 0.05 * np.eye(2)
+    channel = Channel(0.6, 0.523, False, True)
+    found = regulate_lossy(A, B, Q, R, channel)
+    with precision(1024):
+        K, P = with_digits((A, B, Q, R), *(arb_mat(part.tolist()) for part in (found.K, found.P)), channel)
+        for part, after in ((found.K, K), (found.P, P)):
+            assert np.diag(np.array(after.tolist(), dtype=np.float64)) == pytest.approx(np.diag(part), rel=1e-8)
+
+
+def test_a_mode_that_an_input_hardly_moves_is_not_called_uncontrollable():
+    """Turned coordinates, and an input of 1e-12: doubles do not suffice, or the losses are too large."""
+    T = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    A, B = T @ np.diag([1.2, -0.5]) @ T.T, T @ np.array([[1e-12], [1.0]])
+    for loss, said in (
+        (0.1, "over lossy links could not be"),
+        (0.9, "mean-square stability allows actuator losses below 0.694"),
+    ):
+        with pytest.raises(UnstableError, match=said):
+            regulate_lossy(A, B, np.eye(2), np.eye(1), Channel(loss, 0.0, True, False))

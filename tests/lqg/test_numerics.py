@@ -11,7 +11,9 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from taciturn import Cost, Plant, design
+from taciturn._exact_modes import Limit, modes_of
 from taciturn._modes import least_eigenvalue, radius, uncontrollable_modes
+from taciturn._rational import rational
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _mean_square
 from taciturn.lqg.kalman import steady_filter
@@ -134,6 +136,18 @@ def turned(unstable: float, reached: float, angle: float) -> tuple[np.ndarray, n
     """Return a plant with an unstable mode that the input reaches weakly, in coordinates that hide it."""
     T = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return T @ np.diag([unstable, -0.5]) @ T.T, T @ np.array([[reached], [1.0]])
+
+
+def test_a_stable_gain_that_costs_too_much_is_not_called_unproved():
+    """A Jordan block that was turned, so that it grows by the rounding of its entries, and an input hardly moves it."""
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(8, 8)))[0]
+    A, B = np.diag([1.1, 0.7, *[0.9999] * 6]) + np.diag([0, 0, *[1.0] * 5], 1), np.eye(8)[:, :1]
+    A[0, 2:], A, B = 1.0, turn @ A @ turn.T, turn @ B
+    weights = np.eye(8), np.eye(1), np.zeros((8, 1))
+    found = Problem(*exactly(Quadratic(A, B, *weights))).solve()
+    assert not modes_of(rational(A) + rational(B) * rational(found.L), Limit(False)).lasting.size  # it is stable
+    with pytest.raises(UnstableError, match=r"more digits than a double holds: rounded, it costs up to .* above 1e-09"):
+        regulate(A, B, *weights)
 
 
 @times
@@ -305,3 +319,14 @@ def test_the_least_eigenvalue_keeps_its_digits_beside_large_entries():
     assert least_eigenvalue(np.diag([1.0, -1.0])) == -1.0
     assert least_eigenvalue(np.diag([1.0, 0.0])) == 0.0
     assert least_eigenvalue(np.ones((2, 2))) <= 0.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_cost_that_the_input_can_avoid_is_solved(seed):
+    """The square of one output cx + du: the input keeps it at zero, and what rounding leaves has no digits."""
+    draws = np.random.default_rng(seed)
+    (c, d), b = draws.normal(size=2), 1.0
+    a = b * c / d + draws.uniform(-0.99, 0.99)
+    found = regulate([[a]], [[b]], [[c * c]], [[d * d]], [[c * d]])
+    assert found.L[0, 0] == pytest.approx(-c / d, rel=1e-6)
+    assert abs(found.K[0, 0]) < 1e-12 * c * c

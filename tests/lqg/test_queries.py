@@ -13,6 +13,7 @@ from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digi
 from taciturn import Cost, Plant, UnstableError, design
 from taciturn.lqg import queries
 from taciturn.lqg.queries import Predictor, QueryValue, Weights, follow_every_query, schedule_queries
+from taciturn.lqg.riccati import regulate_discounted
 from taciturn.model.schedule import Schedule
 
 
@@ -273,3 +274,27 @@ def test_a_schedule_says_what_it_is(tmp_path) -> None:
         assert (tmp_path / "schedule.svg").stat().st_size > 1000
         assert [axis.get_xlabel() for axis in shown.plot().axes] == ["", "step"]
     assert shown.repeating().start is shown.period is None
+
+
+def test_with_a_discount_a_covariance_need_not_converge() -> None:
+    """Nothing moves a constant: its variance 1/(k + 1) after k measurements tends to 0 for ever, at a finite cost."""
+    constant = Plant([[1.0]], [[1.0]], [[0.0]], [[1.0]], [[1.0]], covariance=[[1.0]])
+    covariance, start = follow_every_query(constant, np.eye(1), None, 0.9)
+    assert start == len(covariance) - 1 < 2000
+    assert covariance[:, 0, 0] == pytest.approx(1 / (1 + np.arange(len(covariance))), rel=1e-9)
+    policy = design.remote_lqg(constant, Cost([[1.0]], [[1.0]], discount=0.9), theta=0.1, controller="sensor")
+    found = regulate_discounted([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.9)
+    k = np.arange(1000)
+    sums = float(found.K[0, 0] + np.sum(0.9**k / (k + 1)) * (found.L[0, 0] ** 2 * found.H[0, 0]))
+    assert policy.cost_all_time == pytest.approx(sums, rel=1e-12)
+
+
+def test_noise_of_rank_one_and_exact_outputs_leave_no_negative_variance() -> None:
+    """After a few measurements only the noise of the last step is unknown; its rounding is divided by nothing."""
+    A = np.array([[1, 0, 0, 0], [0, 0, 0, 0], [0, 0, -0.664, 165.0], [-1.06, 0.053, -0.00282, -0.664]])
+    C = np.array([[-3.47e-3, -1.2e-4, -2.88e-6, -2.25e-3], [-1.53, -0.067, -1.04e-3, -0.0988]])
+    spread = np.array([0.494, -15.9, 103.0, 1.92])
+    plant = Plant(A, np.ones((4, 1)), np.outer(spread, spread), C, np.zeros((2, 2)))
+    found, _ = follow_every_query(plant, np.diag([12.4, 1845.0, 1.36e5, 40.5]), 60)
+    assert (np.diagonal(found, axis1=1, axis2=2) > 0).all()
+    assert found[-1] == pytest.approx(plant.W, rel=1e-6)

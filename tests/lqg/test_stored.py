@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flint import arb, arb_mat
+from scipy.linalg import block_diag
 
 from taciturn import ContinuousPlant, Controller, Cost, Plant, design
 from taciturn._precision import precision
@@ -202,13 +203,16 @@ def test_nothing_is_proved_of_silence_if_the_filter_depends_on_the_start():
     assert found.allowance is None
 
 
-def test_a_trace_that_cancels_is_proved_with_more_digits():
+@pytest.mark.parametrize("others", [0, 24])
+def test_a_trace_that_cancels_is_proved_with_more_digits(others: int):
     """The noise moves only a direction in which K is 1e-13 of its largest entry: doubles leave no digit of tr(KW)."""
     T = np.array([[0.6, 0.8], [-0.8, 0.6]])
     A, q = T @ np.diag([1.5, 0.5]) @ T.T, T @ np.diag([1.0, 1e-13]) @ T.T
-    quiet = T[:, 1:] @ T[:, 1:].T
-    plant = Plant(A, np.eye(2), (quiet + quiet.T) / 2)
-    problem = discretise(plant, Cost((q + q.T) / 2, np.eye(2)), None)
+    quiet, none = T[:, 1:] @ T[:, 1:].T, np.zeros((others, others))
+    plant = Plant(
+        block_diag(A, none), np.eye(2 + others)[:, :2], block_diag((quiet + quiet.T) / 2, none), np.eye(2, 2 + others)
+    )
+    problem = discretise(plant, Cost(block_diag((q + q.T) / 2, none), np.eye(2)), None)
     found = design_certainty("lqg", problem)
     with precision(BITS):
         value = reference(problem, found.filter, found.regulator.L)

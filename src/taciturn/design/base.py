@@ -24,7 +24,8 @@ import numpy as np
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import mode_text, radius
+from taciturn._exact_modes import Limit
+from taciturn._modes import radius
 from taciturn._progress import check_time
 from taciturn._text import ordinal
 from taciturn.design import _fixed_point
@@ -33,7 +34,9 @@ from taciturn.model.losses import stationary
 
 WIDTH = 1e-6  # accuracy of the critical loss
 SCANS = 32  # losses that are tried, up to the largest, before the critical one is bisected
-GROWTH = 1e-6  # growth per step above which a loop is unstable, although its cost is finite
+# Growth per step above which a loop is unstable, although its cost is finite: computed modes of two integrals that
+# the cost does not see lie up to 1e-8 outside the unit circle.
+GROWTH = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -237,7 +240,7 @@ def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
     modes = np.linalg.eigvals(base.Phi + base.Gamma @ base.K)
     worst = complex(modes[np.argmax(np.abs(modes))])
     raise UnstableError(
-        f"the loop that sends every sample is not stable: it has the eigenvalue {mode_text(worst)}; expected "
+        f"the loop that sends every sample is not stable: it has the eigenvalue {Limit(False).named(worst)}; expected "
         f"eigenvalues inside the unit circle: {remedy}"
     )
 
@@ -246,6 +249,7 @@ def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None
     """Return the least value of a repeated pattern, and its time constant in steps; None if the loop is unstable."""
     cycle = _cycle(base, attempts)
     if attempts.losses.any():
+        # the receiver's own value may settle a loop that every packet destabilises; such a loop is no base
         apart = repeated_value(base, attempts.scaled(0.0)) is None
         return None if apart else _fixed_point.lossy(cycle, attempts.turns)
     F, M = np.eye(len(base.silent)), np.zeros_like(base.stage)

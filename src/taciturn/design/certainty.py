@@ -17,7 +17,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
-from taciturn._modes import radius
+from taciturn._modes import COST_ERROR, radius
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
@@ -58,6 +58,8 @@ class CertaintyEquivalentDesign(Displayed):
         settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
         pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
             error e of the input, in the norm of the inverse of H; 0 for other set-points.
+        overlap: what set-points that change at known times cost per step beyond unrelated changes, because one changes
+            before the transient of the change before has ended.
     """
 
     problem: Discrete
@@ -67,6 +69,7 @@ class CertaintyEquivalentDesign(Displayed):
     cost_all_time: float
     settling: float
     pull: float = 0.0
+    overlap: float = 0.0
     proved: Proved | None = None
     loop: Stored | None = None
 
@@ -175,21 +178,25 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    pull, loop = 0.0, None if plant.changes is not None else filter_loop(problem, steady, regulator)
+    loop = None if plant.changes is not None else filter_loop(problem, steady, regulator)
     proved = None if loop is None else loop.cost()
+    overlap, pull = 0.0, 0.0
     if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
-        added, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
-        cost += added
+        overlap, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
+        cost += overlap
     if proved is None:
         left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
         square = regulator.L.T @ regulator.H @ regulator.L
         doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
-        refuse_uncertain(float(cost), float(doubt))
-    else:
+        if not doubt <= COST_ERROR * abs(cost) and loop is not None:  # then a proof is worth seconds
+            proved = loop.cost(patient=True)
+        if proved is None:
+            refuse_uncertain(float(cost), float(doubt))
+    if proved is not None:
         cost = proved.value
     settling = 1 / (1 - max(regulator.slowest, steady.slowest))
     return CertaintyEquivalentDesign(
-        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, proved, loop
+        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, overlap, proved, loop
     )
 
 

@@ -11,6 +11,7 @@ from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.queries import Predictor, follow_every_query
+from taciturn.model.cost import Cost
 from taciturn.model.network import REFERENCE
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Step
@@ -102,9 +103,9 @@ class Transient(Displayed):
     start: int | None
 
 
-def filter_from_the_start(plant: Plant, horizon: int | None) -> Transient:
-    """Return the Kalman filter over a horizon, or until its gains repeat."""
-    prior, start = follow_every_query(plant, plant.covariance, horizon)
+def filter_from_the_start(plant: Plant, cost: Cost) -> Transient:
+    """Return the Kalman filter over a horizon, or until its gains repeat or later steps do not count any more."""
+    prior, start = follow_every_query(plant, plant.covariance, cost.horizon, cost.discount)
     gains = Predictor(plant).correction(prior)
     left = np.eye(plant.states) - gains @ plant.C
     posterior = left @ prior @ left.swapaxes(1, 2) + gains @ plant.V @ gains.swapaxes(1, 2)

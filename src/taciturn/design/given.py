@@ -116,6 +116,7 @@ def keep_controller(
     silence = cost_of_silence(found, route, attempts, link, time.phases, problem.unit)
     # a packet during an alarm is one of the base only if the base sends every sample
     watched = time.innovation(steady) if every == 1 and not plant.full_state else None
+    # above the price in any case, also if that is 0: then silence is never the least
     at, forbidden, rule = route.node, 2 * price + base + 1, silence.cost
     watch = () if watched is None else watch_innovations(INNOVATION, watched, at)
     if watch:
@@ -303,6 +304,7 @@ class Beyond(Displayed):
 def _retried(link: str, at: str) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     """Return the steps that decide whether the last packet was acknowledged, and those that remember it."""
     none, one = np.zeros((1, 1)), np.ones((1, 1))
+    # the signal is 0 or 1, so it is the least up to 0.5
     missing = Trigger({"arrived": Form(plus={MISSING: 1.0}), "missing": Form(constant=0.5)})
     after = (
         Assign(at, "tried", ({ONE: none}, {ONE: one}), SEND),

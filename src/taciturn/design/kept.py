@@ -149,6 +149,7 @@ def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest:
     if disturbance is None:
         return None
     modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), (plant.stated, plant.inputs)
+    # nothing moves the disturbances, so the loop has their decay per step as modes, up to rounding
     slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
     rest = np.delete(modes, slow)
     return float(1 / (1 - max(slowest, *rest[rest < 1 - LASTING])))

@@ -40,7 +40,7 @@ class StepCounter(Displayed):
         pattern = tuple(k == 0 for k in range(every))
         if not cost.mission:
             return StepCounter(pattern, tuple(range(every)))
-        found = None if plant.full_state else filter_from_the_start(plant, cost.horizon)
+        found = None if plant.full_state else filter_from_the_start(plant, cost)
         if cost.horizon is not None:
             return StepCounter(
                 tuple(k % every == 0 for k in range(cost.horizon)), tuple(range(cost.horizon)), None, found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,9 +13,9 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, pace, radius
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._followed import Followed, followed
-from taciturn.lqg.feedthrough import registers_from, with_registers
+from taciturn.lqg.feedthrough import expect_digits, registers_from, with_registers
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
@@ -93,9 +94,14 @@ class Discrete(Displayed):
 
         Raises:
             UnstableError: no stable filter exists, as :func:`~taciturn.lqg.kalman.steady_filter` says.
+            ProblemError: rounding of the direct feedthrough hides what an output tells.
         """
         p = self.plant
-        return filter_sampled(self.exact, p.A, p.C, p.W, p.V, p.set_points)
+        found = filter_sampled(self.exact, p.A, p.C, p.W, p.V, p.set_points)
+        if p.registers:
+            with suppress(UnstableError):  # over a horizon there need be no steady regulator
+                expect_digits(self, self.regulator().L, found)
+        return found
 
     def summary(self) -> Mapping[str, object]:
         """Return the fields by name, with the number of inputs of the plant before it was sampled."""
@@ -127,6 +133,11 @@ class Discrete(Displayed):
         first = registers_from(self)
         found[first : first + len(self.plant.registers)] = True
         return found
+
+    @property
+    def decaying(self) -> Bits:
+        """Mask of the states, (n,), that decay under an optimal gain."""
+        return ~self.lasting if self.source is not None and self.source.exosystem is not None else self.moving
 
     def weight(self, given: ArrayLike | None = None) -> Array:
         """Return a weight of the states of the user's plant, (n, n): the identity, or a given one, without registers.
@@ -161,7 +172,7 @@ class Discrete(Displayed):
 
     def slowest(self, closed: Array) -> float:
         """Return the modulus of the slowest mode of a closed loop, without the modes of the lasting states."""
-        keep = ~self.lasting if self.source is not None and self.source.exosystem is not None else self.moving
+        keep = self.decaying
         return radius(closed[np.ix_(keep, keep)])
 
     def among(self, states: Bits) -> Discrete:

@@ -20,6 +20,9 @@ import numpy as np
 
 from taciturn._arrays import Array, frozen
 from taciturn._display import Displayed
+from taciturn._modes import summed
+from taciturn.errors import ProblemError
+from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.quadratic import placed
 from taciturn.model.coordinates import counted_from
 from taciturn.model.dynamics import Dynamics
@@ -28,6 +31,9 @@ from taciturn.model.plant import ContinuousPlant, Plant
 
 if TYPE_CHECKING:
     from taciturn.lqg.discrete import Discrete
+    from taciturn.lqg.kalman import Filter
+
+BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 
 
 def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
@@ -80,6 +86,37 @@ def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
         object.__setattr__(found, name, value)
     point = plant.operating_point
     return counted_from(found, None if point is None else OperatingPoint(_at_rest(point, n, fed), point.u), plant)
+
+
+def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
+    """Raise an error if an output is so large next to what it tells about the state that its rounding hides this.
+
+    An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
+    with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
+    innovation, it changes the cost by less than its stated tolerance of 1e-6.
+
+    Raises:
+        ProblemError: the rounding is larger.
+    """
+    plant, fed, keep = problem.plant, problem.registers, problem.decaying
+    p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
+    varied = summed((plant.A + plant.B @ L)[place], (steady.prior - steady.posterior)[place])
+    if not fed.any() or not np.isfinite(varied).all():  # with a discount, inputs may grow
+        return
+    size = np.sqrt(np.maximum(np.diag(varied)[fed[keep]], 0.0)) + np.abs(plant.mean[fed])
+    if point is not None:
+        size += np.abs(point.u[[*plant.registers]])
+    rounded = UNIT * np.abs(plant.C[:p, fed]) @ size
+    told = np.sqrt(np.maximum(np.diag(steady.innovation)[:p], 0.0))
+    worst = int(np.argmax(rounded - BLUR * told))
+    if rounded[worst] > BLUR * told[worst] > 0:
+        shown = plant.C[worst, fed]
+        raise ProblemError(
+            f"D has the entry {shown[np.argmax(np.abs(shown) * size)]:.3g}, with which the inputs change output "
+            f"{worst + 1} so much that a double holds y − D u only to {rounded[worst]:.2g}; expected at most {BLUR:g} "
+            f"of {told[worst]:.2g}, the deviation of what a sample tells about the state: measure this output without "
+            "the input, or leave it out"
+        )
 
 
 def with_same_start(problem: Discrete, model: Plant) -> Discrete:

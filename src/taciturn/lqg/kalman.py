@@ -10,7 +10,7 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit, unmoved
+from taciturn._exact_modes import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn._modes import mode_text, radius, root
 from taciturn._precision import precision
 from taciturn._rational import rational
@@ -240,8 +240,8 @@ def _slowest_stored(A: Array, gain: Array, C: Array) -> float:
         loop = Balls.exact(A) @ rest
         try:
             ranked(Balls, loop, np.ones(len(A)))
-        except UnprovedError:
-            raise not_held("filter", A) from None
+        except UnprovedError as error:
+            raise not_held("filter", A, f"with the rounded gain, {error}") from None
         return radius(loop.middle)
 
 
@@ -257,12 +257,17 @@ def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, s
         found = Problem(given, recipe, sampled=sampled, dual=True).solve()
     except UnprovedError as error:
         _refuse(before.among(worth_of(given, rounded=sampled).states), limit)
+        if is_definite(before.R):
+            raise UnstableError(
+                f"the stable steady filter could not be proved with 1,024 bits: {error}; expected modes that decay "
+                "faster or that are measured more strongly, or noise W on every state"
+            ) from None
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
             f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"
         ) from None
-    if not found.held:
-        raise not_held("filter", A)
+    if found.lacking:
+        raise not_held("filter", A, found.lacking)
     Sigma, gain, S = found.K, found.correction.T, found.H
     if found.free:
         # −L' = A gain also in the directions that S leaves free; −L' = A X there for some X, by construction.
@@ -286,11 +291,20 @@ def _refuse(seen: Quadratic, limit: Limit) -> None:
     """Raise an error if a mode is the reason why there is no stable filter, of the dual regulator problem ``seen``."""
     lost = unmoved(seen.A, seen.B, limit)
     if lost.lasting.size:
+        noisy = NONE if lost.growing.size else unmoved_and_seen(seen.A, seen.B, seen.Q, limit)
+        mode = complex((noisy if noisy.staying.size else lost).lasting[0])
+        digits = limit.digits(mode)
+        named = f"A has the eigenvalue {mode_text(mode, digits)}, which C does not observe"
+        if not (lost.growing.size or noisy.staying.size):
+            raise UnstableError(
+                f"{named}; it lies on {limit} and noise W does not reach it, but it is a combination of several "
+                "states, and such a mode is accepted only if it is a state of its own; expected coordinates in which W "
+                "and A have zeros for the state of this mode, or a problem without it"
+            )
         on_edge = "" if lost.growing.size else f"; it lies on {limit} and noise W reaches it"
         raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(lost.lasting[0]))}, which C does not observe{on_edge}; expected "
-            f"(A, C) detectable: every eigenvalue on or outside {limit} must be observable; add a sensor, or remove "
-            "the state of this mode from the problem"
+            f"{named}{on_edge}; expected (A, C) detectable: every eigenvalue on or outside {limit.text(digits)} must "
+            "be observable; add a sensor, or remove the state of this mode from the problem"
         )
     noisy, still = is_definite(seen.R), unpaid(seen, limit).staying
     if still.size:

@@ -14,20 +14,23 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import NO_VARIANCE, Array, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, mode_text, radius
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import SCATTER, balancing, eigenvalues, mode_text, radius
 from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg._repetition import Repetition, fill_earlier
-from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
 from taciturn.lqg.lyapunov import relative, sizes
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
 TURNS = 100
+CIRCLE = Limit(False)  # the edge of the modes that decay
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
+NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
 CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
 CORRECTIONS = 5  # steps of Newton's method
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
@@ -94,11 +97,13 @@ def lossy_step(
     M, inverse = price(B, K + channel.coupling * P, R)
     if not (is_definite(R) or is_definite(M)) and np.isfinite(M).all():
         raise costs_nothing(M, weight="R or the terminal weight")
-    cross = B.T @ K @ A
-    L = -inverse @ cross
-    Gamma = symmetrised((1 - channel.actuator_loss) * cross.T @ inverse @ cross)
+    L, alpha = -inverse @ B.T @ K @ A, channel.actuator_loss
+    Gamma = symmetrised((1 - alpha) * L.T @ M @ L)
+    # Q + A'KA − Γ as a sum of semidefinite terms, whose difference would lose the digits of states that inputs control
+    arrived = A + B @ L
+    spent = arrived.T @ K @ arrived + L.T @ (R + channel.coupling * B.T @ P @ B) @ L
     return (
-        symmetrised(Q + A.T @ K @ A - Gamma),
+        symmetrised(Q + alpha * A.T @ K @ A + (1 - alpha) * spent),
         symmetrised(Gamma + channel.sensor_loss * A.T @ P @ A),
         L,
         Gamma,
@@ -110,7 +115,8 @@ def regulate_lossy_finite(
 ) -> LossyRegulator:
     """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over links that drop packets.
 
-    The recursion starts with K_N = Q_N and P_N = 0.
+    The recursion starts with K_N = Q_N and P_N = 0. If a cost-to-go is so much smaller than another one that rounding
+    could hide it, the recursion is computed with more digits than doubles have, until these change nothing.
 
     Args:
         A: (n, n) dynamics.
@@ -147,7 +153,69 @@ def regulate_lossy_finite(
         if period is not None:
             fill_earlier((K, P, L, Gamma), k, period)
             break
-    return LossyRegulator(*(frozen(part) for part in (K, P, L, Gamma, np.zeros((n, n)))))
+    found = (K, P, L, Gamma)
+    H = R + B.T @ (K[1] + channel.coupling * P[1]) @ B
+    if is_definite(R) and any(map(_is_narrow, (H, *(part[k] for part in (K, P) for k in (0, horizon // 2))))):
+        found = _finite_in_balls((A, B, Q, R), terminal, horizon, channel)
+    return LossyRegulator(*(frozen(part) for part in (*found, np.zeros((n, n)))))
+
+
+def _is_narrow(form: Array) -> bool:
+    """Return whether a semidefinite form is much smaller in some direction than its diagonal is."""
+    kept = np.diag(form) > NO_VARIANCE
+    unit = np.sqrt(np.diag(form)[kept])
+    return bool(kept.any() and np.linalg.eigvalsh(form[np.ix_(kept, kept)] / unit / unit[:, None])[0] < NARROW)
+
+
+def _finite_in_balls(
+    given: tuple[Array, Array, Array, Array], terminal: Array, horizon: int, channel: Channel
+) -> tuple[Array, Array, Array, Array]:
+    """Return K, P, L and Γ of :func:`regulate_lossy_finite`, to which twice as many bits change nothing.
+
+    Raises:
+        UnstableError: 1,024 bits do not suffice.
+    """
+    before: tuple[Array, Array, Array, Array] | None = None
+    for bits in PRECISIONS:
+        with precision(bits):
+            try:
+                found = _recursion_in_balls(given, terminal, horizon, channel)
+            except UnprovedError:
+                continue
+        if before is not None:
+            first, last = ([np.diag(part[0]) for part in forms[:2]] for forms in (before, found))
+            if all((np.abs(one - other) <= ASKED * other).all() for one, other in zip(first, last, strict=True)):
+                return found
+        before = found
+    raise UnstableError(
+        f"the costs-to-go over lossy links differ so much after {horizon} steps that 1,024 bits do not hold their "
+        "sums; expected a shorter horizon, or smaller losses"
+    )
+
+
+def _recursion_in_balls(
+    given: tuple[Array, Array, Array, Array], terminal: Array, horizon: int, channel: Channel
+) -> tuple[Array, Array, Array, Array]:
+    """Return K, P, L and Γ by the recursion of :func:`lossy_step` with the middles of balls."""
+    A, B, Q, R = (Balls.exact(part) for part in given)
+    K: Balls = Balls.exact(terminal)
+    P: Balls = Balls.exact(np.zeros_like(terminal))
+    weights, gains = [(K.middle, P.middle)], list[tuple[Array, Array]]()
+    for _ in range(horizon):
+        check_time()
+        felt = K if channel.acknowledged else K + P.times(channel.exposure).times(channel.actuator_loss)
+        M = R + B.T @ felt @ B
+        L = M.centre().solve((B.T @ K @ A).centre()).times(-1.0).centre()
+        whole = (L.T @ M @ L).symmetric()
+        Gamma = whole - whole.times(channel.actuator_loss)
+        K = (Q + A.T @ K @ A - Gamma).symmetric().centre()
+        P = (Gamma + (A.T @ P @ A).times(channel.sensor_loss)).symmetric().centre()
+        weights.append((K.middle, P.middle))
+        gains.append((L.middle, Gamma.middle))
+    forms, answers = zip(*weights[::-1], strict=True), zip(*gains[::-1], strict=True)
+    K_all, P_all = (np.array(part) for part in forms)
+    L_all, Gamma_all = (np.array(part) for part in answers)
+    return K_all, P_all, L_all, Gamma_all
 
 
 def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
@@ -208,7 +276,8 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
     raise UnstableError(
         f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
-        "expected loss probabilities further from their critical values, or states that decay faster"
+        "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
+        "states that decay faster"
     )
 
 
@@ -250,7 +319,8 @@ def _proved(
     A, B, Q, R = (exact(part) for part in here[:4])
     own, both = exact(K), exact(T)
     for _ in range(CORRECTIONS):
-        L = lossy_step(here.A, here.B, here.Q, here.R, own.middle, (both - own).middle, channel)[2]
+        price = (R + LossyStep(A, B, Q, R, R, channel).felt(own, both)).centre()  # it needs no gain
+        L = solve(price, (B.T @ own @ A).centre()).times(-1.0).middle
         loop, step = _loop(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
         try:
             missed = step.missed(own, both)
@@ -274,7 +344,8 @@ def _proved(
     else:
         raise reason
     K, T = symmetrised(own.middle), symmetrised(both.middle)
-    _, P, _, Gamma = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
+    Gamma = symmetrised((1 - channel.actuator_loss) * L.T @ price.middle @ L)
+    P = symmetrised(Gamma + channel.sensor_loss * here.A.T @ (T - K) @ here.A)
     phi = channel.exposure
     rounding = np.abs(K + P - T).sum(axis=1) + 4 * UNIT * np.abs(T).sum(axis=1)
     return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
@@ -421,9 +492,9 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     n, m = B.shape
     scale = balancing(A)  # the result must not depend on the units of the states
     A, B = A / scale[:, None] * scale, B / scale[:, None]
-    lost = lost_modes(A, B, False)
+    lost = unmoved(A, B, CIRCLE).lasting
     if lost.size:
-        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which is uncontrollable through B")
+        raise UnstableError(f"A has the eigenvalue {CIRCLE.named(complex(lost[0]))}, which is uncontrollable through B")
     A_u, V = _scipy.unstable_part(A, 1 - SCATTER)
     B_u, count = V @ B, len(V)
     if count == 0:

@@ -12,7 +12,7 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike
 from taciturn._exact_modes import Limit, modes_of
-from taciturn._modes import COST_ERROR, mode_text, radius, summed
+from taciturn._modes import COST_ERROR, radius, summed
 from taciturn._precision import precision
 from taciturn._rational import rational
 from taciturn.errors import UnstableError
@@ -50,8 +50,8 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
         lasting = modes_of(rational(F), Limit(False)).lasting
         if lasting.size:
             raise UnstableError(
-                f"F has the eigenvalue {mode_text(complex(lasting[0]))}, so the sum Σ F^k W F'^k diverges; expected "
-                "all eigenvalues inside the unit circle: stabilise the loop first"
+                f"F has the eigenvalue {Limit(False).named(complex(lasting[0]))}, so the sum Σ F^k W F'^k diverges; "
+                "expected all eigenvalues inside the unit circle: stabilise the loop first"
             )
         raise UnstableError(
             "F is stable, but rounding its entries can make it unstable, so the sum Σ F^k W F'^k is not proved; "

@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import radius, summed
+from taciturn._modes import radius, root, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
 from taciturn.lqg._cache import kept
 from taciturn.lqg._repetition import Repetition
-from taciturn.lqg.kalman import resting_states, steady_filter
+from taciturn.lqg.kalman import CRUMB, resting_states, steady_filter
 from taciturn.lqg.quadratic import price
 from taciturn.lqg.structure import closure
 from taciturn.model.plant import Plant
@@ -33,6 +33,8 @@ EXACT = 1e-13  # relative error of a block
 CONDITION = 1e6  # largest condition number of the inverted matrix, for nine accurate digits
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as equal when a cycle is sought
+FORGOTTEN = 1e-20  # share of the largest weighed variance of a state below which later steps do not count
+USUAL = 1000  # steps within which most covariances converge
 LONGEST = 100_000  # steps within which a schedule must repeat
 WORK = 6e10  # longest time for one schedule, approximate nanoseconds
 VALUE, TERM, STEP = (
@@ -109,7 +111,14 @@ class Predictor:
         """Return the next error covariance with a measurement, in Joseph's form, (…, n, n)."""
         p = self.plant
         F, turned = p.A - gain @ self._C, gain.swapaxes(-1, -2)
-        return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ self._V @ turned + p.W)
+        moved = symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ self._V @ turned)
+        if not self._noisy and np.isfinite(moved).all():
+            # outputs without noise leave exact zeros, whose rounding the next gain must not divide by
+            before = symmetrised(p.A @ Sigma @ p.A.T)
+            pairs = zip(moved.reshape(-1, *p.A.shape), before.reshape(-1, *p.A.shape), strict=True)
+            halves = (root(one, beside, CRUMB) for one, beside in pairs)
+            moved = np.reshape([half @ half.T for half in halves], moved.shape)
+        return moved + p.W
 
     def change(self, before: Array, after: Array) -> Array:
         """Return the largest difference of each covariance from a reference, in standard deviations of the reference.
@@ -448,13 +457,17 @@ def _scheduled(
     return _schedule(plant, covariance[:-1], value, price, None, 1.0)
 
 
-def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
+def follow_every_query(
+    plant: Plant, initial: Array, horizon: int | None, discount: float = 1.0
+) -> tuple[Array, int | None]:
     """Return the error covariances with a sensor query at every step, and the step from which they repeat.
 
     Args:
         plant: plant with A, C, W and V.
         initial: Σ_0, covariance of the initial prediction, (n, n).
         horizon: number of steps; None: until the covariance has converged.
+        discount: α, by which the cost of a later step counts less: a covariance that has not converged within 1,000
+            steps stays as it is at the step from which on α^k leaves no variance a weight.
 
     Returns:
         The covariances, (steps, n, n), and the step from which they repeat, or None with a horizon.
@@ -465,6 +478,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     Source: khashooei2017
     """
     predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
+    weight, largest = 1.0, initial.diagonal()
     for _ in range((horizon or LONGEST) - 1):
         check_time()
         covariance.append(predictor.follow(covariance[-1], True))
@@ -472,6 +486,11 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
             cycle = cycle_of(predictor, covariance)
             if cycle is not None:
                 return frozen(np.array(covariance[: cycle[1]])), cycle[0]
+            weight *= discount
+            weighed = weight * covariance[-1].diagonal()
+            largest = np.maximum(largest, weighed)
+            if len(covariance) > USUAL and (weighed <= FORGOTTEN * (1 - discount) * largest).all():
+                return frozen(np.array(covariance)), len(covariance) - 1
             continue
         period = repetition.period(len(covariance), covariance[-1])
         if period is not None:

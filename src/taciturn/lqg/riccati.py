@@ -9,7 +9,7 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit, Lost, unmoved
+from taciturn._exact_modes import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, uncontrollable_modes
 from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
@@ -272,14 +272,16 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
         found = problem.solve()
     except UnprovedError as error:
         _refuse(problem, given, limit)
+        what = "the Riccati equation of the regulator"
+        found = f"the stabilising solution of {what}" if is_definite(given.R) else f"{what} has no solution that"
         raise UnstableError(
-            f"the Riccati equation of the regulator has no stabilising solution that could be proved: {error}; "
-            "expected unstable modes that the inputs affect more strongly, or a weight on every state and input"
+            f"{found} could not be proved with 1,024 bits: {error}; expected modes that decay faster or that the "
+            "inputs affect more strongly, or a weight on every state and input"
         ) from None
     if found.free:
         raise costs_nothing(found.H)
-    if not found.held:
-        raise not_held("regulator", problem.given.A / np.sqrt(limit.discount))
+    if found.lacking:
+        raise not_held("regulator", problem.given.A / np.sqrt(limit.discount), found.lacking)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
     return Regulator(K, L, H, error, found.slowest)
 
@@ -293,24 +295,34 @@ def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
         limit: the edge of the modes that decay, or whose growth the discount outweighs.
     """
     seen = given.among(worth_of(problem.given, problem.continuous, problem.sampled).states)
-    _refuse_unmoved(unmoved(seen.A, seen.B, limit), limit)
+    _refuse_unmoved(seen, limit)
     _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
 
 
-def _refuse_unmoved(lost: Lost, limit: Limit) -> None:
-    """Reject modes that no input moves; for one on the edge, the message adds that it affects the cost."""
+def _refuse_unmoved(seen: Quadratic, limit: Limit) -> None:
+    """Reject modes that no input moves; for one on the edge, the message adds whether it affects the cost."""
+    lost = unmoved(seen.A, seen.B, limit)
     if not lost.lasting.size:
         return
-    named = f"A has the eigenvalue {mode_text(complex(lost.lasting[0]))}, which is uncontrollable through B"
-    if not lost.growing.size:
+    costly = NONE if lost.growing.size else unmoved_and_seen(seen.A, seen.B, np.hstack([seen.Q, seen.N]).T, limit)
+    mode = complex((costly if costly.staying.size else lost).lasting[0])
+    digits = limit.digits(mode)
+    named = f"A has the eigenvalue {mode_text(mode, digits)}, which is uncontrollable through B"
+    if lost.growing.size:
+        raise UnstableError(
+            f"{named}; expected (A, B) stabilisable: every eigenvalue outside {limit.region(digits)} must be "
+            "controllable; add an actuator, or remove the state of this mode from the problem"
+        )
+    if costly.staying.size:
         raise UnstableError(
             f"{named}; this mode lies on {limit} and affects the cost, so that the cost is infinite or depends on "
             "exact cancellation; expected (A, B) stabilisable, or no weight in Q and N on the state of this mode and "
             "on the states that it affects; make the mode stable, or remove it from the problem"
         )
     raise UnstableError(
-        f"{named}; expected (A, B) stabilisable: every eigenvalue outside {limit.region} must be controllable; add an "
-        "actuator, or remove the state of this mode from the problem"
+        f"{named}; this mode lies on {limit} and does not affect the cost, but it is a combination of several states, "
+        "and such a mode is accepted only if it is a state of its own; expected coordinates in which Q, N and A have "
+        "zeros for the state of this mode, or a problem without it"
     )
 
 

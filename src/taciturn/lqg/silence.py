@@ -154,7 +154,7 @@ def allowance(
     if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
     found, given = None, (loop, regulator, steady, cost, apart)
-    for bits, doubles in loop.attempts:
+    for bits, doubles in loop.attempts():
         if bits > PRECISIONS[1]:
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):

@@ -59,6 +59,7 @@ LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a
 TURNS = 100  # doublings
 CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
 CORRECTIONS = 2  # steps of Newton's method
+FAST = 10.0  # growth within a step from which on it is named as a reason
 
 
 class Equation(NamedTuple, Generic[E]):
@@ -95,7 +96,8 @@ class Solution(Displayed):
         error: (n, n) with −error ⪯ K − exact ⪯ error.
         correction: H⁻¹B'K; for the dual problem of a filter, the transposed gain of its correction, (m, n).
         free: whether inputs cost nothing, so that H is singular.
-        held: whether the bound also holds for the cost of the gain as it is stored, in doubles, which then stabilises.
+        lacking: why the bound does not hold for the cost of the gain as it is stored, in doubles; empty if it holds,
+            and the stored gain then stabilises.
         slowest: modulus of the slowest mode of A + BL, or its real part in continuous time. Marginally stable modes
             that no input affects and that do not affect the cost are excluded.
     """
@@ -106,7 +108,7 @@ class Solution(Displayed):
     error: Array
     correction: Array
     free: bool
-    held: bool
+    lacking: str
     slowest: float
 
 
@@ -172,10 +174,9 @@ class Problem(Displayed):
         try:
             return self._proved(PRECISIONS[:1], len(self.given.A) > FEW)
         except UnprovedError:
-            if self.continuous or is_definite(self.given.R):
-                return self._proved(PRECISIONS[1:], False)
+            definite = self.continuous or is_definite(self.given.R)
         weight = np.block([[self.given.Q, self.given.N], [self.given.N.T, self.given.R]])
-        free = free_inputs(self.given, rational(weight))
+        free = None if definite else free_inputs(self.given, rational(weight))
         if free is not None:
             return self._without(free)
         try:
@@ -183,9 +184,11 @@ class Problem(Displayed):
         except UnprovedError:
             # A weight of low rank may be semidefinite only up to the rounding of its entries.
             rows = root(weight).T  # its square may have a solution although a semidefinite weight itself has none
-            if len(rows) == len(weight) or (not self.sampled and is_semidefinite(weight)):
+            if len(rows) == len(weight) or (self.sampled and definite):
                 raise
-        squared, free = self._squared(rows), free_inputs(self.given, rational(rows))
+            if not self.sampled and is_semidefinite(weight):
+                raise
+        squared, free = self._squared(rows), None if definite else free_inputs(self.given, rational(rows))
         return squared._proved(PRECISIONS, False) if free is None else squared._without(free)
 
     def _squared(self, rows: Array) -> Problem:
@@ -274,7 +277,7 @@ class Problem(Displayed):
         K = symmetrised(onto.T @ found.K @ onto)
         H = symmetrised(given.R + given.B.T @ K @ given.B)
         correction = others @ found.correction @ onto
-        return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), correction, True, found.held, slowest)
+        return Solution(K, L, H, symmetrised(onto.T @ found.error @ onto), correction, True, found.lacking, slowest)
 
     def _from_doubles(self, arithmetic: type[E]) -> Solution:
         """Return the proved solution whose candidate is computed in doubles, and corrected with the enclosures."""
@@ -301,7 +304,7 @@ class Problem(Displayed):
             with np.errstate(all="ignore"):
                 more = summed(F.middle.T, missed)
             if not np.isfinite(more).all():
-                raise UnprovedError("the closed loop is not stable")
+                raise UnprovedError("the closed loop of a rounded gain is not stable")
             found = (found + arithmetic.exact(more)).centre()
             try:
                 return self._judged(arithmetic, raw, given, found)
@@ -311,7 +314,7 @@ class Problem(Displayed):
 
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
-        (L, weight, H), exact = _gain(given, K), arithmetic.exact
+        L, weight, H = _gain(given, K)
         size = sizes(given.A.middle, given.Q.middle, K.middle, arithmetic.unit() ** CRUMB)
         X, slack, F = _proved(arithmetic, given, K, L, weight, H, size)
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
@@ -322,22 +325,37 @@ class Problem(Displayed):
         if self.continuous:
             L = solve(raw.R.centre(), (raw.B.T @ K + raw.N.T).centre()).times(-1.0)
             slowest = float(eigenvalues((raw.A + raw.B @ L).middle).real.max(initial=-np.inf))
-            return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, True, slowest)
+            return Solution(middle, L.middle, raw.R.middle, error, -L.middle, False, "", slowest)
         correction = solve(H.centre(), weight.centre()).middle
+        excess, lacking = self._rounded(arithmetic, given, K, L, correction, H, X, size)
+        if lacking and arithmetic is Doubles:
+            raise UnprovedError(lacking)
+        error, price = error + excess, symmetrised(H.middle)
+        return Solution(middle, L.middle, price, error, correction, False, lacking, _slowest(F))
+
+    def _rounded(
+        self, arithmetic: type[E], given: Equation[E], K: E, L: E, correction: Array, H: E, X: E, size: Array
+    ) -> tuple[Array, str]:
+        """Return a bound on what the gain as it is stored costs more, and why it is not enough; empty if it is."""
+        exact, none = arithmetic.exact, np.zeros_like(X.middle)
+        stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
         try:
-            stored = (exact(correction) @ given.A).times(-1.0) if self.dual else exact(L.middle)
-            excess, held = _excess(arithmetic, given.A + given.B @ stored, stored - L, H, X, size), True
-            if self.sampled:  # programs hold the plant in doubles as well
-                A, B = exact(self.given.A), exact(self.given.B)
-                stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
+            excess = _excess(arithmetic, given.A + given.B @ stored, stored - L, H, X, size)
+        except UnprovedError as error:
+            return none, f"with the rounded gain, {error}"
+        if self.sampled:  # programs hold the plant in doubles as well
+            A, B = exact(self.given.A), exact(self.given.B)
+            stored = (exact(correction) @ A).times(-1.0) if self.dual else stored
+            try:
                 _expect_stable(arithmetic, A + B @ stored, X, size)
-            if not (np.diag(excess) <= ASKED * size).all():
-                raise UnprovedError("the rounding of the gain costs too much")
-        except UnprovedError:
-            if arithmetic is Doubles:
-                raise
-            excess, held = np.zeros_like(error), False
-        return Solution(middle, L.middle, symmetrised(H.middle), error + excess, correction, False, held, _slowest(F))
+            except UnprovedError as error:
+                return none, f"with the rounded gain and the rounded matrices of the sampled plant, {error}"
+        # next to the terms of its sum, a cost-to-go has no digits below one rounding of the weights
+        held = np.maximum(size, sizes(given.A.middle, given.Q.middle, K.middle, UNIT))
+        more = float((np.diag(excess) / held).max(initial=0.0))
+        if more > ASKED:
+            return none, f"rounded, it costs up to {more:.1e} of the cost-to-go of a state more, above {ASKED:.0e}"
+        return excess, ""
 
 
 def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
@@ -350,12 +368,14 @@ def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
     return given, recipe
 
 
-def not_held(what: str, A: Array) -> UnstableError:
-    """Return the error that a gain needs more digits than it is stored with."""
+def not_held(what: str, A: Array, lacking: str) -> UnstableError:
+    """Return the error that a gain needs more digits than it is stored with, and what those that are stored lack."""
+    grows, often = radius(A), ""
+    if grows > FAST:
+        lacking, often = f"{lacking}; the plant grows by up to {grows:.1e} within a step", "a shorter period, "
     return UnstableError(
-        f"the optimal gain of the {what} has more digits than a double holds: rounded, it is not proved to be stable; "
-        f"the plant grows by up to {radius(A):.1e} within a step; expected a shorter period, modes that are moved and "
-        "measured more strongly, or a plant without them"
+        f"the optimal gain of the {what} has more digits than a double holds: {lacking}; expected {often}modes that "
+        "are moved and measured more strongly, or a plant without them"
     )
 
 

@@ -134,11 +134,14 @@ class Stored(Displayed):
     near: Near | None = None
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
-    @property
-    def attempts(self) -> list[tuple[int, bool]]:
-        """Precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
+    def attempts(self, patient: bool = False) -> list[tuple[int, bool]]:
+        """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles.
+
+        Args:
+            patient: whether balls, which take seconds for many states, are tried for any number of states.
+        """
         doubles = [(PRECISIONS[0], True)] if self.states > SMALL else []
-        return doubles + [(bits, False) for bits in PRECISIONS if self.states <= MANY]
+        return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
         """Return the loop and the proof of its cost, in the present precision.
@@ -151,16 +154,19 @@ class Stored(Displayed):
             self._kept[key] = _valued(self.problem, self.close, self.near, arithmetic)
         return cast("Valued[E]", self._kept[key])
 
-    def cost(self) -> Proved | None:
+    def cost(self, patient: bool = False) -> Proved | None:
         """Return the average cost per step, or None if it is not proved to nine digits.
 
         The inter-sample noise cost is not part of it, but the rounding of the stored one is part of the radius. With
         disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
         state that wanders for ever depends: nothing is proved.
+
+        Args:
+            patient: whether balls, which take seconds for many states, are tried for any number of states.
         """
         problem, source = self.problem, self.problem.source
         moves = problem.deviations is not None or (source is not None and source.exosystem is not None)
-        for bits, doubles in [] if problem.cost.mission or moves else self.attempts:
+        for bits, doubles in [] if problem.cost.mission or moves else self.attempts(patient):
             check_time()
             with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
                 found = (self(Doubles) if doubles else self(Balls)).cost

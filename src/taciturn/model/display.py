@@ -9,6 +9,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
+from taciturn._exact_modes import FEWEST, Limit
 from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines
 from taciturn.model.operating_point import OperatingPoint
@@ -148,7 +149,9 @@ def _poles(A: Array, continuous: bool) -> str:
     stable = "marginally stable" if abs(margin) < BLUR else "stable" if margin < 0 else "unstable"
     shown = [complex(p.real) if abs(p.imag) < BLUR * abs(p) else complex(p) for p in poles]
     shown.sort(key=lambda p: (-float(f"{abs(p):.6g}"), p.real, -p.imag))  # rounding does not decide their order
-    return f"{stable}: {', '.join(map(mode_text, shown))}"
+    limit = Limit(continuous)
+    digits = [limit.digits(p) if stable == "unstable" else FEWEST for p in shown]
+    return f"{stable}: {', '.join(map(mode_text, shown, digits))}"
 
 
 def matrix_lines(name: str, value: Matrix) -> Lines:

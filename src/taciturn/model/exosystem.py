@@ -28,7 +28,8 @@ from taciturn._arrays import (
     square,
 )
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, eigenvalues, mode_text, pace
+from taciturn._exact_modes import Limit
+from taciturn._modes import SCATTER, eigenvalues, pace
 from taciturn.errors import ProblemError
 from taciturn.model.set_points import Changes, SetPoint
 
@@ -105,9 +106,10 @@ class ExternalDisturbance(Displayed):
             modes = eigenvalues(self.matrix)
             growth = float((modes.real if continuous else np.abs(modes) - 1).max())
             if growth > SCATTER * pace(self.matrix):
-                fastest = mode_text(complex(modes[int(np.argmax(modes.real if continuous else np.abs(modes)))]))
+                fastest = complex(modes[int(np.argmax(modes.real if continuous else np.abs(modes)))])
                 raise ProblemError(
-                    f"disturbance.matrix has the mode {fastest}, which grows; expected modes that decay or persist"
+                    f"disturbance.matrix has the mode {Limit(continuous).named(fastest)}, which grows; expected modes "
+                    "that decay or persist"
                 )
             return self.matrix
         if self.shape == "constant":

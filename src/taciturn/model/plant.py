@@ -10,7 +10,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
-from taciturn._modes import SCATTER, factor, mode_text, pace, symmetric_factor
+from taciturn._modes import SCATTER, factor, pace, symmetric_factor
 from taciturn.errors import ProblemError
 from taciturn.model.descriptor import covariance_without, effect_without, explicit
 from taciturn.model.display import DisplayedPlant
@@ -432,8 +432,8 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
         # the doubles of a sampled oscillator may lie outside the unit circle by the rounding of cosines
         lost = lost[lost.real > SCATTER * pace(A)] if continuous else lost[np.abs(lost) > 1 + SCATTER]
         if lost.size:
+            mode = Limit(continuous).named(complex(lost[0]))
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
-                f"{matrices} is not {verb}: {what} the mode at {mode_text(complex(lost[0]))}, which grows; "
-                f"expected a {verb} plant; {remedy}"
+                f"{matrices} is not {verb}: {what} the mode at {mode}, which grows; expected a {verb} plant; {remedy}"
             )

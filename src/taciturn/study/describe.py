@@ -9,7 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._display import Displayed
-from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import eigenvalues
 from taciturn._text import Lines, per_unit
 from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller
@@ -295,8 +296,10 @@ def _parts(e: Exosystem) -> dict[str, object]:
 
 def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]:
     """Return the uncontrollable modes and the unobservable modes."""
-    unmoved, unseen = uncontrollable_modes(plant.A, plant.B), uncontrollable_modes(plant.A.T, plant.C.T)
-    return [complex(mode) for mode in unmoved], [complex(mode) for mode in unseen]
+    limit = Limit(plant.continuous)
+    parts = (unmoved(A, B, limit) for A, B in ((plant.A, plant.B), (plant.A.T, plant.C.T)))
+    hidden, unseen = ([complex(mode) for part in lost for mode in part] for lost in parts)
+    return hidden, unseen
 
 
 def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
@@ -304,7 +307,7 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
     lines: Lines = [("plant", f"{rows['size']}; {rows['time']}"), ("poles", str(rows["poles"]))]
     for name, lost, verb in zip(("controllable", "observable"), _lost(plant), ("moves", "shows"), strict=True):
         what = "input" if verb == "moves" else "measurement"
-        modes = ", ".join(mode_text(mode) for mode in lost)
+        modes = ", ".join(map(Limit(plant.continuous).named, lost))
         lines.append((name, f"except for the mode {modes}, which no {what} {verb}" if lost else "yes"))
     lines += [(name, text) for name in ("measured", "noise") if isinstance(text := rows[name], str)]
     point = plant.operating_point

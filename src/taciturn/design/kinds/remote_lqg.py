@@ -171,7 +171,7 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
         return _Watch(schedule.covariance, gains, schedule.start, schedule)
     if steady is not None:  # its gain gives a stable observer even without noise
         return _Watch(steady.prior[None], (plant.A @ steady.gain)[None], 0, None)
-    covariance, start = follow_every_query(plant, initial, cost.horizon)
+    covariance, start = follow_every_query(plant, initial, cost.horizon, cost.discount)
     return _Watch(covariance, Predictor(plant).gain(covariance), start, None)
 
 

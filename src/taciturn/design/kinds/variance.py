@@ -83,7 +83,8 @@ def variance(
     left = unit - corrections @ plant.C
     posterior = left @ schedule.covariance @ left.swapaxes(1, 2) + corrections @ plant.V @ corrections.swapaxes(1, 2)
     noise = float(np.sum(certainty.regulator.K * plant.W))
-    average = noise + float(np.sum(certainty.square * posterior.mean(axis=0)))
+    # the schedule depends on no set-point, so the errors of the input are unrelated to the changes
+    average = noise + certainty.overlap + float(np.sum(certainty.square * posterior.mean(axis=0)))
     settling = forgetting(
         plant,
         [plant.A @ kept for kept in left],
