@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from flint import fmpq_mat
 
-from taciturn import ContinuousPlant, Cost, UnstableError, design
+from taciturn import ContinuousPlant, Cost, Plant, ProblemError, UnstableError, close, design
 from taciturn._exact_modes import Limit, Lost, modes_of, unmoved
+from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.riccati import regulate
 from taciturn.lqg.structure import unpaid
+from taciturn.simulation.reliability import comes_never_to_rest
 
 CIRCLE, AXIS = Limit(False), Limit(True)
 TINY = 2.0**-50  # of 1, far below the scatter of computed eigenvalues
@@ -147,3 +149,42 @@ def test_a_sum_is_called_divergent_only_if_it_diverges():
         F = U @ (np.diag(np.full(6, 1 - distance)) + np.diag(np.ones(5), 1)) @ inverse
         with pytest.raises(UnstableError, match=said):
             accumulate(F, np.eye(6))
+
+
+@pytest.mark.parametrize("states", [3, 4, 5])
+def test_sampling_a_chain_of_integrators_does_not_let_it_grow(states: int):
+    """In whole-number coordinates, beside a state with an input: e^{Ah} in doubles has modes up to 1.0002."""
+    lower = np.tril(np.ones((states, states)))
+    U, inverse = lower @ lower.T, np.round(np.linalg.inv(lower @ lower.T))
+    A, B, Q = np.zeros((states + 1, states + 1)), np.eye(states + 1)[:, -1:], np.zeros((states + 1, states + 1))
+    A[:-1, :-1], A[-1, -1], Q[-1, -1] = U @ np.diag(np.ones(states - 1), 1) @ inverse, -1.0, 1.0
+    sampled = discretise(ContinuousPlant(A, B, Q), Cost(Q, [[1.0]]), 0.3)
+    assert not unmoved(A, B, AXIS).growing.size
+    assert unmoved(sampled.plant.A, sampled.plant.B, CIRCLE).growing.size
+
+
+def test_a_rounded_rotation_stays_and_one_that_grows_is_refused():
+    """Cosine and sine of a user, whose squares add to more than 1; the same times 1 + 1e-9."""
+    c, s = np.cos(0.5), np.sin(0.5)
+    turn, still = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 0.5]]), np.zeros((3, 3))
+    B = np.array([[0.0], [0.0], [1.0]])
+    assert unmoved(turn, B, CIRCLE).growing.size
+    Plant(turn, B, still)
+    with pytest.raises(ProblemError, match=r"no input can move the mode at 0\.877583\+0\.479426i, which grows"):
+        Plant((1 + 1e-9) * turn, B, still)
+
+
+def test_a_block_of_many_states_that_no_input_moves():
+    """Ten states beyond forty that two inputs reach, with random doubles: their modes are those of their block."""
+    draws = np.random.default_rng(3)
+    A, B = draws.normal(size=(50, 50)) / 7, draws.normal(size=(50, 2))
+    A[40:, :40], B[40:] = 0.0, 0.0
+    found, expected = np.concatenate(unmoved(A, B, CIRCLE)), np.linalg.eigvals(A[40:, 40:])
+    assert np.sort_complex(found) == pytest.approx(np.sort_complex(expected))
+
+
+@pytest.mark.parametrize(("A", "rests"), [(1 - 1e-14, True), (1.0, False)])
+def test_a_plant_that_decays_slowly_comes_to_rest(A: float, rests: bool):
+    """A hundred roundings from the circle."""
+    policy = design.excess(Plant([[A]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1)
+    assert comes_never_to_rest(close(policy.model, policy)) is not rests

@@ -14,6 +14,10 @@ Sampling changes none of these answers. An input moves all modes of a sampled pl
 algebraic numbers, and π is not. So the modes of the plant before it was sampled decide. With a discount α they are
 compared with −ln α/(2h), which no algebraic number is.
 
+The cosines and sines of an oscillator that a user samples are rounded, so its exact modes lie beside the limit. On
+request, modes that rounding the entries may have moved off the limit count as modes on it: some matrix within the
+rounding has this mode on the limit, by the least singular value. The entry of a single state is what it is.
+
 Source: trentelman2001, kalman1963
 """
 
@@ -24,12 +28,15 @@ from typing import NamedTuple, cast
 import numpy as np
 from flint import acb, arb, fmpq, fmpq_mat, fmpq_poly
 
-from taciturn._arrays import Array
-from taciturn._modes import Modes
+from taciturn._arrays import NO_VARIANCE, Array, Bits
+from taciturn._cycles import closure, in_cycles
+from taciturn._modes import ROUNDOFF, Modes, balancing
 from taciturn._precision import precision
-from taciturn._rational import basis, beside, lines, pivots, rational, reaches_all
+from taciturn._rational import lines, pivots, rational, reachable, reaches_all
 
 BITS = 128  # first precision of the roots; it doubles until the limit separates them
+ROUNDINGS = 4  # of each entry of a matrix, by which a mode may have left the limit
+NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 class Lost(NamedTuple):
@@ -108,32 +115,62 @@ class Limit(NamedTuple):
         return -conjugate if self.continuous else acb(1) / (conjugate * arb(self.discount))
 
 
-def unmoved(A: Array, B: Array, limit: Limit) -> Lost:
+def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
     """Return the modes of A that the input through B does not move.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         limit: the edge of the modes that count as decaying.
+        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
     """
     if not len(A) or reaches_all(A, B):
         return NONE
-    F, reached = rational(A), basis(rational(B))
-    while True:
-        larger = basis(beside(reached, F * reached))
-        if larger.ncols() == reached.ncols():
-            break
-        reached = larger
+    leads = np.asarray(A != 0, dtype=np.bool_)
+    inside = closure((B != 0).any(axis=1), leads)  # the states that inputs affect
+    found, among = [NONE], np.ix_(inside, inside)
+    if not reaches_all(A[among], B[inside]):
+        found.append(_of_block(_beyond(A[among], B[inside]), limit, rounded))
+    for cycle in in_cycles(leads):
+        if not inside[cycle].any():
+            found.append(_of_block(rational(A[np.ix_(cycle, cycle)]), limit, rounded and int(cycle.sum()) > 1))
+    return _joined(found)
+
+
+def _beyond(A: Array, B: Array) -> fmpq_mat:
+    """Return the dynamics of the states modulo those that the input reaches."""
+    F, reached = rational(A), reachable(A, B)
     # a state modulo the reached ones has as coordinates its entries outside the pivots, without their combination
     inside = pivots(reached)
     rest, kept = np.flatnonzero(~inside).tolist(), np.flatnonzero(inside).tolist()
-    if not rest:
-        return NONE
     late = lines(F.transpose(), rest).transpose()
-    quotient = lines(late, rest)
-    if kept:
-        quotient = quotient - lines(reached, rest) * lines(late, kept)
-    return modes_of(quotient, limit)
+    return lines(late, rest) - (lines(reached, rest) * lines(late, kept) if kept else fmpq_mat(len(rest), len(rest)))
+
+
+def _of_block(block: fmpq_mat, limit: Limit, rounded: bool) -> Lost:
+    found = modes_of(block, limit)
+    if not (rounded and (found.growing.size or found.decaying.size)):
+        return found
+    A = np.array([int(one.p) / int(one.q) for one in block.entries()]).reshape(block.nrows(), block.ncols())
+    scale = balancing(A)
+    A = A / scale[:, None] * scale
+    out, into = (_may_stay(A, modes, limit) for modes in (found.growing, found.decaying))
+    staying = [found.staying, found.growing[out], found.decaying[into]]
+    return Lost(found.growing[~out], np.concatenate(staying), found.decaying[~into])
+
+
+def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
+    """Return for each mode whether a matrix within the rounding of A has it on the axis or the unit circle."""
+    nearest = 1j * modes.imag if limit.continuous else modes / np.maximum(np.abs(modes), NO_VARIANCE)
+    within = ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
+    near = np.abs(modes - nearest) <= NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
+    shifted = nearest[near][:, None, None] * np.eye(len(A)) - A
+    near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= within
+    return near
+
+
+def _joined(parts: list[Lost]) -> Lost:
+    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*parts, strict=True)))
 
 
 def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
@@ -178,4 +215,8 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
 
 def _values(found: list[tuple[acb, int]], sides: list[int], side: int) -> Modes:
     chosen = [complex(root) for (root, many), own in zip(found, sides, strict=True) if own == side for _ in range(many)]
-    return np.array(sorted(chosen, key=lambda mode: (-abs(mode), -mode.imag)), dtype=np.complex128)
+    return _sorted(np.array(chosen, dtype=np.complex128))
+
+
+def _sorted(modes: Modes) -> Modes:
+    return modes[np.lexsort((-modes.imag, -np.abs(modes)))]

@@ -21,18 +21,43 @@ def reaches_all(A: Array, B: Array) -> bool:
     True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that the
     prime divides all minors.
     """
-    return _reached(A, B) == len(A)
+    return len(_independent(A, B)) == len(A)
 
 
-def _reached(A: Array, B: Array) -> int:
-    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers."""
+def reachable(A: Array, B: Array) -> fmpq_mat:
+    """Return a basis of the states that the input through B reaches, the span of B, AB, A²B, …, in reduced form."""
+    F, (n, m) = rational(A), B.shape
+    chosen, block, columns = _independent(A, B), rational(B.T), fmpq_mat(0, n)
+    for k in range(n):  # the columns that are independent modulo a prime, as rows; those of A^k come from those before
+        own = [place - k * m for place in chosen if k * m <= place < (k + 1) * m]
+        if not own:
+            break
+        columns = above(columns, lines(block, own))
+        block = block * F.transpose()
+    found = basis(columns.transpose())
+    while True:  # once, unless the prime divides minors
+        moved = F * found
+        if moved == found * lines(moved, np.flatnonzero(pivots(found)).tolist()):
+            return found
+        found = basis(beside(found, moved))
+
+
+def _independent(A: Array, B: Array) -> list[int]:
+    """Return places of columns of B, AB, A²B, … that are independent of those before, modulo a prime; so they are."""
     n, m = B.shape
     moves, block = _modular(A), _modular(B)
-    columns = list[list[int]]()
-    for _ in range(n):
-        columns += [[int(block[i, j]) for i in range(n)] for j in range(m)]
+    table = list[list[int]]()
+    for _ in range(n if m else 0):
+        table += [[int(block[i, j]) for i in range(n)] for j in range(m)]
         block = moves * block
-    return nmod_mat(len(columns), n, [entry for column in columns for entry in column], PRIME).rank() if m else 0
+    if not table:
+        return []
+    reduced, rank = nmod_mat(n, len(table), [row[i] for i in range(n) for row in table], PRIME).rref()
+    places = list[int]()
+    for i in range(rank):
+        start = places[-1] + 1 if places else 0
+        places.append(next(j for j in range(start, len(table)) if int(reduced[i, j])))
+    return places
 
 
 def _modular(values: Array) -> nmod_mat:

@@ -11,14 +11,14 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from taciturn import Cost, Plant, design
-from taciturn._modes import least_eigenvalue, radius, uncontrollable_modes
+from taciturn._modes import least_eigenvalue, radius
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _mean_square
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lossy import Channel, lossy_step, regulate_lossy
 from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.riccati import regulate, regulate_continuous
+from taciturn.lqg.riccati import regulate, regulate_continuous, uncontrollable_modes
 from taciturn.lqg.sampling import sample
 from taciturn.lqg.stabilising import Problem, exactly
 

@@ -26,7 +26,7 @@ from taciturn.lqg.quadratic import Quadratic
 from taciturn.model.coordinates import counted_from
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, Plant, derived_plant
 
 if TYPE_CHECKING:
     from taciturn.lqg.discrete import Discrete
@@ -73,7 +73,7 @@ def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
     r, shown = len(fed), np.zeros((plant.outputs, len(fed)))
     shown[: len(D)] = D[:, fed]
     push: Array = np.eye(plant.inputs)[fed]
-    found = Plant(
+    found = derived_plant(
         _square(plant.A, n, r), _rows(plant.B, n, push), _square(plant.W, n, r), _rows(plant.C.T, n, shown.T).T,
         plant.V, plant.dt, np.insert(plant.mean, [n] * r, 0.0), _square(plant.covariance, n, r), plant.input_limit,
         plant.function and RegisteredDynamics.of(plant.function, n, fed), input_rate=plant.input_rate,

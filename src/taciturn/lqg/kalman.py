@@ -9,6 +9,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
+from taciturn._cycles import closure
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import mode_text, radius, root
@@ -21,7 +22,7 @@ from taciturn.lqg.intervals import Exact
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.quadratic import Quadratic, price
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import closure, unpaid, worth_of
+from taciturn.lqg.structure import unpaid, worth_of
 from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding

@@ -14,7 +14,8 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import NO_VARIANCE, Array, Bits, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, mode_text, radius
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import SCATTER, balancing, eigenvalues, mode_text, radius
 from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
@@ -437,7 +438,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     n, m = B.shape
     scale = balancing(A)  # the result must not depend on the units of the states
     A, B = A / scale[:, None] * scale, B / scale[:, None]
-    lost = lost_modes(A, B, False)
+    lost = unmoved(A, B, Limit(False)).lasting
     if lost.size:
         raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which is uncontrollable through B")
     A_u, V = _scipy.unstable_part(A, 1 - SCATTER)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
+from taciturn._cycles import closure
 from taciturn._display import Displayed
 from taciturn._modes import radius, summed
 from taciturn._progress import check_time
@@ -18,7 +19,6 @@ from taciturn.lqg._flow import Flow, riccati_flow
 from taciturn.lqg._repetition import Repetition
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.lqg.quadratic import price
-from taciturn.lqg.structure import closure
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 

@@ -10,7 +10,7 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, Lost, unmoved
-from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, uncontrollable_modes
+from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
@@ -226,6 +226,34 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
             "weight of each input, or a policy that holds its input between samples"
         )
     return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
+
+
+def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
+    """Return the eigenvalues of A that the input through B cannot influence.
+
+    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0, computed in rational numbers: the answer is exact for the
+    given doubles, in any units and for repeated eigenvalues. By duality, ``uncontrollable_modes(A.T, C.T)`` are the
+    unobservable modes of the output y = Cx.
+
+    Args:
+        A: (n, n) dynamics, discrete or continuous.
+        B: (n, m) input matrix.
+
+    Returns:
+        The complex eigenvalues, largest modulus first; empty if (A, B) is controllable. The caller selects the relevant
+        ones: |λ| ≥ 1 in discrete time, Re λ ≥ 0 in continuous time.
+
+    Raises:
+        ProblemError: a matrix has the wrong shape, or is not finite.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> uncontrollable_modes([[2.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]])
+        array([0.5+0.j])
+    """
+    A = _arrays.square("A", A, "states × states")
+    return np.concatenate(unmoved(A, _arrays.array("B", B, (len(A), None), "states × inputs"), Limit(False)))
 
 
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:

@@ -23,6 +23,7 @@ from typing import Generic, NamedTuple, Protocol
 import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array
+from taciturn._cycles import closure
 from taciturn._modes import summed
 from taciturn._precision import precision
 from taciturn._progress import check_time
@@ -32,7 +33,6 @@ from taciturn.lqg.intervals import Step, inner
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.stabilising import ASKED, FEW
-from taciturn.lqg.structure import closure
 from taciturn.model.controller import Controller
 
 MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds

@@ -9,9 +9,10 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._display import Displayed
-from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
+from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines, per_unit
 from taciturn.design.kind import AnyPolicy
+from taciturn.lqg.riccati import uncontrollable_modes
 from taciturn.model.controller import Controller
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import matrix_lines, vector_text

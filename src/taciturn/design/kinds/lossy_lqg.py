@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn._modes import lost_modes, radius
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import radius
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE, HELD
@@ -120,7 +121,7 @@ def lossy_lqg(
         gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
         if reference is not None:
             reference.check(plant, cost.horizon)
-        if radius(A) > 1 and not lost_modes(A, B, False).size and slowest_growth(A, B, channel)[0] >= 1:
+        if radius(A) > 1 and not unmoved(A, B, Limit(False)).lasting.size and slowest_growth(A, B, channel)[0] >= 1:
             notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
