@@ -180,15 +180,29 @@ def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
 
 def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
     """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
-    on, bits = None if limit.reaching else 0, BITS
+    found = placed(polynomial, limit)
+    return Lost(*(_values(found, side) for side in (1, 0, -1)))
+
+
+class Placed(NamedTuple):
+    """A root of a polynomial, its multiplicity, and its side of a limit: 1 outside, 0 on it, −1 inside."""
+
+    root: acb
+    many: int
+    side: int
+
+
+def placed(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[Placed]:
+    """Return the different roots of a polynomial, in at least the given precision."""
+    on = None if limit.reaching else 0
     while True:
         with precision(bits):
-            found = _roots(polynomial)
-            sides = [limit.side(root) for root, _ in found]
+            found = [Placed(root, many, limit.side(root)) for root, many in _roots(polynomial)]
+            sides = [one.side for one in found]
             if 0 in sides and on is None:
                 on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
             if sides.count(0) == (on or 0):
-                return Lost(*(_values(found, sides, side) for side in (1, 0, -1)))
+                return found
         bits *= 2
 
 
@@ -213,8 +227,8 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
     return count
 
 
-def _values(found: list[tuple[acb, int]], sides: list[int], side: int) -> Modes:
-    chosen = [complex(root) for (root, many), own in zip(found, sides, strict=True) if own == side for _ in range(many)]
+def _values(found: list[Placed], side: int) -> Modes:
+    chosen = [complex(one.root) for one in found if one.side == side for _ in range(one.many)]
     return _sorted(np.array(chosen, dtype=np.complex128))
 
 

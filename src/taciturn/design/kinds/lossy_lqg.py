@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn._exact_modes import Limit, unmoved
-from taciturn._modes import radius
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE, HELD
@@ -19,9 +17,9 @@ from taciturn.lqg.lossy import (
     LossyRegulator,
     loss_sentence,
     mean_square_rate,
+    no_gain_survives,
     regulate_lossy,
     regulate_lossy_finite,
-    slowest_growth,
 )
 from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
@@ -121,7 +119,7 @@ def lossy_lqg(
         gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
         if reference is not None:
             reference.check(plant, cost.horizon)
-        if radius(A) > 1 and not unmoved(A, B, Limit(False)).lasting.size and slowest_growth(A, B, channel)[0] >= 1:
+        if no_gain_survives(A, B, channel):
             notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
