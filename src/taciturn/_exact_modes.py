@@ -14,7 +14,7 @@ Sampling changes none of these answers. An input moves all modes of a sampled pl
 algebraic numbers, and π is not. So the modes of the plant before it was sampled decide. With a discount α they are
 compared with −ln α/(2h), which no algebraic number is.
 
-The cosines and sines of an oscillator that a user samples are rounded, so its exact modes lie beside the limit. On
+The cosines and sines of an oscillator that a user samples are rounded, so its exact modes do not lie on the limit. On
 request, modes that rounding the entries may have moved off the limit count as modes on it: some matrix within the
 rounding has this mode on the limit, by the least singular value. The entry of a single state is what it is.
 

@@ -56,7 +56,7 @@ Link: TypeAlias = Literal["actuator", "sensor"]
 
 
 class Critical(NamedTuple):
-    """What is proved of the loss probabilities of a link: those up to one are survived, those from another one on not.
+    """Loss probabilities of a link with a proof: losses up to one are survived, losses from the other one on are not.
 
     Args:
         survived: some linear gain keeps the mean square bounded at this loss, and at smaller ones.
@@ -73,8 +73,18 @@ class Critical(NamedTuple):
         return f"up to {self.survived:.6g} and below {self.lost:.6g} (more is not proved)"
 
 
+class Rough(NamedTuple):
+    """Some modes in double precision: A and B, their coordinates V x, VW = I, and a gain for links without losses."""
+
+    A: Array
+    B: Array
+    V: Array
+    W: Array
+    L: Array
+
+
 class Lasting:
-    """The modes of a plant on or outside the unit circle, and what losses they survive.
+    """The modes of a plant on or outside the unit circle, and the losses that they survive.
 
     Args:
         A: (n, n) dynamics.
@@ -94,31 +104,43 @@ class Lasting:
         inputs = leading(rational(B))[1]  # the others do nothing more
         self.every, self.inputs = B.shape[1], inputs
         self.A, self.B = A / self.scale[:, None] * self.scale, (B / self.scale[:, None])[:, inputs]
+        self._known: dict[tuple[int, ...], Rough] = {}
         self.roots = placed(rational(self.A).charpoly(), Limit(False))
         self.modes = [k for k, one in enumerate(self.roots) if one.side >= 0 and not one.root.imag < 0]
         self.count = sum(one.many for one in self.roots if one.side >= 0)
         self.grows = any(one.side > 0 for one in self.roots)
         self.size = max((abs(complex(self.roots[k].root)) for k in self.modes), default=0.0)
 
-    def _rough(self, modes: Sequence[int]) -> tuple[Array, Array, Array]:
-        """Return A and B of some modes, and the rows V of their orthonormal coordinates, in double precision."""
-        every = np.array([complex(one.root) for one in self.roots])
-        own = np.isin(every, [every[modes], every[modes].conj()])
-        V = _scipy.part_of_modes(self.A, lambda mode: bool(own[np.argmin(np.abs(every - mode))]))
-        return V @ self.A @ V.T, V @ self.B, V
+    def rough(self, modes: Sequence[int]) -> Rough:
+        """Return some modes in double precision.
+
+        Raises:
+            UnstableError: the regulator is not proved.
+        """
+        key = tuple(modes)
+        if key not in self._known:
+            every = np.array([complex(one.root) for one in self.roots])
+            own = np.isin(every, [every[modes], every[modes].conj()])
+            V = _scipy.part_of_modes(self.A, lambda mode: bool(own[np.argmin(np.abs(every - mode))]))
+            A, B, one = V @ self.A @ V.T, V @ self.B, np.eye(len(V))
+            best = regulate(A, B, one, np.eye(B.shape[1]), np.zeros_like(B))
+            scale = np.linalg.cholesky(best.K).T  # in the coordinates V x, the cost-to-go of the regulator is the unit
+            W = V.T @ np.linalg.inv(scale)
+            V = scale @ V
+            self._known[key] = Rough(V @ self.A @ W, V @ self.B, V, W, best.L @ np.linalg.inv(scale))
+        return self._known[key]
 
     def reached(self, channel: Channel, link: Link, modes: Sequence[int] | None = None) -> Reached | None:
         """Return the largest loss of a link, up to the given one, that some modes survive; None if none was found."""
-        A, B, _ = self._rough(self.modes if modes is None else modes)
+        A, B, _, _, L = self.rough(self.modes if modes is None else modes)
         if link == "sensor":
             start = self.reached(replace(channel, sensor_loss=0.0), "actuator", modes)
             if start is None or start.place < channel.actuator_loss:
                 return None
-            L, end = start.L, min(channel.sensor_loss, (1 - MARGINS[0]) / self.size**2)
+            L, end = start.L, min(channel.sensor_loss, (1 - MARGINS[0] / 2) / self.size**2)
             if channel.acknowledged:
                 return start._replace(place=end)
         elif channel.sensor_loss * self.size**2 < 1:
-            L = regulate(A, B, np.eye(len(A)), np.eye(B.shape[1]), np.zeros_like(B)).L
             end = channel.actuator_loss
         else:
             return None
@@ -132,22 +154,24 @@ class Lasting:
     def of_states(self, L: Array) -> Array:
         """Return a gain of the states from one of the coordinates of the modes."""
         found = np.zeros((self.every, len(self.A)))
-        found[self.inputs] = L @ self._rough(self.modes)[2] / self.scale
+        found[self.inputs] = L @ self.rough(self.modes).V / self.scale
         return found
 
     def slowest(self, channel: Channel) -> tuple[float, Array]:
         """Return the least growth of the mean square, and a gain of the states with this growth."""
         if not self.modes:
             return 0.0, self.of_states(np.zeros((self.B.shape[1], 0)))
-        (A, B, _), first = self._rough(self.modes), FASTER * self.size**2
+        A, B, *_ = self.rough(self.modes)
+        first = FASTER * self.size**2
         last = max(NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
-        rest, path = np.zeros(B.T.shape), lambda fall, L: _loop(A, B, L, channel, first * (1 - fall))
-        found = follow(path, rest, 1 - last / first)
+        found = follow(
+            lambda fall, L: _loop(A, B, L, channel, first * (1 - fall)), np.zeros(B.T.shape), 1 - last / first
+        )
         assert found is not None, "without inputs, the mean square grows like the modes"
         return first * (1 - found.place), self.of_states(found.L)
 
     def critical(self, channel: Channel, link: Link) -> Critical:
-        """Return what is proved of the losses of one link at the given loss of the other link."""
+        """Return proved limits of the losses of one link at the given loss of the other link."""
         if not self.grows:  # a small gain keeps marginal modes bounded at any loss below 1
             fine = not self.modes or (channel.sensor_loss if link == "actuator" else channel.actuator_loss) < 1
             return Critical(1.0, 1.0) if fine else Critical(0.0, 0.0)
@@ -166,7 +190,7 @@ class Lasting:
 
     def _survived(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the largest loss of a link that is proved to be survived."""
-        A, B, _ = self._rough(self.modes)
+        A, B, *_ = self.rough(self.modes)
         for margin in MARGINS:
             there = channel.at(link, found.place * (1 - margin))
             if self._survives(A, B, found.L, there):
@@ -237,19 +261,18 @@ class Lasting:
         return False
 
     def _exact(self, modes: Sequence[int]) -> tuple[Balls, Balls]:
-        """Return enclosures of A and B of some modes, in coordinates V that are nearly orthonormal.
+        """Return enclosures of A and B of some modes, in nearly the same coordinates as in double precision.
 
         Raises:
             UnprovedError: more than the largest precision is needed.
         """
         polynomial, own = rational(self.A).charpoly(), [self.roots[k].root for k in modes]
-        rough = self._rough(modes)[2]
+        rough = self.rough(modes)
         for bits in PRECISIONS:
             check_time()
             others = placed(polynomial, Limit(False), bits)
             with precision(bits), suppress(UnprovedError):
-                A, V = Balls.exact(self.A), Balls.exact(rough)
-                W = V.T
+                A, V, W = (Balls.exact(part) for part in (self.A, rough.V, rough.W))
                 for root, many, _ in others:
                     if not (root.imag < 0 or any(root.overlaps(one) for one in own)):
                         for _ in range(many):

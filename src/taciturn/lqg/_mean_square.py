@@ -120,7 +120,7 @@ class MeanSquare:
         K, T = self._apart(first, second)
         if self.spread:  # solved without coupling; then for the coupling Y = Y_0 + turn·Y
             upper = np.triu_indices(len(self.L))
-            answers = [self._apart(self._pushed(i, j), np.zeros_like(self.A)) for i, j in zip(*upper, strict=True)]
+            answers = [self._apart(self._pushed(i, j), np.zeros_like(self.A)) for i, j in np.transpose(upper).tolist()]
             turn = np.stack([self._seen(*pair)[upper] for pair in answers], axis=1)
             y = np.linalg.solve(np.eye(len(turn)) - turn, self._seen(K, T)[upper])
             for share, (one, two) in zip(y.tolist(), answers, strict=True):

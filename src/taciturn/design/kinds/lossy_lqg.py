@@ -32,6 +32,7 @@ from taciturn.model.reference import Reference, Tracking
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
+CLOSEST = 1 - 1e-9  # largest growth of the mean square of a stabilising gain
 REFERENCE, FEEDFORWARD, OFF_REFERENCE = "reference", "feedforward", "deviation"
 
 
@@ -112,7 +113,9 @@ def lossy_lqg(
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
         gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
-        settling = 1 / (1 - np.sqrt(mean_square_rate(A, B, gains.L[:, seen], channel)))
+        # the gain is proved to be stabilising, also if the computed rate is 1
+        rate = min(mean_square_rate(A, B, gains.L[:, seen], channel), CLOSEST)
+        settling = 1 / (1 - np.sqrt(rate))
         ticks = 1
     else:
         assert cost.terminal is not None
