@@ -161,6 +161,11 @@ def test_sampling_a_chain_of_integrators_does_not_let_it_grow(states: int):
     sampled = discretise(ContinuousPlant(A, B, Q), Cost(Q, [[1.0]]), 0.3)
     assert not unmoved(A, B, AXIS).growing.size
     assert unmoved(sampled.plant.A, sampled.plant.B, CIRCLE).growing.size
+    one = ContinuousPlant(A[-1:, -1:], B[-1:], Q[-1:, -1:])
+    found, alone = sampled.regulator(), discretise(one, Cost([[1.0]], [[1.0]]), 0.3)
+    assert not found.L[:, :-1].any()
+    assert found.L[0, -1] == pytest.approx(alone.regulator().L[0, 0], rel=1e-12)
+    assert sampled.lasting.tolist() == [True] * states + [False]
 
 
 def test_a_rounded_rotation_stays_and_one_that_grows_is_refused():

@@ -12,6 +12,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite, symmetrised
 from taciturn._cycles import closure
 from taciturn._display import Displayed
+from taciturn._exact_modes import Limit
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg._followed import Followed, followed
@@ -169,7 +170,11 @@ class Discrete(Displayed):
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
-        return worth_of(self.quadratic, rounded=self.sampled).resting if self.followed is None else self.followed.states
+        if self.followed is not None:
+            return self.followed.states
+        source = self.exact and self.exact.source
+        before = source and (source.given, Limit(True, 1.0, source.period))
+        return worth_of(self.quadratic, rounded=self.sampled, before=before).resting
 
     @property
     def quadratic(self) -> Quadratic:

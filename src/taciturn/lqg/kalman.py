@@ -305,7 +305,7 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
         else:
             states, source = slice(n), exact.source
             before = _dual(source.given.A[states, states], C, source.W[states, states], V)
-            found = _filter(given, recipe, before, Limit(True), True)
+            found = _filter(given, recipe, before, Limit(True, 1.0, source.period), True)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
@@ -338,10 +338,11 @@ def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
 def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, sampled: bool = False) -> Filter:
     """Return the filter by duality with the regulator of (A', C', W, V), given also as it was before sampling."""
     A, C, V = given.A.T, given.B.T, given.R
+    problem = Problem(given, recipe, sampled=sampled, dual=True, before=(before, limit) if limit.continuous else None)
     try:
-        found = Problem(given, recipe, sampled=sampled, dual=True).solve()
+        found = problem.solve()
     except UnprovedError as error:
-        _refuse(before.among(worth_of(given, rounded=sampled).states), limit)
+        _refuse(before.among(problem.worth.states), limit)
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
             f"on the unit circle, or the proof needs more than 1,024 bits ({error}); give V a small positive part"

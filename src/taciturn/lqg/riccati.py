@@ -319,10 +319,9 @@ def _regulated(
         factor = arithmetic.root(discount, len(given.A))
         return Equation(factor @ A, factor @ B, Q, R, N)
 
-    problem = Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled)
-    if source is None:
-        return _solved(problem, given, Limit(False, discount))
-    return _solved(problem, source.given, Limit(True, discount, source.period))
+    before = source and (source.given, Limit(True, discount, source.period))
+    problem = Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled, before=before)
+    return _solved(problem, *(before or (given, Limit(False, discount))))
 
 
 def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
@@ -351,7 +350,7 @@ def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
         given: its matrices before sampling and discount, which are known exactly.
         limit: the edge of the modes that decay, or whose growth the discount outweighs.
     """
-    seen = given.among(worth_of(problem.given, problem.continuous, problem.sampled).states)
+    seen = given.among(problem.worth.states)
     _refuse_unmoved(unmoved(seen.A, seen.B, limit), limit)
     _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
 

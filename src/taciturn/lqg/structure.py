@@ -15,9 +15,10 @@ Source: trentelman2001
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from flint import fmpq_mat
 
 from taciturn._arrays import Array, Bits, is_definite
@@ -47,7 +48,10 @@ class Worth(NamedTuple):
     resting: Bits
 
 
-def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -> Worth:
+Before: TypeAlias = tuple[Quadratic, Limit]  # a problem before sampling and discount, and the edge of its modes
+
+
+def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, before: Before | None = None) -> Worth:
     """Return the states with a nonzero cost-to-go, and the modes of the other states.
 
     A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
@@ -59,6 +63,7 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -
         continuous: whether time is continuous.
         rounded: whether the doubles of the matrices are rounded, such as those of a sampled plant: the modes of several
             states then count as marginal up to this rounding. Otherwise their modes are exact.
+        before: the problem before it was sampled, whose modes are known exactly and decide.
     """
     nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
@@ -72,7 +77,8 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -
     for cycle in in_cycles(moved):
         if needed[cycle].any():
             continue
-        modes = _modes_of(given.A[np.ix_(cycle, cycle)], continuous, rounded)
+        place = np.ix_(cycle, cycle)
+        modes = _modes_of(given.A[place], continuous, rounded) if before is None else _sampled(*before, place)
         cycles.append((cycle, modes))
         if modes.growing.size or (modes.staying.size and reached[cycle].any()):
             needed = closure(needed | cycle, moved.T)
@@ -94,6 +100,13 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
     growing, decaying = outside > scatter, outside < -margin
     return Lost(modes[growing], modes[~growing & ~decaying], modes[decaying])
+
+
+def _sampled(given: Quadratic, limit: Limit, place: tuple[npt.NDArray[np.intp], ...]) -> Lost:
+    """Return the modes of some states from step to step, on the sides of the limit that they have before sampling."""
+    A = given.A[place]
+    found, root = unmoved(A, np.zeros((len(A), 0)), limit, rounded=True), np.sqrt(limit.discount)
+    return Lost(*(root * np.exp(modes * limit.period) for modes in found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
