@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from flint import fmpq_mat
 
 from taciturn._arrays import Array, Bits, is_definite
@@ -77,8 +76,8 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, b
     for cycle in in_cycles(moved):
         if needed[cycle].any():
             continue
-        place = np.ix_(cycle, cycle)
-        modes = _modes_of(given.A[place], continuous, rounded) if before is None else _sampled(*before, place)
+        A = given.A[np.ix_(cycle, cycle)]
+        modes = _modes_of(A, continuous, rounded) if before is None else _sampled(*before, cycle)
         cycles.append((cycle, modes))
         if modes.growing.size or (modes.staying.size and reached[cycle].any()):
             needed = closure(needed | cycle, moved.T)
@@ -102,9 +101,9 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     return Lost(modes[growing], modes[~growing & ~decaying], modes[decaying])
 
 
-def _sampled(given: Quadratic, limit: Limit, place: tuple[npt.NDArray[np.intp], ...]) -> Lost:
+def _sampled(given: Quadratic, limit: Limit, cycle: Bits) -> Lost:
     """Return the modes of some states from step to step, on the sides of the limit that they have before sampling."""
-    A = given.A[place]
+    A = given.A[np.ix_(cycle, cycle)]
     found, root = unmoved(A, np.zeros((len(A), 0)), limit, rounded=True), np.sqrt(limit.discount)
     return Lost(*(root * np.exp(modes * limit.period) for modes in found))
 
