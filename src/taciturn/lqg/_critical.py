@@ -186,7 +186,7 @@ class Lasting:
         if self._doubts(channel):
             return True
         found = self.reached(channel, "actuator")
-        return found is not None and self._lost(channel, "actuator", found) < channel.actuator_loss
+        return found is not None and self._lost(channel, "actuator", found) <= channel.actuator_loss
 
     def _survived(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the largest loss of a link that is proved to be survived."""

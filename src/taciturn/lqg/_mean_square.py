@@ -25,6 +25,8 @@ from taciturn._growth import growth
 from taciturn._modes import summed
 from taciturn.lqg.enclosures import E, UnprovedError, block
 
+SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
+
 
 @dataclass(frozen=True, repr=False)
 class Channel(Displayed):
@@ -210,7 +212,8 @@ class LossyStep(NamedTuple, Generic[E]):
         off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
         unit, cost = [1 / np.sqrt(size) for size in sizes], np.sqrt(np.maximum(np.diag(price.middle), NO_VARIANCE))
         parts = [float((form.most * u * u[:, None]).sum(axis=1).max()) for form, u in zip(missed, unit, strict=True)]
-        slack = 4 * max(*parts, float(((off.most * unit[0] / cost[:, None]) ** 2).sum()), 1e-200)
+        least = max(float(np.linalg.eigvalsh(price.middle / cost / cost[:, None]).min(initial=1.0)), SINGULAR)
+        slack = 4 * max(*parts, float(((off.most * unit[0] / cost[:, None]) ** 2).sum()) / least, 1e-200)
         off, price = (self.arriving(one - more.times(slack)) for one, more in ((off, turned), (price, pushed)))
         lower = falls[0].times(slack) + missed[0]
         if self.channel.actuator_loss < 1:
