@@ -23,6 +23,19 @@ from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, Unprove
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
+__all__ = [
+    "Channel",
+    "LossyRegulator",
+    "critical_losses",
+    "loss_sentence",
+    "lossy_step",
+    "mean_square_rate",
+    "no_gain_survives",
+    "regulate_lossy",
+    "regulate_lossy_finite",
+    "slowest_growth",
+]
+
 TURNS = 100
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
