@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 from flint import fmpq_mat
 
-from taciturn import ContinuousPlant, Cost, Plant, ProblemError, UnstableError, design
+from taciturn import ContinuousPlant, Cost, Plant, ProblemError, UnstableError, close, design
 from taciturn._exact_modes import Limit, Lost, modes_of, unmoved, unmoved_and_seen
 from taciturn._rational import above, rational, reaches_all
+from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.riccati import regulate, regulate_discounted
+from taciturn.lqg.riccati import regulate
 from taciturn.lqg.structure import unpaid
+from taciturn.simulation.reliability import comes_never_to_rest
 
 CIRCLE, AXIS = Limit(False), Limit(True)
 TINY = 2.0**-50  # of 1, far below the scatter of computed eigenvalues
@@ -143,7 +145,7 @@ def test_the_message_says_whether_a_marginal_mode_affects_the_cost(seen: bool, d
         Q[:2, :2] = np.outer(inverse[1], inverse[1])
     B, R, N = np.array([[0.0], [0.0], [1.0]]), np.eye(1), np.zeros((3, 1))
     with pytest.raises(UnstableError, match="and affects the cost" if seen else "does not affect the cost, but it is"):
-        regulate_discounted(A, B, Q, R, N, discount)
+        regulate(A, B, Q, R, N, discount)
     if discount == 1:
         said = "noise W reaches it; expected" if seen else "noise W does not reach it, but it is a combination"
         with pytest.raises(UnstableError, match=said):
@@ -180,7 +182,7 @@ def test_a_mode_is_named_with_the_digits_that_tell_it_from_the_limit():
         assert limit.named(mode) == text
     assert str(Limit(False, 0.81)).endswith("= 1.11111")
     with pytest.raises(UnstableError, match=r"eigenvalue 1\.1111111\d, .* 1/√discount = 1\.11111111 must be"):
-        regulate_discounted(np.diag([inner + 1e-8, 2.0]), [[0], [1]], np.eye(2), np.eye(1), np.zeros((2, 1)), 0.81)
+        regulate(np.diag([inner + 1e-8, 2.0]), [[0], [1]], np.eye(2), np.eye(1), np.zeros((2, 1)), 0.81)
     with pytest.raises(ProblemError, match=r"the mode at 1\.0000002, which grows"):
         Plant(np.diag([1 + 2e-7, 0.5]), [[0.0], [1.0]], np.eye(2))
     assert "unstable: 1.000002, 0.5" in str(Plant(np.diag([1 + 2e-6, 0.5]), [[1.0], [1.0]], np.eye(2)))
@@ -219,3 +221,47 @@ def test_an_input_reaches_all_states_if_its_powers_have_full_rank(seed):
         answers.add(reaches_all(A, B))
         assert reaches_all(A, B) == (above(*(column.transpose() for column in columns)).rank() == n)
     assert answers == {True, False}
+
+
+@pytest.mark.parametrize("states", [3, 4, 5])
+def test_sampling_a_chain_of_integrators_does_not_let_it_grow(states: int):
+    """In whole-number coordinates, beside a state with an input: e^{Ah} in doubles has modes up to 1.0002."""
+    lower = np.tril(np.ones((states, states)))
+    U, inverse = lower @ lower.T, np.round(np.linalg.inv(lower @ lower.T))
+    A, B, Q = np.zeros((states + 1, states + 1)), np.eye(states + 1)[:, -1:], np.zeros((states + 1, states + 1))
+    A[:-1, :-1], A[-1, -1], Q[-1, -1] = U @ np.diag(np.ones(states - 1), 1) @ inverse, -1.0, 1.0
+    sampled = discretise(ContinuousPlant(A, B, Q), Cost(Q, [[1.0]]), 0.3)
+    assert not unmoved(A, B, AXIS).growing.size
+    assert unmoved(sampled.plant.A, sampled.plant.B, CIRCLE).growing.size
+    one = ContinuousPlant(A[-1:, -1:], B[-1:], Q[-1:, -1:])
+    found, alone = sampled.regulator(), discretise(one, Cost([[1.0]], [[1.0]]), 0.3)
+    assert not found.L[:, :-1].any()
+    assert found.L[0, -1] == pytest.approx(alone.regulator().L[0, 0], rel=1e-12)
+    assert sampled.lasting.tolist() == [True] * states + [False]
+
+
+def test_a_rounded_rotation_stays_and_one_that_grows_is_refused():
+    """Cosine and sine of a user, whose squares add to more than 1; the same times 1 + 1e-9."""
+    c, s = np.cos(0.5), np.sin(0.5)
+    turn, still = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 0.5]]), np.zeros((3, 3))
+    B = np.array([[0.0], [0.0], [1.0]])
+    assert unmoved(turn, B, CIRCLE).growing.size
+    Plant(turn, B, still)
+    with pytest.raises(ProblemError, match=r"no input can move the mode at 0\.877583\+0\.479426i, which grows"):
+        Plant((1 + 1e-9) * turn, B, still)
+
+
+def test_a_block_of_many_states_that_no_input_moves():
+    """Ten states beyond forty that two inputs reach, with random doubles: their modes are those of their block."""
+    draws = np.random.default_rng(3)
+    A, B = draws.normal(size=(50, 50)) / 7, draws.normal(size=(50, 2))
+    A[40:, :40], B[40:] = 0.0, 0.0
+    found, expected = np.concatenate(unmoved(A, B, CIRCLE)), np.linalg.eigvals(A[40:, 40:])
+    assert np.sort_complex(found) == pytest.approx(np.sort_complex(expected))
+
+
+@pytest.mark.parametrize(("A", "rests"), [(1 - 1e-14, True), (1.0, False)])
+def test_a_plant_that_decays_slowly_comes_to_rest(A: float, rests: bool):
+    """A hundred roundings from the circle."""
+    policy = design.excess(Plant([[A]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1)
+    assert comes_never_to_rest(close(policy.model, policy)) is not rests

@@ -36,7 +36,7 @@ MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_figure", "_text"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_modes", "_cycles"), ("_cycles", "_arrays"), ("_subspaces", "_arrays"), ("_rational", "_arrays"),
     ("_growth", "_arrays"), ("_exact_modes", "_arrays"), ("_exact_modes", "_modes"), ("_exact_modes", "_precision"),
-    ("_exact_modes", "_rational"),
+    ("_exact_modes", "_cycles"), ("_exact_modes", "_rational"),
     ("_scipy", "_arrays"),
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),

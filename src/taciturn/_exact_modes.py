@@ -14,6 +14,10 @@ Sampling changes none of these answers. An input moves all modes of a sampled pl
 algebraic numbers, and π is not. So the modes of the plant before it was sampled decide. With a discount α they are
 compared with −ln α/(2h), which no algebraic number is.
 
+The cosines and sines of an oscillator that a user samples are rounded, so its exact modes do not lie on the limit. On
+request, modes that rounding the entries may have moved off the limit count as modes on it: some matrix within the
+rounding has this mode on the limit, by the least singular value. The entry of a single state is what it is.
+
 Source: trentelman2001, kalman1963
 """
 
@@ -24,14 +28,17 @@ from typing import NamedTuple, cast
 import numpy as np
 from flint import acb, arb, fmpq, fmpq_mat, fmpq_poly
 
-from taciturn._arrays import Array
-from taciturn._modes import Modes, mode_text
+from taciturn._arrays import NO_VARIANCE, Array, Bits
+from taciturn._cycles import closure, in_cycles
+from taciturn._modes import ROUNDOFF, Modes, balancing, mode_text
 from taciturn._precision import precision
-from taciturn._rational import basis, beside, kernel, lines, pivots, rational, reaches_all
+from taciturn._rational import basis, beside, kernel, lines, pivots, rational, reachable, reaches_all, within
 
 BITS = 128  # first precision of the roots; it doubles until the limit separates them
 FEWEST, MOST = 6, 17  # digits of a mode in a message
 SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
+ROUNDINGS = 4  # of each entry of a matrix, by which a mode may have left the limit
+NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 class Lost(NamedTuple):
@@ -134,20 +141,30 @@ class Limit(NamedTuple):
         return -conjugate if self.continuous else acb(1) / (conjugate * arb(self.discount))
 
 
-def unmoved(A: Array, B: Array, limit: Limit) -> Lost:
+def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
     """Return the modes of A that the input through B does not move.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         limit: the edge of the modes that count as decaying.
+        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
     """
     if not len(A) or reaches_all(A, B):
         return NONE
-    return _beyond(rational(A), basis(rational(B)), limit)
+    leads = np.asarray(A != 0, dtype=np.bool_)
+    inside = closure((B != 0).any(axis=1), leads)  # the states that inputs affect
+    found, among = [NONE], np.ix_(inside, inside)
+    if not reaches_all(A[among], B[inside]):
+        moved = A[among], B[inside]
+        found.append(_of_block(_beyond(rational(moved[0]), reachable(*moved)), limit, rounded))
+    for cycle in in_cycles(leads):
+        if not inside[cycle].any():
+            found.append(_of_block(rational(A[np.ix_(cycle, cycle)]), limit, rounded and int(cycle.sum()) > 1))
+    return _joined(found)
 
 
-def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit) -> Lost:
+def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: bool = False) -> Lost:
     """Return the modes of A that the input through B does not move and on which combinations of states depend.
 
     They are the modes of A on the states modulo those that the input reaches and those that never show.
@@ -157,34 +174,45 @@ def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit) -> Lost:
         B: (n, m) input matrix.
         rows: the combinations, (any, n).
         limit: the edge of the modes that count as decaying.
+        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
     """
-    F = rational(A)
-    hidden = kernel(_larger(F.transpose(), basis(rational(rows.T))).transpose())
-    return _beyond(F, basis(beside(rational(B), hidden)), limit)
+    F, hidden = rational(A), kernel(reachable(A.T, rows.T).transpose())
+    return _of_block(_beyond(F, within(F, basis(beside(rational(B), hidden)))), limit, rounded)
 
 
-def _larger(F: fmpq_mat, reached: fmpq_mat) -> fmpq_mat:
-    """Return a basis of the least subspace that contains another one, and that F does not leave."""
-    while True:
-        larger = basis(beside(reached, F * reached))
-        if larger.ncols() == reached.ncols():
-            return reached
-        reached = larger
-
-
-def _beyond(F: fmpq_mat, some: fmpq_mat, limit: Limit) -> Lost:
-    """Return the modes of F on the states modulo those to which it moves some states."""
-    reached = _larger(F, some)
+def _beyond(F: fmpq_mat, reached: fmpq_mat) -> fmpq_mat:
+    """Return the dynamics of the states modulo a subspace that F does not leave, given by a basis in reduced form."""
     # a state modulo the reached ones has as coordinates its entries outside the pivots, without their combination
     inside = pivots(reached)
     rest, kept = np.flatnonzero(~inside).tolist(), np.flatnonzero(inside).tolist()
-    if not rest:
-        return NONE
     late = lines(F.transpose(), rest).transpose()
-    quotient = lines(late, rest)
-    if kept:
-        quotient = quotient - lines(reached, rest) * lines(late, kept)
-    return modes_of(quotient, limit)
+    return lines(late, rest) - (lines(reached, rest) * lines(late, kept) if kept else fmpq_mat(len(rest), len(rest)))
+
+
+def _of_block(block: fmpq_mat, limit: Limit, rounded: bool) -> Lost:
+    found = modes_of(block, limit)
+    if not (rounded and (found.growing.size or found.decaying.size)):
+        return found
+    A = np.array([int(one.p) / int(one.q) for one in block.entries()]).reshape(block.nrows(), block.ncols())
+    scale = balancing(A)
+    A = A / scale[:, None] * scale
+    out, into = (_may_stay(A, modes, limit) for modes in (found.growing, found.decaying))
+    staying = [found.staying, found.growing[out], found.decaying[into]]
+    return Lost(found.growing[~out], np.concatenate(staying), found.decaying[~into])
+
+
+def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
+    """Return for each mode whether a matrix within the rounding of A has it on the axis or the unit circle."""
+    nearest = 1j * modes.imag if limit.continuous else modes / np.maximum(np.abs(modes), NO_VARIANCE)
+    within = ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
+    near = np.abs(modes - nearest) <= NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
+    shifted = nearest[near][:, None, None] * np.eye(len(A)) - A
+    near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= within
+    return near
+
+
+def _joined(parts: list[Lost]) -> Lost:
+    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*parts, strict=True)))
 
 
 def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
@@ -194,15 +222,29 @@ def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
 
 def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
     """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
-    on, bits = None if limit.reaching else 0, BITS
+    found = placed(polynomial, limit)
+    return Lost(*(_values(found, side) for side in (1, 0, -1)))
+
+
+class Placed(NamedTuple):
+    """A root of a polynomial, its multiplicity, and its side of a limit: 1 outside, 0 on it, −1 inside."""
+
+    root: acb
+    many: int
+    side: int
+
+
+def placed(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[Placed]:
+    """Return the different roots of a polynomial, in at least the given precision."""
+    on = None if limit.reaching else 0
     while True:
         with precision(bits):
-            found = _roots(polynomial)
-            sides = [limit.side(root) for root, _ in found]
+            found = [Placed(root, many, limit.side(root)) for root, many in _roots(polynomial)]
+            sides = [one.side for one in found]
             if 0 in sides and on is None:
                 on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
             if sides.count(0) == (on or 0):
-                return Lost(*(_values(found, sides, side) for side in (1, 0, -1)))
+                return found
         bits *= 2
 
 
@@ -227,6 +269,10 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
     return count
 
 
-def _values(found: list[tuple[acb, int]], sides: list[int], side: int) -> Modes:
-    chosen = [complex(root) for (root, many), own in zip(found, sides, strict=True) if own == side for _ in range(many)]
-    return np.array(sorted(chosen, key=lambda mode: (-abs(mode), -mode.imag)), dtype=np.complex128)
+def _values(found: list[Placed], side: int) -> Modes:
+    chosen = [complex(one.root) for one in found if one.side == side for _ in range(one.many)]
+    return _sorted(np.array(chosen, dtype=np.complex128))
+
+
+def _sorted(modes: Modes) -> Modes:
+    return modes[np.lexsort((-modes.imag, -np.abs(modes)))]

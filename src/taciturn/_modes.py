@@ -1,33 +1,24 @@
-"""Eigenvalues, uncontrollable and unobservable modes, factors of covariances, and sums along stable maps."""
+"""Eigenvalues, units, factors of covariances, and sums along stable maps."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn import _arrays
-from taciturn._arrays import NO_VARIANCE, Array, ArrayLike
+from taciturn._arrays import NO_VARIANCE, Array
 from taciturn._cycles import largest_cycle
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 COST_ERROR = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
-EDGE = 1e-13  # relative distance to the stability limit within which a computed mode may lie on it
 SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
 FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
-LOOSE = 1e-2  # distance to the stability limit beyond which a computed mode surely decays
-SIMPLE = 1e3  # largest sensitivity of a mode for which the rank at this mode is a valid test
-SPREAD = 100  # allowance for the rounding error of a mode, as a multiple of its first-order estimate
-FAR = 1e-5  # relative least singular value that proves a rank; its square is far above rounding
-SMALL = 40  # largest number of states for which eigenvectors cost less than a staircase
-RANK_TOLERANCE = 1e-11  # relative size below which a coupling counts as rounding
 
 
 def eigenvalues(A: Array) -> Modes:
@@ -77,21 +68,6 @@ def pace(A: Array) -> float:
     return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
 
 
-def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
-    """Return the modes of ``A`` that do not decay, within rounding errors.
-
-    Args:
-        modes: some eigenvalues of A.
-        A: (n, n) dynamics.
-        continuous: whether time is continuous.
-    """
-    if not modes.size:
-        return modes
-    if continuous:
-        return modes[modes.real >= -EDGE * pace(A)]
-    return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
-
-
 def mode_text(mode: complex, digits: int = 6) -> str:
     """Return an eigenvalue as text for a message."""
     if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
@@ -115,142 +91,6 @@ def least_eigenvalue(matrix: Array) -> float:
         return min(float(np.linalg.eigvalsh(matrix)[0]), smallest, 0.0)
     inverse = np.linalg.inv(scaled) / unit / unit[:, None]
     return 1 / float(np.linalg.eigvalsh(_arrays.symmetrised(np.asarray(inverse, dtype=np.float64)))[-1])
-
-
-def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
-    """Return the eigenvalues of A that the input through B cannot influence.
-
-    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0. An orthogonal staircase separates the subspace that B
-    reaches, then the subspace that A reaches from there, and so on; the modes are the eigenvalues of the remaining
-    block. Unlike a rank test at each computed eigenvalue, this is correct for repeated eigenvalues. By duality,
-    ``uncontrollable_modes(A.T, C.T)`` are the unobservable modes of the output y = Cx.
-
-    Args:
-        A: (n, n) dynamics, discrete or continuous.
-        B: (n, m) input matrix.
-
-    Returns:
-        The complex eigenvalues, largest modulus first; empty if (A, B) is controllable. The caller selects the relevant
-        ones: |λ| ≥ 1 in discrete time, Re λ ≥ 0 in continuous time.
-
-    Raises:
-        ProblemError: a matrix has the wrong shape, or is not finite.
-
-    Source: anderson1990optimal
-
-    Example:
-        >>> uncontrollable_modes([[2.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]])
-        array([0.5+0.j])
-    """
-    A = _arrays.square("A", A, "states × states")
-    B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
-    state, inputs = reach(A, B)  # the result does not depend on the units
-    rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
-    lengths = np.sqrt(np.einsum("ij,ij->j", pushed, pushed))
-    pushed = pushed[:, lengths > 0] / lengths[lengths > 0]
-    norm = float(np.linalg.svd(rest, compute_uv=False).max(initial=0.0))
-    size: float | None = None
-    while rest.size and pushed.size:
-        left, values, _ = np.linalg.svd(pushed)
-        rank = int((values > RANK_TOLERANCE * (values[0] if size is None else size)).sum())
-        if rank == 0:
-            break
-        turned = left.T @ rest @ left
-        pushed, rest, size = turned[rank:, :rank], turned[rank:, rank:], norm
-    return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
-
-
-@dataclass(frozen=True, eq=False)
-class Slow:
-    """The modes of a matrix that may not decay, one of each conjugate pair, computed at the first access.
-
-    Args:
-        A: (n, n) dynamics.
-        continuous: whether time is continuous.
-    """
-
-    A: Array
-    continuous: bool
-
-    @cached_property
-    def found(self) -> tuple[Modes, Array]:
-        """Modes that may not decay, (k,), and their first-order sensitivities to changes of the matrix, (k,)."""
-        modes, vectors = (np.asarray(part, dtype=np.complex128) for part in np.linalg.eig(self.A))
-        size = float(np.sqrt(np.sum(self.A * self.A)))
-        may = (modes.real > -LOOSE * size) if self.continuous else (np.abs(modes) > 1 - LOOSE)
-        may = np.flatnonzero(may & (modes.imag >= 0))
-        if not len(may):
-            return modes[may], np.zeros(0)
-        try:
-            with np.errstate(over="ignore"):  # for a defective mode
-                return modes[may], np.linalg.norm(np.linalg.inv(vectors)[may], axis=1)
-        except np.linalg.LinAlgError:
-            return modes[may], np.full(len(may), np.inf)
-
-    def clear(self, A: Array, B: Array) -> bool:
-        """Return whether M = [A − λI, B] is farther from losing rank at all these modes than rounding could explain.
-
-        A Cholesky factorisation of MM' − (distance)²I proves it.
-
-        Args:
-            A: the matrix, or its transpose.
-            B: (n, m) input matrix.
-        """
-        modes, sensitivity = self.found
-        if not len(modes):
-            return True
-        n, size = len(A), float(np.sum(A * A))
-        norms = np.sqrt(size + float(np.sum(B * B)) + n * np.abs(modes) ** 2)  # of M, or an upper bound
-        distance = np.maximum(FAR * norms, SPREAD * n * ROUNDOFF * np.sqrt(size) * sensitivity)
-        if not (distance < norms).all():
-            return False
-        shifted = A @ A.T + B @ B.T - modes[:, None, None] * A.T - modes.conj()[:, None, None] * A
-        shifted[:, range(n), range(n)] += (np.abs(modes) ** 2 - distance**2)[:, None]
-        try:
-            np.linalg.cholesky(shifted)
-        except np.linalg.LinAlgError:
-            return False
-        return True
-
-    def hidden(self, A: Array, B: Array) -> Modes:
-        """Return the modes that do not decay and that the input influences by no more than rounding.
-
-        The test is the rank of [A − λI, B] at well-conditioned λ. The staircase may miss such a mode among many modes
-        that one input hardly reaches.
-
-        Args:
-            A: the matrix, or its transpose.
-            B: (n, m) input matrix.
-        """
-        modes, sensitivity = self.found
-        state, inputs = reach(A, B)
-        rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
-        rounding = SPREAD * len(A) * ROUNDOFF * np.sqrt(np.sum(rest * rest)) * sensitivity
-        rows = (np.hstack([rest - mode * np.eye(len(A)), pushed]) for mode in modes)
-        least = np.array([np.linalg.svd(row, compute_uv=False)[-1] for row in rows])
-        return persistent(modes[(sensitivity < SIMPLE) & (least <= rounding)], A, self.continuous)
-
-
-def lost_modes(A: Array, B: Array, continuous: bool, slow: Slow | None = None) -> Modes:
-    """Return the modes that do not decay and that the input through B cannot influence, the largest modulus first.
-
-    There are none if :meth:`Slow.clear` proves it. Otherwise they are the modes that ``uncontrollable_modes`` finds or,
-    if it finds none, those of :meth:`Slow.hidden`. The cheaper test comes first.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        continuous: whether time is continuous.
-        slow: the modes of A, or of A', that may not decay; default: they are computed here, and all are tested.
-    """
-    thorough, slow = slow is None, slow or Slow(A, continuous)
-    none, small = np.zeros(0, dtype=np.complex128), len(A) <= SMALL
-    if small and slow.clear(A, B):
-        return none
-    lost = persistent(uncontrollable_modes(A, B), A, continuous)
-    if not lost.size:
-        return slow.hidden(A, B) if small or thorough else none
-    return none if not small and slow.clear(A, B) else lost
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:

@@ -43,6 +43,46 @@ def _reached(A: Array, B: Array) -> int:
     return 0
 
 
+def reachable(A: Array, B: Array) -> fmpq_mat:
+    """Return a basis of the states that the input through B reaches, the span of B, AB, A²B, …, in reduced form."""
+    F, (n, m) = rational(A), B.shape
+    chosen, block, columns = _independent(A, B), rational(B.T), fmpq_mat(0, n)
+    for k in range(n):  # the columns that are independent modulo a prime, as rows; those of A^k come from those before
+        own = [place - k * m for place in chosen if k * m <= place < (k + 1) * m]
+        if not own:
+            break
+        columns = above(columns, lines(block, own))
+        block = block * F.transpose()
+    return within(F, basis(columns.transpose()))  # already invariant, unless the prime divides minors
+
+
+def within(F: fmpq_mat, some: fmpq_mat) -> fmpq_mat:
+    """Return a basis of the least subspace with given states that F does not leave; both in reduced form."""
+    while True:
+        moved = F * some
+        if moved == some * lines(moved, np.flatnonzero(pivots(some)).tolist()):
+            return some
+        some = basis(beside(some, moved))
+
+
+def _independent(A: Array, B: Array) -> list[int]:
+    """Return places of columns of B, AB, A²B, … that are independent of those before, modulo a prime; so they are."""
+    n, m = B.shape
+    moves, block = _modular(A), _modular(B)
+    table = list[list[int]]()
+    for _ in range(n if m else 0):
+        table += [[int(block[i, j]) for i in range(n)] for j in range(m)]
+        block = moves * block
+    if not table:
+        return []
+    reduced, rank = nmod_mat(n, len(table), [row[i] for i in range(n) for row in table], PRIME).rref()
+    places = list[int]()
+    for i in range(rank):
+        start = places[-1] + 1 if places else 0
+        places.append(next(j for j in range(start, len(table)) if int(reduced[i, j])))
+    return places
+
+
 def _modular(values: Array) -> nmod_mat:
     parts, exponents = np.frexp(np.abs(values))
     turns = ((exponents - 53) % 61).astype(np.uint64)  # 2^61 is 1: a power of two turns the 61 digits

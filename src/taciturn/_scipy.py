@@ -67,12 +67,12 @@ def matrix_exponential(A: Array) -> Array:
     return np.asarray(scipy.linalg.expm(A), dtype=np.float64)
 
 
-def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
-    """Return (A_u, V) with V A = A_u V, where V x are orthonormal coordinates of the modes of modulus ≥ ``edge``."""
+def part_of_modes(A: Array, chosen: Callable[[complex], bool]) -> Array:
+    """Return V with V A = A_u V, where V x are orthonormal coordinates of the chosen modes."""
     import scipy.linalg
 
-    upper, basis, count = scipy.linalg.schur(A.T, sort=lambda real, imag: np.hypot(real, imag) >= edge)
-    return upper[:count, :count].T, basis[:, :count].T
+    _, basis, count = scipy.linalg.schur(A.T, sort=lambda real, imag: chosen(complex(real, imag)))
+    return basis[:, :count].T
 
 
 def crossing(function: Callable[[float], float], low: float, high: float, width: float = 1e-9) -> float:

@@ -188,6 +188,11 @@ def test_modes_that_no_input_moves_are_told(run: Run, write: Write) -> None:
     assert found["poles"] == "unstable: 1.2, 0.5"
     assert found["controllable"] == "except for the mode 0.5, which no input moves"
     assert found["observable"] == "except for the mode 0.5, which no measurement shows"
+    hardly = write(
+        plant="[plant]\nA = [[1.2, 0], [0, 0.5]]\nB = [[1], [1e-13]]\nC = [[1, 1e-13]]\nW = [[1, 0], [0, 1]]\ndt = 1\n",
+        cost=WEIGHTS,
+    )
+    assert rows(run("show", hardly).out)["controllable"] == "yes"  # what hardly moves is moved
 
 
 def test_a_mode_that_an_input_hardly_moves_counts_as_controllable(run: Run, write: Write) -> None:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from taciturn import Cost, Network, Plant, Policy, Reference, UnstableError, design
 from taciturn._modes import radius
 from taciturn._precision import precision
+from taciturn.lqg._critical import Lasting
 from taciturn.lqg.lossy import (
     Channel,
     critical_losses,
@@ -26,7 +27,7 @@ from taciturn.lqg.lossy import (
     regulate_lossy_finite,
     slowest_growth,
 )
-from taciturn.lqg.riccati import regulate
+from taciturn.lqg.riccati import regulate, uncontrollable_modes
 from taciturn.model.policy import Assign
 from taciturn.model.trigger import Scheduled
 
@@ -283,6 +284,13 @@ def test_the_claimed_error_holds_the_least_cost_and_that_of_the_stored_gain(link
                 assert np.linalg.eigvalsh((found.error + sign * off) / scale / scale[:, None])[0] > 0
 
 
+def test_an_exact_cost_of_a_rounded_gain_is_proved_for_inputs_with_similar_effects():
+    """Two inputs that nearly do the same: rounding the gain costs more than the largest entries of the price show."""
+    A, B, one = np.array([[-0.51, 0.36], [0.15, -0.57]]), np.array([[1.0, 1.0], [1.0, 1.0625]]), np.eye(2)
+    found = regulate_lossy(A, B, one, one / 128, Channel(0.3, 0.6, acknowledged=True, delayed=False))
+    assert (found.error.diagonal() < 1e-14 * found.K.diagonal()).all()
+
+
 TCP, UDP, LATE = Channel(0.0, 0.0, True, False), Channel(0.0, 0.0, False, False), Channel(0.0, 0.0, True, True)
 
 
@@ -326,6 +334,52 @@ def test_a_stable_plant_survives_every_loss(link, seed):
     """1 and 1, at any loss of the other link."""
     lost = np.random.default_rng(seed).uniform(0, 1, 2)
     assert critical_losses(*system(seed, 4, 0.2, 0.97)[:2], at_losses(link, *lost)) == (1.0, 1.0)
+
+
+@law(2, 10, seed=SEEDS)
+def test_losses_are_proved_on_both_sides_of_the_critical_one(seed):
+    """Of one input with acknowledgements, 1/Π|λ|²; the least growth in another computation agrees without them."""
+    A, B, _, _ = system(seed, 4, 1.05, 1.6)
+    plant, grown = Lasting(A, B[:, :1]), [abs(value) for value in np.linalg.eigvals(A) if abs(value) > 1]
+    assume(not uncontrollable_modes(A, B[:, :1]).size)
+    for link, exact in (("actuator", np.prod(grown) ** -2), ("sensor", max(grown) ** -2)):
+        found = plant.critical(TCP, link)
+        assert found.survived * (1 - 1e-12) <= exact <= found.lost * (1 + 1e-12)
+        assert found.lost - found.survived < 1e-6
+        assert str(found) == f"below {found.survived:.6g}"
+    plant, channel = Lasting(A, B), survivable(A, B, UDP, seed)
+    found = plant.critical(channel, "actuator")
+    assert found.lost - found.survived < 1e-6
+    below, above = (slowest_growth(A, B, channel.at("actuator", loss))[0] for loss in found)
+    assert below - 1e-6 < 1 < above + 1e-6
+    assert not plant.exceeded(channel.at("actuator", found.survived))
+    assert plant.exceeded(channel.at("actuator", found.lost * (1 + 1e-8)))
+
+
+def test_an_axis_that_survives_more_losses_does_not_hide_the_other():
+    """Two axes with an input each: the pair of weights that shows it is zero on one of them."""
+    A, B = np.diag([2.0, 1.5, 1.25]), np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    for link, exact in (("actuator", 1 / (1.5 * 1.25) ** 2), ("sensor", 1 / 4)):
+        found = Lasting(A, B).critical(TCP, link)
+        expected = min(exact, 1 / 4)
+        assert found.survived <= expected <= found.lost < found.survived + 1e-8
+
+
+def test_modes_that_one_input_hardly_tells_apart_survive_more_than_double_precision_showed():
+    """Modes at −1.218 and −1.214: losses of 0.155 were refused, with a critical loss of 0.1507."""
+    A, B = np.diag([-1.218, -1.259, 1.02, -1.214]), np.array([[-0.337], [0.719], [1.812], [0.937]])
+    channel = Channel(0.155, 0.22, acknowledged=False, delayed=False)
+    found = Lasting(A, B).critical(channel, "actuator")
+    assert 0.159 < found.survived < found.lost < 0.1591
+    assert mean_square_rate(A, B, slowest_growth(A, B, channel)[1], channel) < 1
+
+
+def test_what_is_not_proved_is_said():
+    """A chain of five equal growing modes with two inputs, whose weights double precision does not hold."""
+    A, B = 1.02 * np.eye(5) + np.eye(5, k=1), np.random.default_rng(0).normal(size=(5, 2))
+    found = Lasting(A, B).critical(TCP, "actuator")
+    assert 0.7 < found.survived < 1.02**-2 < found.lost
+    assert str(found) == f"up to {found.survived:.6g} and below {found.lost:.6g} (more is not proved)"
 
 
 def diverges(problem: tuple[np.ndarray, ...], channel: Channel) -> bool:

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from taciturn import Cost, Plant, design
 from taciturn._exact_modes import Limit, modes_of
-from taciturn._modes import least_eigenvalue, radius, uncontrollable_modes
+from taciturn._modes import least_eigenvalue, radius
 from taciturn._rational import rational
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _mean_square
+from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lossy import Channel, lossy_step, regulate_lossy
 from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.riccati import regulate, regulate_continuous
+from taciturn.lqg.riccati import regulate, regulate_continuous, uncontrollable_modes
 from taciturn.lqg.sampling import sample
 from taciturn.lqg.stabilising import Problem, exactly
 
@@ -296,20 +296,21 @@ def test_thirty_masses_in_a_row_are_solved_and_lose_packets():
     assert np.trace(lossy.error) < 1e-8 * np.trace(lossy.K)
 
 
-@law(2, 30, seed=seeds, told=st.booleans(), lost=st.floats(0, 0.9), unseen=st.floats(0, 0.9))
-def test_two_lyapunov_equations_grow_and_sum_like_the_stacked_rows(draw, seed, told, lost, unseen):
+@law(2, 30, seed=seeds, told=st.booleans(), late=st.booleans(), lost=st.floats(0, 0.9), unseen=st.floats(0, 0.9))
+def test_two_lyapunov_equations_grow_and_sum_like_the_stacked_rows(draw, seed, told, late, lost, unseen):
     """The mean square of a loop by equations of n rows is that of one linear map of 2n² rows."""
-    c = draw(seed)
-    reach = 0.0 if told else unseen
-    loop = _mean_square.MeanSquare(c.A, c.B, 0.3 * c.rng.normal(size=c.B.T.shape), (lost, unseen), reach)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_mean_square, "FEW", len(c.A))
-        growth, above = loop.growth(), loop.at(1.3 * loop.growth() + 0.1)
-        stacked = above.solve(c.Q, c.W)
-        patch.setattr(_mean_square, "FEW", 0)
-        assert loop.growth() == pytest.approx(growth, rel=1e-7)  # of a double eigenvalue
-        for one, other in zip(above.solve(c.Q, c.W), stacked, strict=True):
-            assert off(one, other) < 1e-9
+    c, channel = draw(seed), Channel(lost, unseen, told, late)
+    A, pushed = c.A, c.B @ (L := 0.3 * c.rng.normal(size=c.B.T.shape))
+    moved, reach = A + (1 - lost) * pushed, 0.0 if told else 1.0 if late else unseen
+    spread, free = lost * (1 - lost) * np.kron(pushed.T, pushed.T), np.kron(A.T, A.T)
+    first = [np.kron(moved.T, moved.T) + (1 - reach) * spread, reach * spread]
+    stacked = np.block([first, [(1 - unseen) * free, unseen * free]])
+    growth = MeanSquare(A, c.B, L, channel).growth()
+    assert growth == pytest.approx(radius(stacked), rel=1e-5)  # of a double eigenvalue
+    level, terms = 1.3 * growth + 0.1, np.concatenate([c.Q.ravel(), c.W.ravel()])
+    expected = np.linalg.solve(level * np.eye(len(stacked)) - stacked, terms).reshape(2, *A.shape)
+    for one, other in zip(MeanSquare(A, c.B, L, channel, level).solve(c.Q, c.W), expected, strict=True):
+        assert off(one, other) < 1e-9
 
 
 def test_the_least_eigenvalue_keeps_its_digits_beside_large_entries():

@@ -13,7 +13,7 @@ from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digi
 from taciturn import Cost, Plant, UnstableError, design
 from taciturn.lqg import queries
 from taciturn.lqg.queries import Predictor, QueryValue, Weights, follow_every_query, schedule_queries
-from taciturn.lqg.riccati import regulate_discounted
+from taciturn.lqg.riccati import regulate
 from taciturn.model.schedule import Schedule
 
 
@@ -283,7 +283,7 @@ def test_with_a_discount_a_covariance_need_not_converge() -> None:
     assert start == len(covariance) - 1 < 2000
     assert covariance[:, 0, 0] == pytest.approx(1 / (1 + np.arange(len(covariance))), rel=1e-9)
     policy = design.remote_lqg(constant, Cost([[1.0]], [[1.0]], discount=0.9), theta=0.1, controller="sensor")
-    found = regulate_discounted([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.9)
+    found = regulate([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.9)
     k = np.arange(1000)
     sums = float(found.K[0, 0] + np.sum(0.9**k / (k + 1)) * (found.L[0, 0] ** 2 * found.H[0, 0]))
     assert policy.cost_all_time == pytest.approx(sums, rel=1e-12)

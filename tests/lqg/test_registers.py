@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from systems import System, make_system
 
 from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
-from taciturn._modes import lost_modes, radius
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import radius
 from taciturn.analyse.switched import switched
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import steady_filter
@@ -163,8 +164,8 @@ def test_units_of_registers_decide_no_mode(draw, seed, inputs, outputs):
     rng = draw(seed).rng
     x, u, y = (np.exp2(rng.integers(-26, 27, size)) for size in (len(A), B.shape[1], len(C)))
     scaled = A / x[:, None] * x
-    assert not lost_modes(scaled, B / x[:, None] * u, False).size
-    assert not lost_modes(scaled.T, (C / y[:, None] * x).T, False).size
+    assert not unmoved(scaled, B / x[:, None] * u, Limit(False)).lasting.size
+    assert not unmoved(scaled.T, (C / y[:, None] * x).T, Limit(False)).lasting.size
 
 
 @law(3, 200, seed=seeds, inputs=st.integers(0, 15), outputs=st.integers(0, 15))

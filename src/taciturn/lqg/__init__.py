@@ -18,7 +18,8 @@ Read the modules in this order:
 2. ``sampling``, ``intervals`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between
    samples, to the precision that a proof asks for; ``feedthrough``: inputs that the outputs show one step later.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
-4. ``lossy`` and ``_mean_square``: control over links that drop packets, and the critical loss probabilities.
+4. ``lossy``, ``_mean_square`` and ``_critical``: control over links that drop packets, and the critical loss
+   probabilities.
 5. ``queries``: the filter from step to step, the value of a measurement, and the resulting schedule of measurements;
    ``variances``: schedules of several sensors by the variances of the predicted outputs.
 """

@@ -20,12 +20,12 @@ from math import sqrt
 import numpy as np
 
 from taciturn._arrays import Array, Bits
+from taciturn._cycles import closure, paths
 from taciturn._display import Displayed
 from taciturn._modes import SCATTER, eigenvalues, reach
 from taciturn.errors import ProblemError
 from taciturn.lqg.intervals import Exact
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.structure import closure, paths
 
 FORGETS = 24  # 2^24 steps after which noise without a remaining effect is forgotten
 ROUNDS = 1e-12  # entry of X or U, relative to the largest, that counts as zero

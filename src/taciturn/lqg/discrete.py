@@ -11,7 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, Bits, frozen, instance, number, semidefinite
+from taciturn._cycles import closure
 from taciturn._display import Displayed
+from taciturn._exact_modes import Limit
 from taciturn._modes import eigenvalues, pace, radius
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._followed import Followed, followed
@@ -21,13 +23,13 @@ from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import sample, sample_prediction
-from taciturn.lqg.structure import closure, worth_of
+from taciturn.lqg.structure import worth_of
 from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.display import FED
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
+from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction, derived_plant
 from taciturn.model.saturation import limit_entries
 
 INSTANTS = (
@@ -158,7 +160,11 @@ class Discrete(Displayed):
 
         These are states that do not affect the cost, and disturbances and set-points that an input can follow.
         """
-        return worth_of(self.quadratic, rounded=self.sampled).resting if self.followed is None else self.followed.states
+        if self.followed is not None:
+            return self.followed.states
+        source = self.exact and self.exact.source
+        before = source and (source.given, Limit(True, 1.0, source.period))
+        return worth_of(self.quadratic, rounded=self.sampled, before=before).resting
 
     @property
     def quadratic(self) -> Quadratic:
@@ -178,7 +184,7 @@ class Discrete(Displayed):
     def among(self, states: Bits) -> Discrete:
         """Return the problem restricted to some of the states, which the others do not affect."""
         p, place = self.plant, np.ix_(states, states)
-        plant = Plant(
+        plant = derived_plant(
             p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
             p.input_limit, input_rate=p.input_rate,
         )  # fmt: skip
@@ -296,7 +302,7 @@ def discretise(
         )
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     rate = None if plant.input_rate is None else period * plant.input_rate
-    discrete = Plant(
+    discrete = derived_plant(
         sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit, input_rate=rate
     )
     point = plant.operating_point

@@ -113,8 +113,8 @@ class Balls:
         """Return the product."""
         return type(self)(self._balls * other._balls)
 
-    def times(self, factor: float) -> Self:
-        """Return the product with an exact number."""
+    def times(self, factor: float | arb) -> Self:
+        """Return the product with an exact number, or with a ball."""
         return type(self)(self._balls * arb(factor))
 
     def over(self, count: int) -> Self:

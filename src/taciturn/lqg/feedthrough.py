@@ -27,7 +27,7 @@ from taciturn.lqg.quadratic import placed
 from taciturn.model.coordinates import counted_from
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, Plant, derived_plant
 
 if TYPE_CHECKING:
     from taciturn.lqg.discrete import Discrete
@@ -76,7 +76,7 @@ def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
     push: Array = np.eye(plant.inputs)[fed]
     kept, new = placed(plant.states, n, len(fed))
     A, W, covariance = (kept @ part @ kept.T for part in (plant.A, plant.W, plant.covariance))
-    found = Plant(
+    found = derived_plant(
         A, kept @ plant.B + new @ push, W, plant.C @ kept.T + shown @ new.T, plant.V, plant.dt, kept @ plant.mean,
         covariance, plant.input_limit, plant.function and RegisteredDynamics.of(plant.function, n, fed),
         input_rate=plant.input_rate,

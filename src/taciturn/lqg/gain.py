@@ -6,10 +6,11 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array
-from taciturn._modes import EDGE, radius, reach
+from taciturn._modes import radius, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import UnstableError
 
+EDGE = 1e-13  # distance to the unit circle within which a computed mode may lie on it
 FREQUENCIES = 200  # tried between 0 and π
 AROUND = np.concatenate([-np.logspace(-4, 2, 100), np.zeros(1), np.logspace(-4, 2, 100)])  # each mode, in its widths
 EXCESSES = np.logspace(-8, 1, 19)  # relative amounts above the largest gain found that are tried

@@ -9,6 +9,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
+from taciturn._cycles import closure
 from taciturn._display import Displayed
 from taciturn._exact_modes import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn._modes import mode_text, radius, root
@@ -21,7 +22,7 @@ from taciturn.lqg.intervals import Exact
 from taciturn.lqg.lyapunov import ranked
 from taciturn.lqg.quadratic import Quadratic, price
 from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import closure, unpaid, worth_of
+from taciturn.lqg.structure import unpaid, worth_of
 from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding
@@ -218,9 +219,12 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
 
     with np.errstate(over="ignore", invalid="ignore"):
         source, own = exact and exact.source, slice(n)
-        before = given if source is None else _dual(source.given.A[own, own], C, source.W[own, own], V)
+        before, limit = given, Limit(False)
+        if source is not None:
+            before = _dual(source.given.A[own, own], C, source.W[own, own], V)
+            limit = Limit(True, 1.0, source.period)
         problem = exactly(given) if exact is None else (given, recipe)
-        found = _filter(*problem, before, Limit(source is not None), exact is not None)
+        found = _filter(*problem, before, limit, exact is not None)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
@@ -253,10 +257,11 @@ def _dual(A: Array, C: Array, W: Array, V: Array) -> Quadratic:
 def _filter(given: Quadratic, recipe: Recipe, before: Quadratic, limit: Limit, sampled: bool) -> Filter:
     """Return the filter by duality with the regulator of (A', C', W, V), given also as it was before sampling."""
     A, C, V = given.A.T, given.B.T, given.R
+    problem = Problem(given, recipe, sampled=sampled, dual=True, before=(before, limit) if limit.continuous else None)
     try:
-        found = Problem(given, recipe, sampled=sampled, dual=True).solve()
+        found = problem.solve()
     except UnprovedError as error:
-        _refuse(before.among(worth_of(given, rounded=sampled).states), limit)
+        _refuse(before.among(problem.worth.states), limit)
         if is_definite(before.R):
             raise UnstableError(
                 f"the stable steady filter could not be proved with 1,024 bits: {error}; expected modes that decay "

@@ -5,64 +5,45 @@ The actuator applies zero if no packet arrives. A packet of the sensor link cont
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple
 
 import numpy as np
 
-from taciturn import _scipy
 from taciturn._arrays import NO_VARIANCE, Array, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
-from taciturn._modes import SCATTER, balancing, eigenvalues, mode_text, radius
+from taciturn._modes import mode_text, radius
 from taciturn._precision import precision
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
-from taciturn.lqg._mean_square import MeanSquare
+from taciturn.lqg._critical import Lasting, Link
+from taciturn.lqg._mean_square import Channel, LossyStep, MeanSquare
 from taciturn.lqg._repetition import Repetition, fill_earlier
-from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
-from taciturn.lqg.lyapunov import relative, sizes
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, solve
+from taciturn.lqg.lyapunov import sizes
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
 from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
 
+__all__ = [
+    "Channel",
+    "LossyRegulator",
+    "critical_losses",
+    "loss_sentence",
+    "lossy_step",
+    "mean_square_rate",
+    "no_gain_survives",
+    "regulate_lossy",
+    "regulate_lossy_finite",
+    "slowest_growth",
+]
+
 TURNS = 100
-CIRCLE = Limit(False)  # the edge of the modes that decay
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
 NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
 CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
 CORRECTIONS = 5  # steps of Newton's method
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
-STRICT = 1e-9  # least distance to 1 of a growth that counts as stable
-NILPOTENT = 1e-6  # a growth below this counts as none
-
-
-@dataclass(frozen=True, repr=False)
-class Channel(Displayed):
-    """Properties of the lossy links that determine the optimal gains.
-
-    Args:
-        actuator_loss: α, loss probability of the actuator link, in [0, 1].
-        sensor_loss: β, loss probability of the sensor link, in [0, 1].
-        acknowledged: whether the actuator acknowledges packets (TCP-like) or not (UDP-like).
-        delayed: whether the controller uses the measurement of step k only at step k + 1.
-    """
-
-    actuator_loss: float
-    sensor_loss: float
-    acknowledged: bool
-    delayed: bool
-
-    @property
-    def exposure(self) -> float:
-        """Probability φ that an estimation error affects the next input: the sensor loss, or 1 if there is a delay."""
-        return 1.0 if self.delayed else self.sensor_loss
-
-    @property
-    def coupling(self) -> float:
-        """Factor αφ by which an unacknowledged input adds to the estimation error; 0 with acknowledgements."""
-        return 0.0 if self.acknowledged else self.actuator_loss * self.exposure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,8 +241,14 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None], R * unit * unit[:, None], N
     )
     L = plain.L * state / unit[:, None]
-    if not _loop(here.A, here.B, L, channel).bounded:
-        L = _stabilising(A, B, channel) * state / unit[:, None]
+    if MeanSquare(here.A, here.B, L, channel).weights() is None:
+        plant = Lasting(A, B)
+        gain = plant.gain(channel)
+        if gain is None:
+            raise UnstableError(
+                f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
+            )
+        L = gain * state / unit[:, None]
     K, T = _iterated(here, L, channel)
     reason = UnprovedError()
     for bits in (0, *PRECISIONS) if len(A) > FEW else PRECISIONS:
@@ -288,7 +275,7 @@ def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array
         check_time()
         try:
             K, T = _cost_of(here, L, channel)
-        except np.linalg.LinAlgError:  # so close to the critical losses that the cost of the gain cannot be computed
+        except np.linalg.LinAlgError:  # the mean square grows, or hardly decays
             break
         following = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
         change = float(max(np.abs(following[0] - K).max(), np.abs(following[0] + following[1] - T).max()))
@@ -321,7 +308,7 @@ def _proved(
     for _ in range(CORRECTIONS):
         price = (R + LossyStep(A, B, Q, R, R, channel).felt(own, both)).centre()  # it needs no gain
         L = solve(price, (B.T @ own @ A).centre()).times(-1.0).middle
-        loop, step = _loop(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
+        loop, step = MeanSquare(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
         try:
             missed = step.missed(own, both)
             own, both = (
@@ -351,116 +338,34 @@ def _proved(
     return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
 
 
-class LossyStep(NamedTuple, Generic[E]):
-    """Enclosures of a problem and a gain over lossy links: how one step changes the pairs of weights (K, T)."""
-
-    A: E
-    B: E
-    Q: E
-    R: E
-    L: E
-    channel: Channel
-
-    def linear(self, K: E, T: E) -> tuple[E, E]:
-        """Return the weights before a step without stage costs."""
-        A, L = self.A, self.L
-        moved = L.T @ self.B.T @ K @ A
-        first = A.T @ K @ A + self._arriving(moved + moved.T + L.T @ self.felt(K, T) @ L)
-        second = A.T @ (K + (T - K).times(self.channel.sensor_loss)) @ A
-        return first.symmetric(), second.symmetric()
-
-    def felt(self, K: E, T: E) -> E:
-        """Return the weight B'(K + αφP)B of an input through its effect on state and error."""
-        direct = self.B.T @ K @ self.B
-        if not self.channel.acknowledged:
-            wrong = self.B.T @ (T - K) @ self.B
-            direct = direct + wrong.times(self.channel.actuator_loss).times(self.channel.exposure)
-        return direct.symmetric()
-
-    def _arriving(self, form: E) -> E:
-        """Return the share 1 − α of a form."""
-        return form - form.times(self.channel.actuator_loss)
-
-    def missed(self, K: E, T: E) -> tuple[E, E]:
-        """Return what a step adds to the weights."""
-        first, second = self.linear(K, T)
-        spent = self._arriving(self.L.T @ self.R @ self.L)
-        return (first + self.Q + spent - K).symmetric(), (second + self.Q - T).symmetric()
-
-    def proved(self, K: E, T: E, X: E, Z: E, scale: Sequence[Array]) -> float:
-        """Return ε with the best weights, and those of the gain, between (K, T) ± ε(X, Z).
-
-        Args:
-            K, T: the weights.
-            X, Z: a pair that a step without costs reduces.
-            scale: the sizes of K and T.
-
-        Raises:
-            UnprovedError: the proof fails.
-        """
-        after, missed = self.linear(X, Z), self.missed(K, T)
-        falls = (X - after[0]).symmetric(), (Z - after[1]).symmetric()
-        if not all(form.definite() for form in (X, Z, *falls)):
-            raise UnprovedError("the mean square is not proved to be bounded")
-        price, pushed = self.R + self.felt(K, T), self.felt(X, Z)
-        off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
-        cost = np.maximum(np.diag(price.middle), NO_VARIANCE)[:, None]
-        parts = [relative(form, size) for form, size in zip(missed, scale, strict=True)]
-        slack = 4 * max(*parts, float((off.most**2 / scale[0] / cost).sum()))
-        off, price = (self._arriving(one - more.times(slack)) for one, more in ((off, turned), (price, pushed)))
-        lower = falls[0].times(slack) + missed[0]
-        if self.channel.actuator_loss < 1:
-            lower = block([[lower, off.T], [off, price.symmetric()]])
-        above = ((falls[i].times(slack) - missed[i]).definite() for i in (0, 1))
-        if not (lower.definite() and (falls[1].times(slack) + missed[1]).definite() and all(above)):
-            raise UnprovedError("the error of the cost-to-go is not proved")
-        return slack
-
-
-def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
-    """Return a gain under which the mean square is bounded.
-
-    Raises:
-        UnstableError: the losses exceed those that mean-square stability allows.
-    """
-    rate, L = slowest_growth(A, B, channel)
-    if rate >= 1 - STRICT:
-        raise UnstableError(
-            f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
-        )
-    return L
-
-
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
     """Return the critical loss probability of each link at the given loss probability of the other link.
 
-    The actuator link is first.
+    The actuator link is first. At or above either value, no linear control keeps the mean square of an unstable plant
+    bounded. A value is 1 if losses on the link cannot make the plant unstable, and 0 if the losses on the other link
+    alone are too large.
 
-    At or above either value, no linear control keeps the mean square of an unstable plant bounded. A value is 1 if
-    losses on the link cannot make the plant unstable, and 0 if the losses on the other link alone are too large.
+    The values are proved from below: some linear control survives losses below them. That none survives losses above
+    them is proved too, at a distance that is mostly 1e-9 of the value.
+
+    Raises:
+        UnstableError: a mode on or outside the unit circle is uncontrollable.
 
     Source: schenato2007
     """
-
-    def excess(actuator: float, sensor: float) -> float:
-        tried = Channel(actuator, sensor, channel.acknowledged, channel.delayed)
-        return slowest_growth(A, B, tried)[0] - 1.0
-
-    return (
-        _crossing(lambda loss: excess(loss, channel.sensor_loss)),
-        _crossing(lambda loss: excess(channel.actuator_loss, loss)),
-    )
+    plant = Lasting(A, B)
+    return plant.critical(channel, "actuator").survived, plant.critical(channel, "sensor").survived
 
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
     """Return a sentence that states the loss probabilities and their limits for mean-square stability."""
-    many = int((np.abs(eigenvalues(A)) >= 1 - SCATTER).sum()) > MOST_MODES
-    actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
+    plant = Lasting(A, B)
+    many = plant.count > MOST_MODES
     limits: list[str] = []
-    if channel.actuator_loss > 0 and actuator > 0:
-        limits.append(f"actuator losses below {actuator:.6g} at this sensor loss")
-    if channel.sensor_loss > 0 and sensor > 0:
-        limits.append(f"sensor losses below {sensor:.6g} at this actuator loss")
+    losses: dict[Link, float] = {"actuator": channel.actuator_loss, "sensor": channel.sensor_loss}
+    for (link, loss), other in zip(losses.items(), reversed(losses), strict=True):
+        if loss and not many and (found := plant.critical(channel, link)).survived > 0:
+            limits.append(f"{link} losses {found} at this {other} loss")
     allowed = " or ".join(limits) or "smaller losses on both links"
     return (
         f"network.actuator_loss is {channel.actuator_loss:g} and network.sensor_loss is {channel.sensor_loss:g}, and "
@@ -468,13 +373,23 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
     )
 
 
+def no_gain_survives(A: Array, B: Array, channel: Channel) -> bool:
+    """Return whether no linear gain keeps the mean square of a growing plant bounded, as is proved.
+
+    Only modes that inputs move, and at most twelve that do not decay, are examined.
+    """
+    if radius(A) <= 1 or unmoved(A, B, Limit(False)).lasting.size:
+        return False
+    plant = Lasting(A, B)
+    return plant.grows and plant.count <= MOST_MODES and plant.exceeded(channel)
+
+
 def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     """Return the least mean-square growth per step over all linear gains, and a gain with this growth.
 
     Only modes on or outside the unit circle matter. For these, the growth under a gain is the spectral radius of a
-    positive linear map on pairs of weights. Policy iteration minimises it: the cost of the gain with stage costs
-    discounted by slightly more than its growth, then the best gain for this cost, whose growth is below the discount.
-    The difference between discount and growth is reduced in each iteration.
+    positive linear map on pairs of weights. The growth is lowered until no gain with this growth is found, in double
+    precision.
 
     Args:
         A: (n, n) dynamics.
@@ -489,32 +404,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
 
     Source: schenato2007
     """
-    n, m = B.shape
-    scale = balancing(A)  # the result must not depend on the units of the states
-    A, B = A / scale[:, None] * scale, B / scale[:, None]
-    lost = unmoved(A, B, CIRCLE).lasting
-    if lost.size:
-        raise UnstableError(f"A has the eigenvalue {CIRCLE.named(complex(lost[0]))}, which is uncontrollable through B")
-    A_u, V = _scipy.unstable_part(A, 1 - SCATTER)
-    B_u, count = V @ B, len(V)
-    if count == 0:
-        return 0.0, np.zeros((m, n))
-    L = _free_gain(A_u, B_u, np.eye(count), np.eye(count), channel)
-    free = Quadratic(A_u, B_u, np.eye(count), np.zeros((m, m)), np.zeros((count, m)))
-    rate, slack = mean_square_rate(A_u, B_u, L, channel), 1.0
-    while rate > NILPOTENT and slack > STRICT:
-        check_time()
-        try:
-            K, T = _cost_of(free, L, channel, rate * (1 + slack))
-        except np.linalg.LinAlgError:  # the discount equals the growth up to rounding
-            break
-        trial = _free_gain(A_u, B_u, K, T - K, channel)
-        found = mean_square_rate(A_u, B_u, trial, channel)  # surely below rate·(1 + slack), mostly below rate
-        if found < rate * (1 - slack / 8):
-            rate, L = found, trial
-        else:
-            slack /= 4
-    return rate, L @ V / scale
+    return Lasting(A, B).slowest(channel)
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
@@ -522,25 +412,10 @@ def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
 
     Source: schenato2007
     """
-    return _loop(A, B, L, channel).growth()
+    return MeanSquare(A, B, L, channel).growth()
 
 
-def _free_gain(A: Array, B: Array, K: Array, P: Array, channel: Channel) -> Array:
-    return -price(B, K + channel.coupling * P, np.zeros((B.shape[1],) * 2))[1] @ B.T @ K @ A
-
-
-def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) -> MeanSquare:
-    reach = 0.0 if channel.acknowledged else channel.exposure
-    return MeanSquare(A, B, L, (channel.actuator_loss, channel.sensor_loss), reach, level)
-
-
-def _cost_of(given: Quadratic, L: Array, channel: Channel, level: float = 1.0) -> tuple[Array, Array]:
-    """Return K and T = K + P of a gain with a growth below ``level``: the sum of the stage costs divided by level^k."""
+def _cost_of(given: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
+    """Return K and T = K + P of a gain: the sum of the stage costs."""
     stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
-    return _loop(given.A, given.B, L, channel, level).solve(stage, given.Q)
-
-
-def _crossing(excess: Callable[[float], float]) -> float:
-    if excess(1.0) < 0:
-        return 1.0
-    return 0.0 if excess(0.0) >= 0 else _scipy.crossing(excess, 0.0, 1.0)
+    return MeanSquare(given.A, given.B, L, channel).solve(stage, given.Q)

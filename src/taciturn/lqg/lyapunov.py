@@ -11,13 +11,13 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike
+from taciturn._cycles import closure
 from taciturn._exact_modes import Limit, modes_of
 from taciturn._modes import COST_ERROR, radius, summed
 from taciturn._precision import precision
 from taciturn._rational import rational
 from taciturn.errors import UnstableError
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError
-from taciturn.lqg.structure import closure
 
 TURNS = 100  # doublings
 

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
+from taciturn._cycles import closure
 from taciturn._display import Displayed
 from taciturn._modes import radius, root, summed
 from taciturn._progress import check_time
@@ -20,7 +21,6 @@ from taciturn.lqg._cache import kept
 from taciturn.lqg._repetition import Repetition
 from taciturn.lqg.kalman import CRUMB, resting_states, steady_filter
 from taciturn.lqg.quadratic import price
-from taciturn.lqg.structure import closure
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 

@@ -18,7 +18,9 @@ from dataclasses import replace
 import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, symmetrised
-from taciturn._modes import SCATTER, balancing, eigenvalues, lost_modes, pace, reach
+from taciturn._cycles import paths
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import SCATTER, balancing, eigenvalues, pace, reach
 from taciturn._subspaces import invariant, unit_columns
 from taciturn.errors import ProblemError
 from taciturn.lqg._followed import Followed
@@ -26,13 +28,12 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.intervals import Exact, Source
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.sampling import Sampled, sample
-from taciturn.lqg.structure import paths
 from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.disturbed import DisturbedDynamics
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, Plant, derived_plant
 from taciturn.model.saturation import limit_entries
 from taciturn.model.set_points import Timetable
 
@@ -164,7 +165,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     """
     plant, e = base.plant, exosystem
     n, q, m = plant.states, len(e.S), plant.inputs
-    A = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
+    A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
     W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
     B, noise_cost, instants = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost, False
     exact, own = None, None
@@ -198,7 +199,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
-    _expect_shown(A, seen, n, e)
+    _expect_shown(before, seen, n, e, source.continuous)
     deviation = np.eye(n + q + m)
     deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
     whole = symmetrised(deviation.T @ stage @ deviation)
@@ -212,7 +213,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
         at_rest += np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else 0.0
     function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
-    with_all = Plant(
+    with_all = derived_plant(
         A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
         plant.input_limit, function, input_rate=plant.input_rate,
     )  # fmt: skip
@@ -297,19 +298,21 @@ def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
             raise beyond_limits(plant, needed)
 
 
-def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem) -> None:
+def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem, continuous: bool) -> None:
     """Raise an error if the outputs show all modes of a plant, but not those of its disturbances.
 
     Args:
-        A: dynamics of (x, d).
+        A: dynamics of (x, d), before they were sampled.
         C: outputs of (x, d).
         states: number of states x.
         exosystem: the disturbances, and set-points, which are known.
+        continuous: whether A is continuous in time.
     """
     unknown = np.vstack([exosystem.E, exosystem.G, exosystem.W]).any(axis=0)
     keep = np.concatenate([np.ones(states, dtype=np.bool_), unknown])
-    alone, shown = (A[:states, :states], C[:, :states]), (A[np.ix_(keep, keep)], C[:, keep])
-    if not lost_modes(alone[0].T, alone[1].T, False).size and lost_modes(shown[0].T, shown[1].T, False).size:
+    plant = np.arange(len(A)) < states
+    hidden = (unmoved(A[np.ix_(some, some)].T, C[:, some].T, Limit(continuous), True).lasting for some in (plant, keep))
+    if not next(hidden).size and next(hidden).size:
         raise ProblemError(
             f"the measured outputs ({len(exosystem.G)}) do not show every disturbance ({int(unknown.sum())} states); "
             "expected disturbances with different effects on the outputs, at most one constant for each output: remove "

@@ -10,7 +10,7 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._exact_modes import NONE, Limit, unmoved, unmoved_and_seen
-from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text, uncontrollable_modes
+from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._cache import kept
@@ -195,6 +195,34 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
 
 
+def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
+    """Return the eigenvalues of A that the input through B cannot influence.
+
+    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0, computed in rational numbers: the answer is exact for the
+    given doubles, in any units and for repeated eigenvalues. By duality, ``uncontrollable_modes(A.T, C.T)`` are the
+    unobservable modes of the output y = Cx.
+
+    Args:
+        A: (n, n) dynamics, discrete or continuous.
+        B: (n, m) input matrix.
+
+    Returns:
+        The complex eigenvalues, largest modulus first; empty if (A, B) is controllable. The caller selects the relevant
+        ones: |λ| ≥ 1 in discrete time, Re λ ≥ 0 in continuous time.
+
+    Raises:
+        ProblemError: a matrix has the wrong shape, or is not finite.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> uncontrollable_modes([[2.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]])
+        array([0.5+0.j])
+    """
+    A = _arrays.square("A", A, "states × states")
+    return np.concatenate(unmoved(A, _arrays.array("B", B, (len(A), None), "states × inputs"), Limit(False)))
+
+
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
     """Return, for each state, whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
     return worth_of(Quadratic(A, B, Q, R, N)).states
@@ -260,10 +288,9 @@ def regulate_for(
         factor = arithmetic.root(discount, len(given.A))
         return Equation(factor @ A, factor @ B, Q, R, N)
 
-    problem = Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled)
-    if source is None:
-        return _solved(problem, given, Limit(False, discount))
-    return _solved(problem, source.given, Limit(True, discount, source.period))
+    before = source and (source.given, Limit(True, discount, source.period))
+    problem = Problem(scaled, recipe if discount == 1 else discounted, sampled=sampled, before=before)
+    return _solved(problem, *(before or (given, Limit(False, discount))))
 
 
 def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
@@ -294,7 +321,7 @@ def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
         given: its matrices before sampling and discount, which are known exactly.
         limit: the edge of the modes that decay, or whose growth the discount outweighs.
     """
-    seen = given.among(worth_of(problem.given, problem.continuous, problem.sampled).states)
+    seen = given.among(problem.worth.states)
     _refuse_unmoved(seen, limit)
     _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
 

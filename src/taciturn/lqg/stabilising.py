@@ -50,7 +50,7 @@ from taciturn.errors import UnstableError
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
 from taciturn.lqg.lyapunov import bounded, ranked, relative, sizes
 from taciturn.lqg.quadratic import Quadratic, Span, in_powers_of_two
-from taciturn.lqg.structure import Free, free_inputs, worth_of
+from taciturn.lqg.structure import Before, Free, Worth, free_inputs, worth_of
 
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
@@ -122,6 +122,7 @@ class Problem(Displayed):
         continuous: whether time is continuous; then A and B are derivatives, and the weights those of an integral.
         sampled: whether the recipe has more digits than doubles.
         dual: whether the gain that is stored is H⁻¹B'K, of a filter, and not L.
+        before: the problem before it was sampled, if it is known; its modes are exact.
     """
 
     given: Quadratic
@@ -129,6 +130,7 @@ class Problem(Displayed):
     continuous: bool = False
     sampled: bool = False
     dual: bool = False
+    before: Before | None = None
 
     @cached_property
     def step(self) -> float:
@@ -138,13 +140,18 @@ class Problem(Displayed):
         fastest = max(pace(self.given.A), float(asked.max(initial=0.0)))  # of an integrator, how fast inputs move it
         return float(np.exp2(-np.ceil(np.log2(fastest if fastest > NO_VARIANCE else 1.0))))
 
+    @cached_property
+    def worth(self) -> Worth:
+        """The states with a cost-to-go, for which the equation is solved, and the modes of the others."""
+        return worth_of(self.given, self.continuous, self.sampled, self.before)
+
     def solve(self) -> Solution:
         """Return the stabilising solution.
 
         Raises:
             UnprovedError: no stabilising solution was proved at any precision.
         """
-        worth = worth_of(self.given, self.continuous, self.sampled)
+        worth = self.worth
         if worth.states.all():
             return self._solved()
         found, to = self.among(worth.states)._solved(), np.eye(len(worth.states))[:, worth.states]
@@ -168,7 +175,8 @@ class Problem(Displayed):
                 A.part(states, states), B.part(states, every), Q.part(states, states), R, N.part(states, every)
             )
 
-        return replace(self, given=self.given.among(states), recipe=restricted)
+        before = self.before and (self.before[0].among(states), self.before[1])
+        return replace(self, given=self.given.among(states), recipe=restricted, before=before)
 
     def _solved(self) -> Solution:
         try:

@@ -24,6 +24,7 @@ from typing import Generic, NamedTuple, Protocol, cast
 import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, Bits, block_diagonal, symmetrised
+from taciturn._cycles import closure
 from taciturn._display import Displayed
 from taciturn._modes import summed
 from taciturn._precision import precision
@@ -35,7 +36,6 @@ from taciturn.lqg.kalman import Filter
 from taciturn.lqg.lyapunov import bounded, total
 from taciturn.lqg.riccati import Regulator
 from taciturn.lqg.stabilising import ASKED, FEW
-from taciturn.lqg.structure import closure
 from taciturn.model.controller import Controller
 
 SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds

@@ -15,19 +15,19 @@ Source: trentelman2001
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from flint import fmpq_mat
 
 from taciturn._arrays import Array, Bits, is_definite
+from taciturn._cycles import closure, in_cycles
 from taciturn._display import Displayed
-from taciturn._exact_modes import NONE, Limit, Lost, modes_of
-from taciturn._modes import ROUNDOFF, SCATTER, Modes, eigenvalues, pace, root
+from taciturn._exact_modes import NONE, Limit, Lost, modes_of, unmoved
+from taciturn._modes import SCATTER, Modes, eigenvalues, root
 from taciturn._rational import above, basis, beside, is_semidefinite, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
 
-ROUNDINGS = 4  # of the entries of a matrix per state, by which doubles may be those of a marginal mode
 MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
@@ -47,7 +47,10 @@ class Worth(NamedTuple):
     resting: Bits
 
 
-def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -> Worth:
+Before: TypeAlias = tuple[Quadratic, Limit]  # a problem before sampling and discount, and the edge of its modes
+
+
+def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, before: Before | None = None) -> Worth:
     """Return the states with a nonzero cost-to-go, and the modes of the other states.
 
     A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
@@ -59,6 +62,7 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -
         continuous: whether time is continuous.
         rounded: whether the doubles of the matrices are rounded, such as those of a sampled plant: the modes of several
             states then count as marginal up to this rounding. Otherwise their modes are exact.
+        before: the problem before it was sampled, whose modes are known exactly and decide.
     """
     nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
@@ -67,17 +71,16 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -
     if needed.all():
         return Worth(needed, nothing, nothing, resting)
     reached = closure((given.B != 0).any(axis=1), moved)
-    leads = paths(moved.T)
-    left, decaying, still = ~needed, [nothing], [nothing]
     cycles: list[tuple[Bits, Lost]] = []
-    while left.any():
-        state = int(np.argmax(left))
-        cycle = leads[state] & leads[:, state]
-        left = left & ~cycle
-        modes = _modes_of(given.A[np.ix_(cycle, cycle)], continuous, rounded)
+    decaying, still = [nothing], [nothing]
+    for cycle in in_cycles(moved):
+        if needed[cycle].any():
+            continue
+        A = given.A[np.ix_(cycle, cycle)]
+        modes = _modes_of(A, continuous, rounded) if before is None else _sampled(*before, cycle)
         cycles.append((cycle, modes))
         if modes.growing.size or (modes.staying.size and reached[cycle].any()):
-            needed = needed | leads[:, state]
+            needed = closure(needed | cycle, moved.T)
     for cycle, modes in cycles:
         if not needed[cycle].any():
             decaying.append(modes.decaying)
@@ -89,14 +92,8 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True) -
 
 def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     """Return the modes of states that affect each other, on each side of the stability limit."""
-    if len(A) > 1 and not rounded:
-        found = modes_of(rational(A), Limit(continuous))
-        edge = ROUNDINGS * len(A) * ROUNDOFF * pace(A)  # such as the cosines and sines of an oscillator
-        out, into = (
-            np.abs(modes.real if continuous else np.abs(modes) - 1) <= edge for modes in (found.growing, found.decaying)
-        )
-        staying = np.concatenate([found.staying, found.growing[out], found.decaying[into]])
-        return Lost(found.growing[~out], staying, found.decaying[~into])
+    if not rounded:
+        return unmoved(A, np.zeros((len(A), 0)), Limit(continuous), rounded=True)
     modes = eigenvalues(A)
     outside = modes.real if continuous else np.abs(modes) - 1
     margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
@@ -104,29 +101,11 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     return Lost(modes[growing], modes[~growing & ~decaying], modes[decaying])
 
 
-def closure(found: Bits, leads: Bits) -> Bits:
-    """Return the given states and all states that they affect, directly or through other states.
-
-    Args:
-        found: the states, (n,).
-        leads: entry (i, j) is true if state j affects state i directly, (n, n).
-    """
-    while not found.all():
-        more = found | leads[:, found].any(axis=1)
-        if (more == found).all():
-            break
-        found = more
-    return np.asarray(found, dtype=np.bool_)
-
-
-def paths(leads: Bits) -> Bits:
-    """Return the matrix whose entry (i, j) is true if i = j or a path leads from state i to state j, (n, n)."""
-    found = leads | np.eye(len(leads), dtype=np.bool_)
-    while True:
-        more = found.astype(np.float32) @ found.astype(np.float32) > 0
-        if (more == found).all():
-            return found
-        found = np.asarray(more, dtype=np.bool_)
+def _sampled(given: Quadratic, limit: Limit, cycle: Bits) -> Lost:
+    """Return the modes of some states from step to step, on the sides of the limit that they have before sampling."""
+    A = given.A[np.ix_(cycle, cycle)]
+    found, root = unmoved(A, np.zeros((len(A), 0)), limit, rounded=True), np.sqrt(limit.discount)
+    return Lost(*(root * np.exp(modes * limit.period) for modes in found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

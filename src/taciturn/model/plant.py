@@ -10,7 +10,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
 from taciturn._display import Displayed
 from taciturn._exact_modes import Limit, unmoved
-from taciturn._modes import SCATTER, factor, pace, symmetric_factor
+from taciturn._modes import factor, symmetric_factor
 from taciturn.errors import ProblemError
 from taciturn.model.descriptor import covariance_without, effect_without, explicit
 from taciturn.model.display import DisplayedPlant
@@ -114,10 +114,7 @@ class Plant(DisplayedPlant):
             A, B, moved = explicit(E, A, B, W)
             W, exosystem = cast("ArrayLike", moved), _moved(E, exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
-        locate(self, operating_point, mean is not None)
-        object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
-        object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
-        object.__setattr__(self, "function", None if function is None else _checked(function, self, operating_point))
+        _set_step(self, W, dt, function, operating_point, mean is not None)
         _refuse_lost_modes(self, continuous=False)
 
     @property
@@ -339,6 +336,44 @@ class ContinuousPlant(DisplayedPlant):
         return f"{self.jumps.rate:g} jumps per second, {self.jumps.distribution}, W is rate times covariance"
 
 
+def derived_plant(
+    A: Array,
+    B: Array,
+    W: Array,
+    C: Array | None,
+    V: Array | None,
+    dt: float | None,
+    mean: Array,
+    covariance: Array,
+    input_limit: Array | None,
+    function: Dynamics | None = None,
+    input_rate: Array | None = None,
+) -> Plant:
+    """Return a discrete plant that was computed from a checked one, whose modes decide what inputs and outputs reach.
+
+    Rounding, as in sampling, may let a mode that no input moves grow a little.
+    """
+    found = object.__new__(Plant)
+    _set_linear(found, A, B, C, V, mean, covariance, input_limit, input_rate, None, None)
+    _set_step(found, W, dt, function, None, True)
+    return found
+
+
+def _set_step(
+    plant: Plant,
+    W: ArrayLike,
+    dt: float | None,
+    function: Map | Dynamics | None,
+    point: OperatingPoint | None,
+    starts: bool,
+) -> None:
+    """Check and set the attributes of a discrete plant alone; ``starts``: whether the initial mean is given."""
+    locate(plant, point, starts)
+    object.__setattr__(plant, "W", semidefinite("W", W, plant.states, "(states, states)"))
+    object.__setattr__(plant, "dt", None if dt is None else number("dt", dt, 0.0))
+    object.__setattr__(plant, "function", None if function is None else _checked(function, plant, point))
+
+
 def _set_linear(
     plant: Plant | ContinuousPlant,
     A: ArrayLike,
@@ -428,9 +463,7 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = unmoved(A, B, Limit(continuous)).growing
-        # the doubles of a sampled oscillator may lie outside the unit circle by the rounding of cosines
-        lost = lost[lost.real > SCATTER * pace(A)] if continuous else lost[np.abs(lost) > 1 + SCATTER]
+        lost = unmoved(A, B, Limit(continuous), rounded=True).growing
         if lost.size:
             mode = Limit(continuous).named(complex(lost[0]))
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"

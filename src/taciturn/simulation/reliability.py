@@ -10,7 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn._modes import eigenvalues, lost_modes, persistent, root
+from taciturn._exact_modes import Limit, unmoved
+from taciturn._modes import root
 from taciturn.analyse.drifts import drifting
 from taciturn.analyse.outcomes import outcomes
 from taciturn.errors import UnstableError
@@ -247,12 +248,20 @@ def _fastest(loop: Loop) -> float:
     problem, plant = loop.problem, loop.problem.plant
     if plant.function is not None:
         return 0.0
-    seen = states_with_cost(plant.A, plant.B, problem.Q, problem.R, problem.N)
-    place = np.ix_(seen, seen)
-    A = plant.A[place]
-    modes = np.sort(np.abs(persistent(eigenvalues(A), A, False)))
-    if not modes.size or len(lost_modes(A.T, problem.Q[place], False)):
+    own, source = problem.deviations, problem.exact and problem.exact.source
+    given, W = (problem.quadratic, plant.W) if own is None else (own.problem, own.T @ plant.W @ own.T.T)
+    seen, limit, period = states_with_cost(*given), Limit(False), 1.0
+    if own is None and source:  # the modes before sampling are known exactly
+        given, W, limit, period = source.given, source.W, Limit(True), source.period
+    given, W = given.among(seen), W[np.ix_(seen, seen)]
+    every, unpaid, still = (
+        unmoved(A, B, limit, rounded=True).lasting
+        for A, B in ((given.A, np.zeros((len(W), 0))), (given.A.T, given.Q), (given.A, root(W)))
+    )
+    if not every.size or unpaid.size:
         return 0.0
-    for still in np.abs(lost_modes(A, root(plant.W[place]), False)):
-        modes = np.delete(modes, np.argmin(np.abs(modes - still)))
-    return max(1.0, float(modes[-1])) if modes.size else 0.0
+    for mode in still:
+        every = np.delete(every, np.argmin(np.abs(every - mode)))
+    if not every.size:
+        return 0.0
+    return max(1.0, float(np.exp(every.real * period).max() if limit.continuous else np.abs(every).max()))

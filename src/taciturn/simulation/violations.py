@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from taciturn._arrays import Array, Bits, instance
+from taciturn._cycles import closure
 from taciturn._progress import Progress, Stages, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
-from taciturn.lqg.structure import closure
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits, Violation, Violations
 from taciturn.program.draws import GENERATOR

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn._exact_modes import unmoved
-from taciturn._modes import radius
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE, HELD
@@ -15,14 +13,13 @@ from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.lossy import (
-    CIRCLE,
     Channel,
     LossyRegulator,
     loss_sentence,
     mean_square_rate,
+    no_gain_survives,
     regulate_lossy,
     regulate_lossy_finite,
-    slowest_growth,
 )
 from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
@@ -35,6 +32,7 @@ from taciturn.model.reference import Reference, Tracking
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
+CLOSEST = 1 - 1e-9  # largest growth of the mean square of a stabilising gain
 REFERENCE, FEEDFORWARD, OFF_REFERENCE = "reference", "feedforward", "deviation"
 
 
@@ -115,14 +113,16 @@ def lossy_lqg(
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
         gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
-        settling = 1 / (1 - np.sqrt(mean_square_rate(A, B, gains.L[:, seen], channel)))
+        # the gain is proved to be stabilising, also if the computed rate is 1
+        rate = min(mean_square_rate(A, B, gains.L[:, seen], channel), CLOSEST)
+        settling = 1 / (1 - np.sqrt(rate))
         ticks = 1
     else:
         assert cost.terminal is not None
         gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
         if reference is not None:
             reference.check(plant, cost.horizon)
-        if radius(A) > 1 and not unmoved(A, B, CIRCLE).lasting.size and slowest_growth(A, B, channel)[0] >= 1:
+        if no_gain_survives(A, B, channel):
             notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
