@@ -31,7 +31,7 @@ def _reached(A: Array, B: Array) -> int:
     """
     (n, m), before, most = B.shape, 0, len(B)
     moves, block, columns = _modular(A), _modular(B), list[nmod]()
-    while m:
+    while n and m:
         columns += block.transpose().entries()
         count = len(columns) // n
         if count >= most or count == n * m:

@@ -97,8 +97,9 @@ class Predictor:
         C, V = self._C, self._V
         seen = C @ Sigma
         if self._noisy:
-            turned = np.linalg.solve(seen @ C.T + V, seen)
-            return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
+            with suppress(np.linalg.LinAlgError):  # rounding may make the sum singular next to a tiny V
+                turned = np.linalg.solve(seen @ C.T + V, seen)
+                return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
         prices = [price(C.T, one, V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
         S, inverse = (np.reshape(part, (*Sigma.shape[:-2], *V.shape)) for part in zip(*prices, strict=True))
         return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(V)) - S @ inverse)
