@@ -222,11 +222,11 @@ def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
 
 def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
     """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
-    found = placed(polynomial, limit)
+    found = roots_of(polynomial, limit)
     return Lost(*(_values(found, side) for side in (1, 0, -1)))
 
 
-class Placed(NamedTuple):
+class Root(NamedTuple):
     """A root of a polynomial, its multiplicity, and its side of a limit: 1 outside, 0 on it, −1 inside."""
 
     root: acb
@@ -234,12 +234,12 @@ class Placed(NamedTuple):
     side: int
 
 
-def placed(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[Placed]:
+def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[Root]:
     """Return the different roots of a polynomial, in at least the given precision."""
     on = None if limit.reaching else 0
     while True:
         with precision(bits):
-            found = [Placed(root, many, limit.side(root)) for root, many in _roots(polynomial)]
+            found = [Root(root, many, limit.side(root)) for root, many in _roots(polynomial)]
             sides = [one.side for one in found]
             if 0 in sides and on is None:
                 on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
@@ -269,7 +269,7 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
     return count
 
 
-def _values(found: list[Placed], side: int) -> Modes:
+def _values(found: list[Root], side: int) -> Modes:
     chosen = [complex(one.root) for one in found if one.side == side for _ in range(one.many)]
     return _sorted(np.array(chosen, dtype=np.complex128))
 

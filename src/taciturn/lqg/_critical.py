@@ -27,7 +27,7 @@ from flint import acb, acb_poly
 from taciturn import _scipy
 from taciturn._arrays import Array, Bits
 from taciturn._cycles import closure
-from taciturn._exact_modes import Limit, placed, unmoved
+from taciturn._exact_modes import Limit, roots_of, unmoved
 from taciturn._modes import balancing
 from taciturn._precision import precision
 from taciturn._progress import check_time
@@ -105,7 +105,7 @@ class Lasting:
         self.every, self.inputs = B.shape[1], inputs
         self.A, self.B = A / self.scale[:, None] * self.scale, (B / self.scale[:, None])[:, inputs]
         self._known: dict[tuple[int, ...], Rough] = {}
-        self.roots = placed(rational(self.A).charpoly(), Limit(False))
+        self.roots = roots_of(rational(self.A).charpoly(), Limit(False))
         self.modes = [k for k, one in enumerate(self.roots) if one.side >= 0 and not one.root.imag < 0]
         self.count = sum(one.many for one in self.roots if one.side >= 0)
         self.grows = any(one.side > 0 for one in self.roots)
@@ -270,7 +270,7 @@ class Lasting:
         rough = self.rough(modes)
         for bits in PRECISIONS:
             check_time()
-            others = placed(polynomial, Limit(False), bits)
+            others = roots_of(polynomial, Limit(False), bits)
             with precision(bits), suppress(UnprovedError):
                 A, V, W = (Balls.exact(part) for part in (self.A, rough.V, rough.W))
                 for root, many, _ in others:
