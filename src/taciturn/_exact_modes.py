@@ -37,7 +37,7 @@ from taciturn._rational import basis, beside, kernel, lines, pivots, rational, r
 BITS = 128  # first precision of the roots; it doubles until the limit separates them
 FEWEST, MOST = 6, 17  # digits of a mode in a message
 SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
-ROUNDINGS = 4  # of each entry of a matrix, by which a mode may have left the limit
+ROUNDINGS = 8  # of each entry of a matrix, by which a mode may have left the limit
 NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 

@@ -28,8 +28,7 @@ from taciturn._arrays import (
     square,
 )
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit
-from taciturn._modes import SCATTER, eigenvalues, pace
+from taciturn._exact_modes import Limit, unmoved
 from taciturn.errors import ProblemError
 from taciturn.model.set_points import Changes, SetPoint
 
@@ -103,12 +102,11 @@ class ExternalDisturbance(Displayed):
             ProblemError: a mode of the matrix grows.
         """
         if self.matrix is not None:
-            modes = eigenvalues(self.matrix)
-            growth = float((modes.real if continuous else np.abs(modes) - 1).max())
-            if growth > SCATTER * pace(self.matrix):
-                fastest = complex(modes[int(np.argmax(modes.real if continuous else np.abs(modes)))])
+            limit = Limit(continuous)
+            growing = unmoved(self.matrix, np.zeros((len(self.matrix), 0)), limit, rounded=True).growing
+            if growing.size:
                 raise ProblemError(
-                    f"disturbance.matrix has the mode {Limit(continuous).named(fastest)}, which grows; expected modes "
+                    f"disturbance.matrix has the mode {limit.named(complex(growing[0]))}, which grows; expected modes "
                     "that decay or persist"
                 )
             return self.matrix
