@@ -112,7 +112,7 @@ def test_the_plant_before_it_was_sampled_gives_the_reason():
         design.all_time(ContinuousPlant(both, [[0.0], [0.0], [1.0]], np.eye(3)), Cost(np.eye(3), [[1.0]]), period=0.3)
 
 
-UNTOUCHED = [(1 + 2.0**-26, "refused"), (1.0, 0.5), (1 - 2.0**-26, 1 - 2.0**-26), (1 - 2.0**-48, 1 - 2.0**-48)]
+UNTOUCHED = [(1 + 2.0**-26, "refused"), (1.0, 0.5), (1 - 2.0**-26, 1 - 2.0**-26), (1 - 2.0**-46, 1 - 2.0**-46)]
 
 
 @pytest.mark.parametrize(("mode", "slowest"), UNTOUCHED)
