@@ -15,7 +15,8 @@ SHORTEST = 8  # least width of a wrapped heading
 LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
 SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
 FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
-ROUNDED = 12  # digits of a percentage that are not affected by rounding errors
+ROUNDED = 12  # digits of a number that are not affected by rounding errors
+PROVED = 8  # digits of a percentage that are not affected by the radius of a proved number
 GAP = "  "
 FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
@@ -100,7 +101,7 @@ def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up
         return f"{measured_text(value, spread)} %"
     way = {1: ROUND_CEILING, 0: ROUND_HALF_EVEN, -1: ROUND_FLOOR}[up]
     last = 5 - magnitude(value) if decimals is None or abs(value) >= LARGE else decimals
-    shown = Decimal(f"{value:.{ROUNDED}g}").quantize(Decimal(1).scaleb(-last), way)
+    shown = Decimal(f"{value:.{PROVED}g}").quantize(Decimal(1).scaleb(-last), way)
     sign = "+" if signed and shown > 0 else ""
     if abs(value) >= LARGE:
         return f"{sign}{number_text(float(shown))} %"

@@ -15,7 +15,7 @@ from measured import average
 from scipy.linalg import expm
 from systems import System, make_system, well_posed
 
-from taciturn import Burst, Cost, Loop, Network, Plant, Policy, UnstableError, close, design
+from taciturn import Burst, Cost, Estimate, Loop, Network, Plant, Policy, UnstableError, close, design, evaluate
 from taciturn.analyse.outcomes import outcomes
 from taciturn.errors import ProblemError
 from taciturn.loop import EXCESS
@@ -310,3 +310,26 @@ def test_bad_arguments_are_refused(given: dict[str, object], expected: str) -> N
     arguments: dict[str, object] = {"network": network, **given}
     with pytest.raises(ProblemError, match=expected):
         design.distributed(plant, cost, **arguments)  # type: ignore[arg-type]
+
+
+def test_an_outage_of_one_sensor_is_no_reason_if_another_one_shows_the_growing_mode() -> None:
+    """The duct temperature moves the room temperature, which grows and is measured: losses of the duct are survived."""
+    plant = Plant([[1.03, 0.08], [0.0, 0.85]], [[0.0], [0.3]], np.diag([0.01, 0.02]), np.eye(2), 0.01 * np.eye(2))
+    cost = Cost(np.diag([1.0, 0.05]), [[0.1]])
+    nodes = {
+        "room": NodeRole(measures=(0,)),
+        "duct": NodeRole(measures=(1,)),
+        "plc": NodeRole(controls=True),
+        "valve": NodeRole(applies=(0,)),
+    }
+
+    def found(**losses: float) -> Estimate:
+        links = {name: LinkLaw(losses.get(name, 0.1), acknowledged=True) for name in ("room", "duct", "valve")}
+        policy = design.distributed(plant, cost, theta=0.0, network=Network(nodes=nodes, links=links))
+        return evaluate(policy, steps=200_000).cost
+
+    policy_cost = found(duct=0.97)
+    assert 0 < policy_cost.value < 2
+    for link in ("room", "valve"):
+        with pytest.raises(UnstableError, match=f"an outage of the {link} link|the mean square of the loop"):
+            found(**{link: 0.97})

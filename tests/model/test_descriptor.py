@@ -137,6 +137,16 @@ def test_a_nearly_singular_matrix_is_none() -> None:
     assert plant.B.tolist() == [[2.0**52 + 1, -(2.0**52)], [-(2.0**52), 2.0**52]]
 
 
+def test_a_matrix_that_is_hardly_regular_hides_the_noise_of_slow_states() -> None:
+    """A mode of −5e11 per second: the message names it, and not the noise of the file."""
+    E = np.eye(4)
+    E[2:, 2:] = [[0.1, 0.3], [0.2, 0.6000000001]]
+    A = [[0, 0, 1, 0], [0, 0, 0, 1], [-900, 880, -6, 2], [880, -930, 2, -3]]
+    plant = ContinuousPlant(A, [[0], [0], [1], [0.1]], np.diag([0.0, 0, 4, 2]), E=E)
+    with pytest.raises(ProblemError, match="an E that is not nearly singular"):
+        design.all_time(plant, Cost(np.eye(4), [[1e-3]]), period=1e-3)
+
+
 def test_jumps_and_disturbances_act_on_the_equation() -> None:
     """As the noise does; jumps that are not normal would have another distribution, and are refused."""
     E, given = np.diag([2.0, 4.0]), {"A": -np.eye(2), "B": np.eye(2)}

@@ -39,6 +39,27 @@ def test_evaluate_reaches_the_default_precision() -> None:
     assert document["cost_all_time_error"] <= 1e-9 * document["cost_all_time"]
 
 
+@pytest.mark.parametrize("theta", [0.05, 0.1, 0.2, 0.5])
+def test_a_guarantee_is_printed_as_the_percentage_that_was_asked_for(theta: float) -> None:
+    """The effect of rounding on a proved guarantee is far below the digits of a percentage."""
+    plant, cost = taciturn.Plant([[1.2]], [[1.0]], [[0.01]]), taciturn.Cost([[1.0]], [[0.5]])
+    shown = str(taciturn.evaluate(taciturn.design.excess(plant, cost, theta=theta, actuation="model")))
+    assert f"  +{100 * theta:.2f} %" in next(line for line in shown.splitlines() if line.startswith("guarantee  "))
+
+
+def test_a_bound_at_a_measured_rate_is_rounded_once() -> None:
+    """The digits that its standard error allows are those of the bound."""
+    plant = taciturn.Plant([[1.2]], [[1.0]], [[0.01]], [[1.0]], [[0.01]])
+    found = taciturn.evaluate(
+        taciturn.design.excess(plant, taciturn.Cost([[1.0]], [[0.5]]), theta=0.1), method="simulation"
+    )
+    line = next(one for one in str(found).splitlines() if one.startswith("guarantee, this rate"))
+    value, digits = found.cost_bound_at_rate, line.split()[3]
+    assert value is not None
+    assert value <= float(digits) <= value * (1 + 1e-5)
+    assert abs(float(digits) - value) <= 10.0 ** -len(digits.split(".")[1])
+
+
 def test_a_policy_without_noise_costs_nothing() -> None:
     """W = 0: the deterministic loop decays, and its average cost is 0."""
     plant = taciturn.Plant([[1.3, 0.2], [0.0, 0.7]], [[0.0], [1.0]], np.zeros((2, 2)), mean=[1.0, -1.0])

@@ -85,7 +85,7 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
     per_silence *= factor
     return Guarantee(
         problem.per_unit(with_silence(all_time, per_silence, pull)),
-        f"J ≤ J_all + δ(1 − rate){PULLED if pull else ''}, δ the most that silence can cost; mean-square stable",
+        f"J ≤ J_all + δ(1 − rate){PULLED if pull else ''}, δ the most that silence can cost; {certainty.stability}",
         source,
         problem.per_unit(all_time),
         per_silence / problem.tick,
@@ -139,7 +139,7 @@ def bound_by_state(
     guarantee = Guarantee(
         problem.per_unit(base + per_silence),
         f"J ≤ (J_all − s {unseen} + μY²(1 − rate))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), "
-        f"q = λ_min(Q − NR^{{-1}}N'){noise}; mean-square stable",
+        f"q = λ_min(Q − NR^{{-1}}N'){noise}; {certainty.stability}",
         source,
         problem.per_unit(base),
         per_silence / problem.tick,

@@ -125,6 +125,12 @@ class CertaintyEquivalentDesign(Displayed):
         return 1 / (1 - slowest) if slowest < 1 - (1 + FASTER) / self.settling else None
 
     @property
+    def stability(self) -> str:
+        """Whether the mean square of the loop is bounded, as text: a state or an input without cost may wander."""
+        stable = radius(self.problem.plant.A + self.problem.plant.B @ self.regulator.L) < 1
+        return "mean-square stable" if stable else "mean-square stable, except for states and inputs that cost nothing"
+
+    @property
     def corrections(self) -> Array:
         """Covariance of the corrections of the state estimate by measurements, prior minus posterior covariance."""
         return self.filter.gain @ self.filter.innovation @ self.filter.gain.T

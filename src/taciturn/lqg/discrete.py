@@ -300,6 +300,14 @@ def discretise(
         sampled = sample_prediction(
             plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics
         )
+    try:
+        semidefinite("W", sampled.W, plant.states)
+    except ProblemError:
+        raise ProblemError(
+            f"the noise of a period is not semidefinite up to rounding: the modes of A reach {pace(plant.A):.1e} per "
+            "second, and the rounding of A and W next to them hides the noise of slower states; expected modes that "
+            "differ less, such as an E that is not nearly singular"
+        ) from None
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     rate = None if plant.input_rate is None else period * plant.input_rate
     discrete = derived_plant(

@@ -312,6 +312,9 @@ def _refuse(seen: Quadratic, limit: Limit) -> None:
             "be observable; add a sensor, or remove the state of this mode from the problem"
         )
     noisy, still = is_definite(seen.R), unpaid(seen, limit).staying
+    if still.size and not noisy:  # a mode that W does not reach needs noise W, also with noise V
+        later = unpaid(seen._replace(R=np.eye(len(seen.R)), N=np.zeros_like(seen.N)), limit).staying
+        noisy, still = later.size > 0, later if later.size else still
     if still.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(still[0]))} on {limit}, which the noise W does not reach, so the "

@@ -344,7 +344,7 @@ def _refuse_unmoved(seen: Quadratic, limit: Limit) -> None:
         raise UnstableError(
             f"{named}; this mode lies on {limit} and affects the cost, so that the cost is infinite or depends on "
             "exact cancellation; expected (A, B) stabilisable, or no weight in Q and N on the state of this mode and "
-            "on the states that it affects; make the mode stable, or remove it from the problem"
+            "on the states that it affects; make the mode stable, or give it as a disturbance instead of a state"
         )
     raise UnstableError(
         f"{named}; this mode lies on {limit} and does not affect the cost, but it is a combination of several states, "

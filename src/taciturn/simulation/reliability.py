@@ -24,6 +24,7 @@ from taciturn.model.saturation import Saturation
 from taciturn.model.set_points import SampledChanges
 
 LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
+SAME = 1e-9  # relative distance of two computed modes that are one
 NEARLY = 1e-9  # least growth above 1 that counts as unstable
 HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its value: two standard errors below 2
 
@@ -208,18 +209,19 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
     """Return each required link, the probability that an outage lasts another step, and the growth of the error in it.
 
     While no packet arrives, inputs do not depend on the noise since the last packet, so the fastest mode that the noise
-    excites grows freely. This applies to linear plants in which all modes that do not decay are visible in the cost.
+    excites, and that no other sensor shows or no other actuator moves, grows freely. This applies to linear plants in
+    which all modes that do not decay are visible in the cost.
     """
-    policy, growth = loop.policy, _fastest(loop)
-    network = policy.network
+    policy, network = loop.policy, loop.policy.network
     beside = any(
         policy.site(sensor) == policy.site(actuator) for sensor in network.sensors for actuator in network.actuators
     )
-    if growth == 0 or beside:
+    if beside or not comes_never_to_rest(loop):
         return []
     links: set[str] = {step.link for step in policy.steps if isinstance(step, Send)}
     needed = [link for link in sorted(links) if network.controller not in policy.site(link)]
-    return [(link, loop.network.outage(link), growth) for link in needed]
+    grown = [(link, loop.network.outage(link), _fastest(loop, link)) for link in needed]
+    return [one for one in grown if one[2] > 0]
 
 
 def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
@@ -243,8 +245,23 @@ def comes_never_to_rest(loop: Loop) -> bool:
     return _fastest(loop) > 0
 
 
-def _fastest(loop: Loop) -> float:
-    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0."""
+def _without(loop: Loop, link: str | None) -> tuple[list[int], list[int]]:
+    """Return the outputs of the other sensors if a link is that of a sensor, and the inputs of the other actuators."""
+    network, plant = loop.policy.network, loop.problem.plant
+    measured = network.measurements(plant.sensed, plant.set_points).values()
+    applied = network.applications(plant.inputs).values()
+    if link in network.sensors:
+        return [output for node, outputs in measured if node != link for output in outputs], []
+    if link in network.actuators:
+        return [], [index for node, inputs in applied if node != link for index in inputs]
+    return [], []
+
+
+def _fastest(loop: Loop, link: str | None = None) -> float:
+    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0.
+
+    With a link, only modes count that no sensor without this link shows, or no actuator without it moves.
+    """
     problem, plant = loop.problem, loop.problem.plant
     if plant.function is not None:
         return 0.0
@@ -262,6 +279,13 @@ def _fastest(loop: Loop) -> float:
         return 0.0
     for mode in still:
         every = np.delete(every, np.argmin(np.abs(every - mode)))
+    shown, moved = _without(loop, link)
+    if shown or moved:
+        if own is not None:
+            return 0.0
+        A, B = (given.A.T, plant.C[np.ix_(shown, seen)].T) if shown else (given.A, given.B[:, moved])
+        alone = unmoved(A, B, limit, rounded=True).lasting
+        every = every[[bool((np.abs(alone - mode) <= SAME * np.abs(mode)).any()) for mode in every]]
     if not every.size:
         return 0.0
     return max(1.0, float(np.exp(every.real * period).max() if limit.continuous else np.abs(every).max()))

@@ -279,11 +279,12 @@ def _table(found: Evaluation) -> str:
     rows: list[list[str]] = []
     for record in evaluation_records(found):
         cost, up = cast("Estimate", record["cost"]), DIRECTION.get(str(record["name"]))
-        cells = [str(record["name"]), str(cost) if up is None else bound_text(cost, up)]
+        value = unrounded.get(str(record["name"]))
+        exact = cost if value is None else replace(cost, value=value)  # it is rounded once
+        cells = [str(record["name"]), str(cost) if up is None else bound_text(exact, up)]
         if base:
-            value = unrounded.get(str(record["name"]))
             of = base if up != 1 else found.highest_all_time
-            above = percent_above(cost if value is None else replace(cost, value=value), of, up or 0)
+            above = percent_above(exact, of, up or 0)
             cells.append("" if record["name"] == "every sample" else above)
         for link, rate in found.rates.items():
             shown = cast("Estimate | None", record[f"rate_{link}"])

@@ -221,7 +221,7 @@ def _guarantee(
     found = Guarantee(
         problem.per_unit(with_silence(all_time, factor * added, pull)),
         f"J ≤ J_all + (Σ√(δ_l(1 − r_l)))²{PULLED if pull else ''}, δ_l the most that the error of link l can cost, r_l "
-        f"its rate; mean-square stable{f'; {AT_INSTANTS}' if problem.instants else ''}",
+        f"its rate; {certainty.stability}{f'; {AT_INSTANTS}' if problem.instants else ''}",
         "khashooei2017",
         problem.per_unit(all_time),
         deciders={group: factor * delta / problem.tick for group, delta in thresholds.items()},

@@ -108,7 +108,7 @@ def lqg(
         identity=certainty.completed_square(),
         guarantee=Guarantee(
             problem.per_unit((1 + theta) * certainty.cost_all_time if proved is None else proved),
-            f"J ≤ (1+θ) J_all{less_noise(problem, 'θ')}, mean-square stable",
+            f"J ≤ (1+θ) J_all{less_noise(problem, 'θ')}, {certainty.stability}",
             "khashooei2017",
             more_sends=True,
             proved=proved is not None,

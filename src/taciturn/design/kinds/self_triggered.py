@@ -99,7 +99,7 @@ def self_triggered(
         identity=identity,
         guarantee=Guarantee(
             problem.per_unit(beta * certainty.cost_all_time),
-            f"J ≤ β J_all{less_noise(problem, '(β−1)')}, mean-square stable",
+            f"J ≤ β J_all{less_noise(problem, '(β−1)')}, {certainty.stability}",
             "gommans2014",
         ),
         slower=max_interval,

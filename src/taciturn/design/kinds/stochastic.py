@@ -97,7 +97,7 @@ def stochastic(
     mu = largest_ratio(certainty.square[moving], W[moving])
     if mu is not None:
         bound = problem.per_unit(certainty.cost_all_time + 2 * mu / np.e)
-        statement = "J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW; mean-square stable"
+        statement = f"J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW; {certainty.stability}"
         guarantee = Guarantee(bound, statement, "han2015")
     exact = actuation == "model" and problem.gaussian
     return certainty_policy(
