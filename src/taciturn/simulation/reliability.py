@@ -283,7 +283,7 @@ def _fastest(loop: Loop, link: str | None = None) -> float:
     if shown or moved:
         if own is not None:
             return 0.0
-        A, B = (given.A.T, plant.C[np.ix_(shown, seen)].T) if shown else (given.A, given.B[:, moved])
+        A, B = (given.A.T, plant.C[shown][:, seen].T) if shown else (given.A, given.B[:, moved])
         alone = unmoved(A, B, limit, rounded=True).lasting
         every = every[[bool((np.abs(alone - mode) <= SAME * np.abs(mode)).any()) for mode in every]]
     if not every.size:
