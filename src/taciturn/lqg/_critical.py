@@ -44,6 +44,8 @@ ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
 CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
 STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
 FASTER = 1.1  # first growth, relative to that without inputs
+SLOW = 0.99  # modulus above which a gain moves a mode that decays
+FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
 NILPOTENT = 1e-6  # a growth below this counts as none
 SAME = 1e-7  # relative difference of losses that count as equal
 POWERS = 100  # steps towards the pair of weights that grows fastest
@@ -124,7 +126,10 @@ class Lasting:
             V = _scipy.part_of_modes(self.A, lambda mode: bool(own[np.argmin(np.abs(every - mode))]))
             A, B, one = V @ self.A @ V.T, V @ self.B, np.eye(len(V))
             best = regulate(A, B, one, np.eye(B.shape[1]), np.zeros_like(B))
-            scale = np.linalg.cholesky(best.K).T  # in the coordinates V x, the cost-to-go of the regulator is the unit
+            # in the coordinates V x, the cost-to-go of the regulator is about the unit
+            unit = np.sqrt(np.diag(best.K))
+            sizes, turn = np.linalg.eigh(best.K / unit / unit[:, None])
+            scale = np.sqrt(np.maximum(sizes, FLAT))[:, None] * turn.T * unit
             W = V.T @ np.linalg.inv(scale)
             V = scale @ V
             self._known[key] = Rough(V @ self.A @ W, V @ self.B, V, W, best.L @ np.linalg.inv(scale))
@@ -148,13 +153,18 @@ class Lasting:
 
     def gain(self, channel: Channel) -> Array | None:
         """Return a gain of the states that keeps the mean square bounded; None if none was found."""
-        found = self.reached(channel, "actuator")
-        return None if found is None or found.place < channel.actuator_loss else self.of_states(found.L)
+        slow = [k for k, one in enumerate(self.roots) if abs(complex(one.root)) > SLOW and not one.root.imag < 0]
+        for modes in (slow, self.modes):  # also those that hardly decay, whose costs would be too large
+            for path in (channel, channel.at("actuator", 1.0)):  # or a gain for larger losses
+                found = self.reached(path, "actuator", modes)
+                if found is not None and found.place >= channel.actuator_loss:
+                    return self.of_states(found.L, modes)
+        return None
 
-    def of_states(self, L: Array) -> Array:
-        """Return a gain of the states from one of the coordinates of the modes."""
+    def of_states(self, L: Array, modes: Sequence[int] | None = None) -> Array:
+        """Return a gain of the states from one of the coordinates of some modes."""
         found = np.zeros((self.every, len(self.A)))
-        found[self.inputs] = L @ self.rough(self.modes).V / self.scale
+        found[self.inputs] = L @ self.rough(self.modes if modes is None else modes).V / self.scale
         return found
 
     def slowest(self, channel: Channel) -> tuple[float, Array]:
