@@ -14,7 +14,7 @@ from flint import arb, arb_mat
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from taciturn import Cost, Network, Plant, Policy, Reference, UnstableError, design
+from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, UnstableError, design, evaluate
 from taciturn._modes import radius
 from taciturn._precision import precision
 from taciturn.lqg._critical import Lasting
@@ -557,3 +557,60 @@ def test_a_mode_that_an_input_hardly_moves_is_not_called_uncontrollable():
     ):
         with pytest.raises(UnstableError, match=said):
             regulate_lossy(A, B, np.eye(2), np.eye(1), Channel(loss, 0.0, True, False))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.85, 0.95])
+@pytest.mark.parametrize("seed", range(4))
+def test_modes_on_the_circle_in_rotated_coordinates_are_moved(seed: int, share: float):
+    """Rounding puts a rotated mode ±1 inside the circle; the first gain must move it all the same."""
+    draws = np.random.default_rng(seed)
+    T = np.linalg.qr(draws.normal(size=(3, 3)))[0]
+    A, B, one = T @ np.diag([1.0, -1.0, 1.4]) @ T.T, draws.normal(size=(3, 1)), np.eye(3)
+    loss = share * critical_losses(A, B, Channel(0.1, 0.1, False, False))[0]
+    found = regulate_lossy(A, B, one, np.eye(1), Channel(loss, 0.1, False, False))
+    K, P = one, np.zeros((3, 3))
+    for _ in range(100_000):
+        price, across = 1.0 + B.T @ (K + loss * 0.1 * P) @ B, A.T @ K @ B
+        Gamma = (1 - loss) * across @ across.T / price
+        before, K, P = K, one + A.T @ K @ A - Gamma, Gamma + 0.1 * A.T @ P @ A
+        K, P = (K + K.T) / 2, (P + P.T) / 2
+        if np.abs(K - before).max() <= 1e-13 * np.abs(K).max():
+            break
+    assert found.K == pytest.approx(K, rel=1e-6)
+
+
+def test_nearly_equal_growing_modes_have_no_critical_loss_that_is_proved():
+    """Four modes that one input hardly tells apart: the cost-to-go of the regulator is flat in double precision."""
+    modes = 1.0693087239676202 + 4.57993899e-5 * np.arange(4)
+    B = np.array([[0.2395859911253061], [-0.3746311822420878], [0.46811523739189304], [-0.10258016582465135]])
+    actuator, sensor = critical_losses(np.diag(modes), B, Channel(0.9, 0.4, False, False))
+    assert 0 <= actuator < 1 / modes.max() ** 2
+    assert 0 <= sensor < 1
+
+
+def test_a_critical_loss_of_zero_ends_the_search():
+    """Three nearly equal modes, held inputs: no loss is survived, and the message comes in a moment."""
+    A = [[1.2261924503807429, 0.02733377492855151, 0.015418013022446449],
+         [-0.05527376003649425, 1.1895934758663487, -0.006256884217555709],
+         [0.023614686392535705, -0.05389785560346411, 1.1701578959574686]]  # fmt: skip
+    plant = Plant(A, [[1.4258382457202734], [-1.1616095185495017], [-2.197671367087202]], np.eye(3))
+    with pytest.raises(UnstableError, match="expected a stable loop"):
+        design.excess(plant, Cost(np.eye(3), [[1.0]]), theta=0.1, network=Network("tcp", actuator_loss=0.9))
+
+
+def test_a_base_with_too_many_steps_between_packets_is_refused():
+    """Its value is computed step by step."""
+    with pytest.raises(ProblemError, match="every is 1000000; expected at most 100000 steps"):
+        design.excess(Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), theta=0.1, every=1_000_000)
+
+
+def test_periodic_control_whose_cost_overflows_is_no_reason_to_refuse_a_policy():
+    """Modes that differ by many orders of magnitude: the comparison has no row, and the evaluation its numbers."""
+    E = np.diag([2.654225619093967e-08, 0.002884589368106314, 7.618909956677368])
+    A = [[1.014112882512152, 0.935150145876097, -0.22625798311652073],
+         [-0.7389238012383862, -0.4939488579659682, 0.32484781249843603],
+         [-1.4021100044406631, 0.8995650416192922, -0.8522326004941438]]  # fmt: skip
+    B = [[-1.158878942401498], [-0.08074089335854698], [1.8312448833581008]]
+    plant = Plant(A, B, np.eye(3), E=E)
+    found = evaluate(design.excess(plant, Cost(np.eye(3), [[1.0]]), theta=0.1), steps=10_000)
+    assert np.isfinite(found.cost.value)

@@ -206,7 +206,7 @@ def critical_scale(base: Base, attempts: Attempts) -> float:
         low = high
     else:
         return most
-    while high - low > WIDTH * high:
+    while high - low > WIDTH * max(high, WIDTH * most):
         check_time()
         middle = (low + high) / 2
         low, high = (middle, high) if repeated_value(base, attempts.scaled(middle)) is not None else (low, middle)

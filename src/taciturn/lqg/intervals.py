@@ -181,7 +181,10 @@ def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
             if step is not None and all(_is_sharp(part.middle, part.radius, 1e-14, 1e-30) for part in step):
                 break
     if step is None or not all(np.isfinite(part.middle).all() for part in step):
-        raise UnprovedError("a number exceeds the range of doubles")
+        raise ProblemError(
+            "a number of the problem of one period exceeds the range of doubles; expected a shorter period, or states "
+            "and inputs in other units"
+        )
     A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
     return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
 
@@ -293,8 +296,9 @@ class Integrated(Displayed):
 
 def overflowing(period: float, size: float) -> ProblemError:
     """Return the error that the state overflows within a period."""
+    most = size if np.isfinite(size) else np.inf
     return ProblemError(
-        f"period is {period:g}, over which the state overflows (‖A‖·period = {size:.3g}); shorten the period"
+        f"period is {period:g}, over which the state overflows (‖A‖·period = {most:.3g}); shorten the period"
     )
 
 

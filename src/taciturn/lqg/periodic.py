@@ -74,7 +74,7 @@ def lift(
 
     try:
         return sampled(build, n + m)
-    except UnprovedError:
+    except ProblemError:
         raise ProblemError(
             f"every is {every}, over which the state overflows; hold the input for fewer steps"
         ) from None
@@ -212,7 +212,10 @@ def _at_the_start(stretches: Sequence[Sampled]) -> Array:
     def recipe(arithmetic: type[E]) -> Equation[E]:
         return _joined(arithmetic, [stretch.exact.equation(arithmetic) for stretch in stretches])
 
-    rough = _joined(Doubles, [Equation(*map(Doubles.exact, stretch.quadratic)) for stretch in stretches])
+    try:
+        rough = _joined(Doubles, [Equation(*map(Doubles.exact, stretch.quadratic)) for stretch in stretches])
+    except UnprovedError as error:
+        raise UnstableError(f"the cost cannot be computed: {error}") from None
     return regulate_for(Quadratic(*(part.middle for part in rough)), recipe).K
 
 

@@ -31,6 +31,8 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Trigger
 
+LONGEST = 100_000  # steps between packets of the base: their value is computed step by step
+
 
 def excess(
     plant: Plant | ContinuousPlant,
@@ -117,6 +119,8 @@ def excess(
             )  # fmt: skip
         return placed(alone, network)
     every, links = count("every", every), network.with_intervals(None)
+    if every > LONGEST:
+        raise ProblemError(f"every is {every}; expected at most {LONGEST} steps between packets of the base")
 
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
