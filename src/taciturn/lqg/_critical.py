@@ -195,8 +195,9 @@ class Lasting:
         """Return whether no linear gain keeps the mean square bounded, as is proved."""
         if self._doubts(channel):
             return True
-        found = self.reached(channel, "actuator")
-        return found is not None and self._lost(channel, "actuator", found) <= channel.actuator_loss
+        every = channel.at("actuator", 1.0)  # the same path as that of the critical loss, which it must not contradict
+        found = self.reached(every, "actuator")
+        return found is not None and self._lost(every, "actuator", found) <= channel.actuator_loss
 
     def _survived(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the largest loss of a link that is proved to be survived."""
