@@ -123,8 +123,7 @@ def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, E, fl
 def sizes(A: Array, Q: Array, K: Array, crumb: float) -> Array:
     """Return the cost-to-go of each state, or a small part of the terms whose sum it is if it is still smaller."""
     diagonal = np.diag(K)
-    with np.errstate(over="ignore"):  # an infinite size ends the proof
-        size = np.maximum(diagonal, crumb * (np.abs(np.diag(Q)) + (A * A).T @ np.abs(diagonal)))
+    size = np.maximum(diagonal, crumb * (np.abs(np.diag(Q)) + (A * A).T @ np.abs(diagonal)))
     return np.where(size > NO_VARIANCE, size, 1.0)
 
 

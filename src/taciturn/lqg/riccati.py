@@ -296,7 +296,8 @@ def regulate_for(
 def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
     """Return the regulator of a problem, given its matrices before sampling and discount, and the edge of decay."""
     try:
-        found = problem.solve()
+        with np.errstate(over="ignore", invalid="ignore"):  # a number out of range ends the proof
+            found = problem.solve()
     except UnprovedError as error:
         _refuse(problem, given, limit)
         what = "the Riccati equation of the regulator"

@@ -427,8 +427,8 @@ def least_cost(found: Evaluation) -> float | None:
 
 
 def bound_at_rate(found: Evaluation) -> Estimate | None:
-    """Return the upper bound at the measured rate, rounded up to six digits, with the error due to that of the rate."""
-    bound = proved(found.cost_bound_at_rate)
+    """Return the upper bound at the measured rate, with the error due to that of the rate."""
+    bound = found.cost_bound_at_rate
     return None if bound is None else _moved(bound, found.bound_error)
 
 
