@@ -164,6 +164,11 @@ def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
     return _joined(found)
 
 
+def free_modes(A: Array, limit: Limit) -> Lost:
+    """Return all modes of A; those that rounding the entries may have moved off the limit count as modes on it."""
+    return unmoved(A, np.zeros((len(A), 0)), limit, rounded=True)
+
+
 def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: bool = False) -> Lost:
     """Return the modes of A that the input through B does not move and on which combinations of states depend.
 
@@ -204,10 +209,10 @@ def _of_block(block: fmpq_mat, limit: Limit, rounded: bool) -> Lost:
 def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
     """Return for each mode whether a matrix within the rounding of A has it on the axis or the unit circle."""
     nearest = 1j * modes.imag if limit.continuous else modes / np.maximum(np.abs(modes), NO_VARIANCE)
-    within = ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
+    rounding = ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
     near = np.abs(modes - nearest) <= NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
     shifted = nearest[near][:, None, None] * np.eye(len(A)) - A
-    near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= within
+    near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= rounding
     return near
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from taciturn._arrays import Array, Bits
 from taciturn._cycles import closure, paths
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit, unmoved
+from taciturn._exact_modes import Limit, free_modes
 from taciturn._modes import reach
 from taciturn.errors import ProblemError
 from taciturn.lqg.intervals import Exact
@@ -181,7 +181,7 @@ def _lasting(A: Array, free: Bits) -> tuple[Bits, Bits]:
         state = int(np.argmax(left))
         cycle = leads[state] & leads[:, state]
         left = left & ~cycle
-        if unmoved(A[np.ix_(cycle, cycle)], np.zeros((int(cycle.sum()), 0)), Limit(False), rounded=True).lasting.size:
+        if free_modes(A[np.ix_(cycle, cycle)], Limit(False)).lasting.size:
             found = found | cycle
     between = leads[:, found].any(axis=1) | leads[found].any(axis=0)
     return np.asarray(found | (free & between), dtype=np.bool_) if found.any() else found, found

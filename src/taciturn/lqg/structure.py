@@ -23,7 +23,7 @@ from flint import fmpq_mat
 from taciturn._arrays import Array, Bits, is_definite
 from taciturn._cycles import closure, in_cycles
 from taciturn._display import Displayed
-from taciturn._exact_modes import NONE, Limit, Lost, modes_of, unmoved
+from taciturn._exact_modes import NONE, Limit, Lost, free_modes, modes_of
 from taciturn._modes import SCATTER, Modes, eigenvalues, root
 from taciturn._rational import above, basis, beside, is_semidefinite, kernel, lines, pivots, rational, right_inverse
 from taciturn.lqg.quadratic import Quadratic
@@ -93,7 +93,7 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, b
 def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
     """Return the modes of states that affect each other, on each side of the stability limit."""
     if not rounded:
-        return unmoved(A, np.zeros((len(A), 0)), Limit(continuous), rounded=True)
+        return free_modes(A, Limit(continuous))
     modes = eigenvalues(A)
     outside = modes.real if continuous else np.abs(modes) - 1
     margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
@@ -103,8 +103,7 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
 
 def _sampled(given: Quadratic, limit: Limit, cycle: Bits) -> Lost:
     """Return the modes of some states from step to step, on the sides of the limit that they have before sampling."""
-    A = given.A[np.ix_(cycle, cycle)]
-    found, root = unmoved(A, np.zeros((len(A), 0)), limit, rounded=True), np.sqrt(limit.discount)
+    found, root = free_modes(given.A[np.ix_(cycle, cycle)], limit), np.sqrt(limit.discount)
     return Lost(*(root * np.exp(modes * limit.period) for modes in found))
 
 

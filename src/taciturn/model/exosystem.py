@@ -28,7 +28,7 @@ from taciturn._arrays import (
     square,
 )
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit, unmoved
+from taciturn._exact_modes import Limit, free_modes
 from taciturn.errors import ProblemError
 from taciturn.model.set_points import Changes, SetPoint
 
@@ -103,7 +103,7 @@ class ExternalDisturbance(Displayed):
         """
         if self.matrix is not None:
             limit = Limit(continuous)
-            growing = unmoved(self.matrix, np.zeros((len(self.matrix), 0)), limit, rounded=True).growing
+            growing = free_modes(self.matrix, limit).growing
             if growing.size:
                 raise ProblemError(
                     f"disturbance.matrix has the mode {limit.named(complex(growing[0]))}, which grows; expected modes "
