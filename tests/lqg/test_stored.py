@@ -23,6 +23,14 @@ def exact(matrix):
     return arb_mat(len(matrix), matrix.shape[1], matrix.ravel().tolist())
 
 
+def step(problem):
+    """Return A, B, Q, R, N and W of a step: doubles of a discrete plant, all digits of a sampled one."""
+    p = problem.plant
+    if problem.exact is None:
+        return [exact(part) for part in (p.A, p.B, problem.Q, problem.R, problem.N, p.W)]
+    return [part._balls.mid() for part in problem.exact.build(Balls)][:-1]
+
+
 def reference(problem, steady, L, more=None):
     """Return the cost by the sum of the covariances of (x, x̂⁻), in other coordinates than those of the library.
 
@@ -30,10 +38,7 @@ def reference(problem, steady, L, more=None):
     (cost, E[ee'], mean of the stage cost of (x̂, u) with the stored weights).
     """
     p, n = problem.plant, problem.plant.states
-    if problem.exact is None:
-        A, B, Q, R, N, W = map(exact, (p.A, p.B, problem.Q, problem.R, problem.N, p.W))
-    else:
-        A, B, Q, R, N, W, _ = (part._balls.mid() for part in problem.exact.build(Balls))
+    A, B, Q, R, N, W = step(problem)
     stored, own, C, gain, V, L = map(exact, (p.A, p.B, p.C, steady.gain, p.V, L))
     left = exact(np.eye(n)) - gain * C
     E, M = map(exact, (np.zeros((p.inputs, n)), np.zeros((p.inputs, p.outputs)))) if more is None else map(exact, more)
@@ -144,9 +149,7 @@ def test_the_allowance_covers_the_rounding_of_contributions(seed):
     wrong = [part + 1e-13 * draws.normal(size=part.shape) * part for part in (rest, rest @ p.A)]
     allowed = found.allowance_of(Apart([[0], [1]], *wrong))
     with precision(BITS):
-        A, B, W = map(exact, (p.A, p.B, p.W))
-        if problem.exact is not None:
-            A, B, _, _, _, W, _ = (part._balls.mid() for part in problem.exact.build(Balls))
+        A, B, _, _, _, W = step(problem)
         own, stored, V, L, left, turn, gain = map(exact, (p.B, p.A, p.V, L, *wrong, g))
         none, one, measured = exact(np.zeros((n, n))), exact(np.eye(n)), gain * exact(p.C)
         each = [exact(g[:, [i]]) * exact(p.C[[i]]) for i in range(2)]
