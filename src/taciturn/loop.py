@@ -16,9 +16,9 @@ from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.feedthrough import point_with, with_same_start
-from taciturn.model.coordinates import about
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED, uncovered
+from taciturn.model.display import about
 from taciturn.model.disturbance import padded
 from taciturn.model.information import check_network
 from taciturn.model.network import REFERENCE, Network

@@ -18,7 +18,7 @@ import taciturn
 from taciturn import PID, Cost, Network, Plant, Policy, Problem, ProblemError, Reference, design, linearise
 from taciturn.export.vector import record_loop
 from taciturn.lqg.discrete import discretise
-from taciturn.model.coordinates import about
+from taciturn.model.display import about
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.equilibrium import equilibrium
 from taciturn.model.following import follow

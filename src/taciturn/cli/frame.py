@@ -24,6 +24,9 @@ from taciturn.cli.usage import name_options, usage_text
 from taciturn.cli.words import complete_file, complete_kind, complete_link
 
 if TYPE_CHECKING:
+    from taciturn.problem import Problem
+
+if TYPE_CHECKING:
     from taciturn._progress import Progress
     from taciturn.problem import Problem
 
@@ -363,3 +366,23 @@ def note_seed(seed: int | None, drawn: bool) -> None:
     """Print a note if a seed is given but no random numbers were drawn."""
     if seed is not None and not drawn:
         typer.echo(f"note: --seed {seed} had no effect: nothing was drawn")
+
+
+OVER = "Key to vary: a key of [policy], or a dotted path such as plant.dt. Repeat the option for a grid."
+
+
+Over = Annotated[list[str], typer.Option(metavar="NAME=v1,v2,…", help=OVER)]
+
+
+Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default: 1 (this process).")]
+
+
+def load_all(files: list[str], settings: list[str] | None, no_functions: bool) -> dict[str, Problem]:
+    """Return the problems by name."""
+    return dict(zip(names_of(files), [load_changed(file, settings, no_functions) for file in files], strict=True))
+
+
+def names_of(files: list[str]) -> list[str]:
+    """Return the names of problems: their file names, with numbers if some names are equal."""
+    stems = [Path(file).stem for file in files]
+    return [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]

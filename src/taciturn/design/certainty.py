@@ -19,7 +19,7 @@ from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, radius
 from taciturn.design.anti_windup import within_limits
-from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
+from taciturn.design.estimation import CLOCK, COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start
@@ -37,8 +37,6 @@ from taciturn.model.theory import OPERATIONS, ClosedForm, Guarantee, Identity, R
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
-COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
-SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
 FASTER = 1e-6  # relative difference of two rates of decay that is no rounding
 AT_INSTANTS = "J and J_all at the sampling instants"
 
@@ -405,13 +403,6 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
     if H.ndim == 2:
         return Form(signals, block_diagonal(-theta * stage, (1 + theta) * H))
     return Form(signals, Scheduled(CLOCK, [block_diagonal(-theta * stage, (1 + theta) * price) for price in H]))
-
-
-def count_ticks(ticks: int, start: int | None) -> Location:
-    """Return a step counter 0, 1, …, ``ticks`` − 1 that then continues at ``start``, or stops if ``start`` is None."""
-    table = np.arange(1, ticks + 1)
-    table[-1] = ticks - 1 if start is None else start
-    return Location(CLOCK, table)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

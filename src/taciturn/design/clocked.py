@@ -6,15 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taciturn.design.certainty import (
-    CLOCK,
-    SEND,
-    Actuation,
-    CertaintyEquivalentDesign,
-    certainty_policy,
-    control_steps,
-    count_ticks,
-)
+from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, certainty_policy, control_steps
+from taciturn.design.estimation import CLOCK, SEND, count_ticks
 from taciturn.lqg.periodic import Pattern, lift
 from taciturn.model.policy import Policy
 from taciturn.model.theory import ClosedForm

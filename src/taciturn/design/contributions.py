@@ -15,8 +15,8 @@ import numpy as np
 
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
-from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
-from taciturn.design.estimation import ESTIMATE
+from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign
+from taciturn.design.estimation import ESTIMATE, SEND
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.lqg.silence import Apart
 from taciturn.model.network import Network

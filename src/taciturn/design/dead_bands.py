@@ -13,9 +13,8 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Base
 from taciturn.design.bounds import shares_of
-from taciturn.design.certainty import SEND
 from taciturn.design.contributions import decision
-from taciturn.design.estimation import ESTIMATE, HELD
+from taciturn.design.estimation import ESTIMATE, HELD, SEND
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import nonempty
 from taciturn.errors import ProblemError

@@ -14,9 +14,9 @@ from taciturn.lqg.queries import Predictor, follow_every_query
 from taciturn.model.cost import Cost
 from taciturn.model.network import REFERENCE
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Assign, Step
+from taciturn.model.policy import Assign, Location, Step
 from taciturn.model.theory import INNOVATION, Innovations
-from taciturn.model.trigger import Matrix
+from taciturn.model.trigger import Matrix, Scheduled
 
 ESTIMATE, HELD = "estimate", "held"
 
@@ -110,3 +110,21 @@ def filter_from_the_start(plant: Plant, cost: Cost) -> Transient:
     left = np.eye(plant.states) - gains @ plant.C
     posterior = left @ prior @ left.swapaxes(1, 2) + gains @ plant.V @ gains.swapaxes(1, 2)
     return Transient(gains, plant.C @ prior @ plant.C.T + plant.V, posterior, start)
+
+
+SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
+
+
+COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
+
+
+def count_ticks(ticks: int, start: int | None) -> Location:
+    """Return a step counter 0, 1, …, ``ticks`` − 1 that then continues at ``start``, or stops if ``start`` is None."""
+    table = np.arange(1, ticks + 1)
+    table[-1] = ticks - 1 if start is None else start
+    return Location(CLOCK, table)
+
+
+def by_clock(values: Array) -> Matrix:
+    """Return a constant matrix unchanged, or a table with one matrix for each step of the step counter."""
+    return values if values.ndim == 2 else Scheduled(CLOCK, values)

@@ -22,7 +22,8 @@ import numpy as np
 from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.certainty import SEND, expect_average
+from taciturn.design.certainty import expect_average
+from taciturn.design.estimation import SEND
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import sensor_base
 from taciturn.errors import ProblemError

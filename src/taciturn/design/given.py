@@ -18,8 +18,8 @@ from taciturn._display import Displayed
 from taciturn.design.alarm import WATCH, watch_innovations
 from taciturn.design.base import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.certainty import SEND, error_per_unit
-from taciturn.design.estimation import ESTIMATE, HELD, estimate_state
+from taciturn.design.certainty import error_per_unit
+from taciturn.design.estimation import ESTIMATE, HELD, SEND, estimate_state
 from taciturn.design.kept import recovery
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.routes import MEASURED, REGISTER, Actuation, Route, nonempty, route_over

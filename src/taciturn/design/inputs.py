@@ -11,8 +11,9 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.design.certainty import SEND, Actuation, CertaintyEquivalentDesign
+from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign
 from taciturn.design.contributions import SILENT, STATE, closed_loop, decision, known
+from taciturn.design.estimation import SEND
 from taciturn.model.network import Network
 from taciturn.model.policy import Acknowledged, Assign, Decide, Received, Send, Step
 from taciturn.model.trigger import Form, Trigger

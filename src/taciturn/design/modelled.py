@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty
+from taciturn.design.certainty import certainty_policy, control_steps, design_certainty
+from taciturn.design.estimation import SEND
 from taciturn.design.prediction import predict_continuously, predicted_policy
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise

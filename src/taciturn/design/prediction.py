@@ -8,7 +8,8 @@ import numpy as np
 
 from taciturn._arrays import Array, instance
 from taciturn._display import Displayed
-from taciturn.design.certainty import SEND, expect_average
+from taciturn.design.certainty import expect_average
+from taciturn.design.estimation import SEND
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost

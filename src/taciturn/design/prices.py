@@ -8,10 +8,10 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.design.certainty import CLOCK
+from taciturn.design.estimation import by_clock
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.riccati import refuse_uncertain, regulate_finite
-from taciturn.model.trigger import Matrix, Scheduled
+from taciturn.model.trigger import Matrix
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,8 +100,3 @@ def price_control(problem: Discrete) -> Prices:
     assert problem.terminal is not None
     finite = regulate_finite(*problem.quadratic, problem.terminal, cost.horizon)
     return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
-
-
-def by_clock(values: Array) -> Matrix:
-    """Return a constant matrix unchanged, or a table with one matrix for each step of the step counter."""
-    return values if values.ndim == 2 else Scheduled(CLOCK, values)

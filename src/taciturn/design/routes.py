@@ -17,8 +17,7 @@ import numpy as np
 from taciturn._arrays import Array, block_diagonal, choice
 from taciturn._display import Displayed
 from taciturn.design.base import Base
-from taciturn.design.certainty import COLLOCATED, SEND
-from taciturn.design.estimation import ESTIMATE, HELD
+from taciturn.design.estimation import COLLOCATED, ESTIMATE, HELD, SEND
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter

@@ -18,7 +18,7 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.feedthrough import registers_from, with_inputs_before
 from taciturn.lqg.regulation import beyond_limits
 from taciturn.model.controller import Controller
-from taciturn.model.coordinates import about
+from taciturn.model.display import about
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy

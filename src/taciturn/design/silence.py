@@ -11,8 +11,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.design.base import Advantage, Attempts
-from taciturn.design.certainty import SEND
-from taciturn.design.prices import by_clock
+from taciturn.design.estimation import SEND, by_clock
 from taciturn.design.routes import Route
 from taciturn.model.policy import ONE, Acknowledged, Apply, Assign, Evaluate, Step
 from taciturn.model.trigger import Form

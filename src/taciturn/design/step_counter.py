@@ -8,9 +8,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.design.certainty import count_ticks
-from taciturn.design.estimation import Transient, filter_from_the_start
-from taciturn.design.prices import by_clock
+from taciturn.design.estimation import Transient, by_clock, count_ticks, filter_from_the_start
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter
 from taciturn.model.policy import Location

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from taciturn._arrays import block_diagonal, number
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
-from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
-from taciturn.design.estimation import ESTIMATE
+from taciturn.design.certainty import Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.estimation import DEVIATION, ESTIMATE, SEND
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant

@@ -8,9 +8,9 @@ import numpy as np
 
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import bound_by_attempts
-from taciturn.design.certainty import COLLOCATED, SEND, Actuation, completed_square, control_steps
-from taciturn.design.estimation import estimate_state
-from taciturn.design.prices import by_clock, price_control
+from taciturn.design.certainty import Actuation, completed_square, control_steps
+from taciturn.design.estimation import COLLOCATED, SEND, by_clock, estimate_state
+from taciturn.design.prices import price_control
 from taciturn.design.step_counter import StepCounter
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY

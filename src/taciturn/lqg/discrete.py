@@ -24,10 +24,9 @@ from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.lqg.structure import worth_of
-from taciturn.model.coordinates import about, counted_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
-from taciturn.model.display import FED
+from taciturn.model.display import FED, about, counted_from
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction, derived_plant
 from taciturn.model.saturation import limit_entries

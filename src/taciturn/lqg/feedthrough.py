@@ -24,7 +24,7 @@ from taciturn._modes import summed
 from taciturn.errors import ProblemError
 from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.quadratic import placed
-from taciturn.model.coordinates import counted_from
+from taciturn.model.display import counted_from
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, derived_plant

@@ -28,8 +28,8 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.intervals import Exact, Source
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.sampling import Sampled, sample
-from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
+from taciturn.model.display import counted_from
 from taciturn.model.disturbed import DisturbedDynamics
 from taciturn.model.exosystem import Exosystem
 from taciturn.model.operating_point import OperatingPoint

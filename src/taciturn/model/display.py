@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, frozen
 from taciturn._display import Displayed
 from taciturn._exact_modes import FEWEST, Limit
 from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines
-from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.operating_point import MovedDynamics, OperatingPoint
+from taciturn.model.plant import ContinuousPlant, Plant, limits_at
 from taciturn.model.saturation import Saturation, saturation
 from taciturn.model.trigger import Matrix, Scheduled
 
@@ -183,3 +185,52 @@ def vector_text(values: Array, digits: int = 4) -> str:
         if len(values) > 1
         else f"[{values[0]:.6g}]"
     )
+
+
+def counted_from(plant: AnyPlant, point: OperatingPoint | None, origin: Plant | ContinuousPlant) -> AnyPlant:
+    """Return a plant whose states and inputs already are deviations from a point, with this point as theirs.
+
+    Args:
+        plant: the plant.
+        point: the point, or None.
+        origin: the plant from which this one was made, with the same inputs and limits.
+    """
+    if point is None:
+        return plant
+    found = copy(plant)
+    object.__setattr__(found, "operating_point", point)
+    object.__setattr__(found, "stated_limit", origin.stated_limit)
+    return found
+
+
+def about(plant: Plant, point: OperatingPoint | None) -> Plant:
+    """Return a plant in deviations from another point; None is the point 0, so that the plant is in its own units.
+
+    If the plant does not rest at this point, its ``drift`` is what its state moves by there.
+    """
+    here = plant.operating_point
+    if here is point or (here is not None and point is not None and here.same_as(point)):
+        return plant
+    zero = OperatingPoint(np.zeros(plant.states), np.zeros(plant.inputs))
+    start, end = here or zero, point or zero
+    x, u = end.x - start.x, end.u - start.u
+    found, terms = counted_from(plant, end, plant), [plant.A @ x, plant.B @ u, -x]
+    drift = np.sum([*terms, *([] if plant.drift is None else [plant.drift])], axis=0)
+    still = np.abs(drift).max() <= STILL * max(float(np.abs(term).max()) for term in terms)
+    function = plant.function
+    moved: Mapping[str, object] = {
+        "mean": frozen(plant.mean - x),
+        "input_limit": limits_at(plant, point),
+        "drift": None if still or function is not None else frozen(drift),
+        "function": None if function is None else MovedDynamics.of(function, x, u, x),
+        "operating_point": point,
+    }
+    for name, value in moved.items():
+        object.__setattr__(found, name, value)
+    return found
+
+
+AnyPlant = TypeVar("AnyPlant", bound="Plant | ContinuousPlant")
+
+
+STILL = 1e-10  # drift that is a rounding error, relative to its terms

@@ -15,8 +15,8 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, block_diagonal, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
-from taciturn.model.coordinates import counted_from
 from taciturn.model.cost import Cost
+from taciturn.model.display import counted_from
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant

@@ -16,7 +16,7 @@ from taciturn.model.descriptor import covariance_without, effect_without, explic
 from taciturn.model.display import DisplayedPlant
 from taciturn.model.dynamics import Dynamics, Map
 from taciturn.model.exosystem import Exosystem
-from taciturn.model.operating_point import OperatingPoint, dynamics_at, locate
+from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import limits_from, positive
 from taciturn.model.set_points import RandomSteps, SampledChanges
 
@@ -470,3 +470,63 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
             raise ProblemError(
                 f"{matrices} is not {verb}: {what} the mode at {mode}, which grows; expected a {verb} plant; {remedy}"
             )
+
+
+def stated_function(plant: Plant) -> Dynamics | None:
+    """Return the function of a plant in the units of the plant, or None."""
+    function = plant.function
+    return function.function.dynamics if function and isinstance(function.function, MovedDynamics) else function
+
+
+def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: bool) -> None:
+    """Set the operating point of a new plant, and count its initial mean and its limits from there.
+
+    Args:
+        plant: the plant, in its units.
+        point: the operating point, or None.
+        mean: whether the mean of the initial state is given; it is that of the operating point otherwise.
+
+    Raises:
+        ProblemError: the point has another number of states or inputs than the plant.
+    """
+    object.__setattr__(plant, "operating_point", point)
+    if point is None:
+        return
+    instance("operating_point", point, OperatingPoint)
+    n, m = plant.B.shape
+    array("operating_point.x", point.x, (n,), "(states,)")
+    array("operating_point.u", point.u, (m,), "(inputs,)")
+    if mean:
+        object.__setattr__(plant, "mean", frozen(plant.mean - point.x))
+    limit = plant.input_limit
+    if limit is not None:
+        for i in np.flatnonzero((point.u < limit[:, 0]) | (point.u > limit[:, 1])):
+            raise ProblemError(
+                f"operating_point.u is {point.u[i]:g} for input {i + 1}, beyond its input_limit "
+                f"[{limit[i, 0]:g}, {limit[i, 1]:g}]; expected an input within the limits"
+            )
+        object.__setattr__(plant, "input_limit", limits_at(plant, point))
+
+
+def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> Array | None:
+    """Return the limits of the inputs of a plant in deviations from a point, (m, 2), or None.
+
+    They are computed from the limits in the units of the plant: (limit − u) + u differs from the limit by rounding.
+    """
+    limit = plant.stated_limit
+    return limit if limit is None or point is None else frozen(limit - point.u[:, None])
+
+
+def dynamics_at(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:
+    """Return the function of a plant in deviations from its operating point, which A and B must linearise there.
+
+    Raises:
+        ProblemError: the function fails, does not rest at the point, or has other derivatives than A and B there.
+    """
+    found = function if isinstance(function, Dynamics) else Dynamics(function)
+    if point is None:
+        found.check(plant.A, plant.B, plant.W)
+        return found
+    found.check(plant.A, plant.B, plant.W, (point.x, point.u))
+    rest = found(point.x, point.u, np.zeros(len(point.x)))
+    return MovedDynamics.of(found, point.x, point.u, rest)

@@ -7,7 +7,7 @@ assigned has its value of the previous sampling step. Memories and delays are ex
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,17 +20,17 @@ from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import uncovered
-from taciturn.model.diagram import DRAWN, Diagram, draw_diagram
+from taciturn.model.diagram import DRAWN, Diagram, Link, Place
 from taciturn.model.disturbance import Disturbance
 from taciturn.model.intervals import keep_intervals
-from taciturn.model.location import Location as Location
-from taciturn.model.location import joint_cycle
+from taciturn.model.location import Location, joint_cycle
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant, Prediction
 from taciturn.model.reference import Tracking
 from taciturn.model.schedule import Schedule
 from taciturn.model.steps import (
     ONE,
+    Acknowledged,
     Apply,
     Assign,
     Condition,
@@ -42,7 +42,6 @@ from taciturn.model.steps import (
     assigned,
     site_of,
 )
-from taciturn.model.steps import Acknowledged as Acknowledged
 from taciturn.model.steps import Received as Received
 from taciturn.model.steps import Terms as Terms
 from taciturn.model.theory import Guarantee, Theory
@@ -347,3 +346,65 @@ class Policy(Displayed):
                 f"a table has {len(value.values)} entries selected by the location {value.by!r}, but {got}; "
                 "expected one entry per state of the location"
             )
+
+
+def draw_diagram(policy: Policy) -> Diagram:
+    """Return the nodes of a policy and the links between them, derived from its policy steps.
+
+    Example:
+        >>> from taciturn import Cost, Plant, design
+        >>> policy = design.lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
+        >>> draw_diagram(policy).links[0].condition
+        'if send, by estimate, candidate, error'
+    """
+    sends = [step for step in policy.steps if isinstance(step, Send)]
+    sites = dict.fromkeys(policy.site(node) for node in policy.network.nodes)
+    return Diagram(tuple(_place(policy, site) for site in sites), tuple(_link(policy, step) for step in sends))
+
+
+def _place(policy: Policy, site: frozenset[str]) -> Place:
+    measures = sum(len(entries) for node, entries in policy.measured.values() if node in site)
+    applies = sum(len(entries) for node, entries in policy.applied.values() if node in site)
+    applied, predicted = (applies, 0) if policy.prediction is None or not applies else policy.prediction.L.shape
+    decisions = [step.decision for step in policy.steps if isinstance(step, Decide) and step.at in site]
+    nodes = tuple(node for node in policy.network.nodes if node in site)
+    return Place(nodes, measures, tuple(decisions), applied, predicted)
+
+
+def _link(policy: Policy, step: Send) -> Link:
+    steps, locations = policy.steps, policy.locations
+    payload = {name: policy.sizes[name] for name in step.payload}
+    conditions = [other.on for other in steps if isinstance(other, Assign | Evaluate)]
+    conditions += [location.on for location in locations]
+    told = any(isinstance(on, Acknowledged) and on.link == step.link for on in conditions)
+    ends = (step.link, step.at, policy.network.receiver(step.link), payload)
+    if step.on is None:
+        return Link(*ends, "always", acknowledged=told)
+    trigger = next(other.trigger for other in steps if isinstance(other, Decide) and other.decision == step.on)
+    labels = step.labels or trigger.labels[1:]
+    decided = (step.on, labels, tuple(label for label in trigger.labels if label not in labels))
+    read_by = {by for form in trigger.forms for by in _tables(form)}
+    tables = [location for location in locations if location.name in read_by]
+    turning = tuple(location.name for location in tables if len(location.table) > 1)
+    if trigger.reads or any(location.on is not None for location in tables):
+        return Link(*ends, "decision", *decided, (*trigger.reads, *turning), acknowledged=told)
+    return Link(*ends, "schedule", *decided, turning, *_pattern(trigger, tables, labels), told)
+
+
+def _tables(form: Form) -> list[str]:
+    """Return the names of the locations that select the weights of a form."""
+    return [value.by for value in (form.Psi, form.constant) if isinstance(value, Scheduled)]
+
+
+def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]) -> tuple[tuple[bool, ...], int]:
+    """Return whether a packet is sent at each step, and the step from which this pattern repeats."""
+    here = {clock.name: clock.initial for clock in clocks}
+    visited: dict[tuple[int, ...], int] = {}
+    pattern: list[bool] = []
+    while tuple(here.values()) not in visited:
+        visited[tuple(here.values())] = len(pattern)
+        constants = [form.constant for form in trigger.options.values()]
+        values = [float(c.values[here[c.by]]) if isinstance(c, Scheduled) else c for c in constants]
+        pattern.append(trigger.labels[int(np.argmin(values))] in labels)
+        here = {clock.name: int(clock.table[here[clock.name]]) for clock in clocks}
+    return tuple(pattern), visited[tuple(here.values())]

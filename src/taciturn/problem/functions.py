@@ -11,8 +11,7 @@ from taciturn._files import read_text, why_unreadable
 from taciturn._text import backslash_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, dynamics_of
-from taciturn.model.operating_point import stated_function
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, Plant, stated_function
 
 KEY = "function"
 LARGEST = 2**20  # bytes of a Python file

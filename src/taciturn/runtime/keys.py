@@ -7,6 +7,7 @@ process accepts packets of all of them. A process reads a changed file again, so
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import time
 from abc import ABC, abstractmethod
@@ -15,7 +16,6 @@ from pathlib import Path
 
 from taciturn._files import read_text, why_unreadable
 from taciturn.errors import ProblemError
-from taciturn.runtime.udp import is_loopback
 
 KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
 LARGEST = 2**20  # bytes of a key file
@@ -244,3 +244,18 @@ def _key(digits: str, source: str) -> bytes:
             f"{source} contains other characters than hexadecimal digits; expected {2 * LEAST_KEY} to "
             f"{2 * MOST_KEY} digits"
         ) from None
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host name or address denotes this machine.
+
+    Example:
+        >>> [is_loopback(host) for host in ("127.0.0.1", "localhost", "::1", "localhost.evil.example", "0.0.0.0")]
+        [True, True, True, False, False]
+    """
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

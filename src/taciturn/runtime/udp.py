@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import select
 import socket
 import struct
@@ -124,21 +123,6 @@ def hosts_of(*places: Address | Mapping[str, Address] | None) -> list[str]:
     """Return the hosts of addresses."""
     found = [place.values() if isinstance(place, Mapping) else [place] for place in places if place is not None]
     return [host for addresses in found for host, _ in addresses]
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a host name or address denotes this machine.
-
-    Example:
-        >>> [is_loopback(host) for host in ("127.0.0.1", "localhost", "::1", "localhost.evil.example", "0.0.0.0")]
-        [True, True, True, False, False]
-    """
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 class Endpoint:

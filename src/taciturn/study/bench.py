@@ -18,6 +18,7 @@ import numpy as np
 from taciturn._arrays import Array, count, number
 from taciturn._files import temporary_folder
 from taciturn._progress import Progress
+from taciturn._text import pairs_text, table_text, wrapped_text
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.model.policy import Assign
@@ -28,7 +29,6 @@ from taciturn.program.ir import Program
 from taciturn.program.machine import Build, Kernel
 from taciturn.program.names import Control, Name, Sent
 from taciturn.simulation.statistics import controlled_mean, mean
-from taciturn.study.printed import bench_text
 
 Contestant = Callable[[int], tuple[int, float]]
 """Function from a seed to the number of simulated steps and the rate of sending in them."""
@@ -279,3 +279,15 @@ def version(package: str) -> str:
     with suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
     return "none"
+
+
+def bench_text(found: Bench) -> str:
+    """Return the simulation speed of this machine."""
+    about = found.machine
+    title = wrapped_text(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians")
+    rows = [[name, f"{speed / 1e6:.4g}"] for name, speed in found.speeds.items()]
+    lines = [(name.replace("_", " "), f"{ratio:.3g}") for name, ratio in found.ratios.items()]
+    lines += [(f"machine code, {name}", f"{1000 * seconds:.3g} ms") for name, seconds in found.compile_seconds.items()]
+    for name, ratio in found.variance_ratios.items():
+        lines.append((f"variance, {name}".replace("_", " "), f"{ratio:.3g} times less per step"))
+    return "\n".join([title, table_text(["", "million steps/s"], rows, 1), pairs_text(lines)])

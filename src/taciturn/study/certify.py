@@ -12,6 +12,7 @@ import numpy as np
 from taciturn._cvxpy import expect_solver
 from taciturn._modes import radius
 from taciturn._progress import answered_within
+from taciturn._text import pairs_text, table_text
 from taciturn.analyse.certificates import (
     NoCertificateError,
     bound_cost,
@@ -28,8 +29,7 @@ from taciturn.model.theory import ErrorGain
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.draws import GENERATOR
-from taciturn.study.lines import proved
-from taciturn.study.printed import certificates_text
+from taciturn.study.lines import proved, rounded
 from taciturn.study.units import TimeUnit, time_unit
 
 Found = TypeVar("Found")
@@ -260,3 +260,36 @@ def _attempt(find: Callable[[Switched], Found], matrices: Switched, notes: list[
         if str(error) not in notes:
             notes.append(str(error))
         return None
+
+
+def certificates_text(found: Certificates) -> str:
+    """Return the certificates of a loop, next to those for sending every sample."""
+    ends = "to 0" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
+    more = f", and {_shown(found.gain_residual)} per step" if found.gain_residual else ""
+    table = [
+        ("decay", found.decay, found.decay_all_time, f"factor per step without noise, {ends}"),
+        ("gain", found.gain, found.gain_all_time, f"from noise to the square root of the stage cost{more}"),
+        ("cost", found.cost_bound, found.cost_all_time, f"at most, per {found.unit}"),
+        ("E|x|²", found.mean_square_bound, found.mean_square_all_time, "at most, at sampling instants"),
+    ]
+    policy = f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
+    rows = [[name, _most(value), _shown(always)] for name, value, always, _ in table]
+    parts = [pairs_text([("policy", policy)])]
+    if any(value is not None for _, value, *_ in table):
+        parts.append(table_text(["", "proved", "every sample"], rows, 1))
+    parts.append(pairs_text([(name, text) for name, value, _, text in table if value is not None]))
+    if found.errors:
+        links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in found.errors.items()]
+        parts.append(table_text(["link", "gain from its error", "largest error"], links, 1))
+        bound = f"at most {_most(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
+        parts.append(pairs_text([("cost", bound)]))
+    return "\n".join(filter(None, [*parts, pairs_text([("note", note) for note in found.notes])]))
+
+
+def _shown(value: float | None) -> str:
+    return "none" if value is None else f"{value:.6g}"
+
+
+def _most(value: float | None) -> str:
+    """Return an upper bound, rounded up."""
+    return "none" if value is None else "0" if value == 0 else rounded(value, 6, 1)

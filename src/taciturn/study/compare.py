@@ -12,7 +12,7 @@ from taciturn._arrays import number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, answered_within, in_notebook
-from taciturn._text import per_unit
+from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -24,8 +24,7 @@ from taciturn.simulation.average import check_effort, difference
 from taciturn.study.alike import comparable, measuring_alike
 from taciturn.study.clocks import LinkClocks, clocks_document, clocks_or_reason
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.lines import proved
-from taciturn.study.printed import comparison_text
+from taciturn.study.lines import percent_above, proved, proved_text, shares_text
 from taciturn.study.tuning.tune import Tuned, tune
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
@@ -391,3 +390,42 @@ def _loop(one: Contestant) -> Loop | None:
 def _bound(evaluation: Evaluation) -> float | None:
     """Return the sharpest proven bound."""
     return evaluation.cost_bound if evaluation.cost_bound_at_rate is None else evaluation.cost_bound_at_rate
+
+
+def comparison_text(found: Comparison) -> str:
+    """Return the table of ``taciturn compare``: the ranking, the common rate and the notes."""
+    header = ["", "policy", "parameter", f"cost {per_unit(found.unit)}", "extra cost", "above the first", "guarantee"]
+    limited = any(one.violation is not None for one in found.ranking)
+    header += ["violation per step"] if limited else []
+    rows: list[list[str]] = []
+    for one in found.ranking:
+        rows.append(
+            [
+                one.name,
+                one.policy,
+                one.parameter,
+                str(one.cost),
+                percent_above(one.cost, found.cost_all_time) if found.cost_all_time else "",
+                str(one.above) if one.above.value or one.above.standard_error else "",
+                proved_text(one.cost_bound) or "none",
+                *([str(one.violation or "none")] if limited else []),
+            ]
+        )
+    lines = [(found.of, f"{found.rate:.6g}{' sends' * (found.of == 'rate')} per {found.rate_unit}")]
+    measured = [f"{' and '.join(map(str, one.rates))} ({one.name})" for one in found.ranking]
+    lines.append(("measured", f"{', '.join(measured)}; each cost is corrected for the difference"))
+    if found.cost_all_time is not None:
+        lines.append(("every sample", f"{found.cost_all_time:.6g}"))
+    if isinstance(found.clocks, str):
+        lines.append(("periodic", f"none at this traffic: {found.clocks}"))
+    elif found.clocks is not None:
+        lines.append(("periodic", f"{found.clocks.cost:.6g}, the least found, in steps: {found.clocks.short()}"))
+    parts = [table_text(header, rows, 2), pairs_text(lines)]
+    for one in found.ranking:
+        share = percent(one.share, 1, error=one.share_error)
+        shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
+        shared += "" if one.tuned.shares is None else f"shares {shares_text(one.tuned.shares)}; "
+        notes = "; ".join(one.tuned.evaluation.notes)
+        if shared or notes:
+            parts.append(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
+    return "\n".join(parts)

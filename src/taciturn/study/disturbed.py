@@ -10,7 +10,7 @@ import numpy as np
 
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
-from taciturn.design.certainty import SEND
+from taciturn.design.estimation import SEND
 from taciturn.design.given import send_every_sample
 from taciturn.loop import close
 from taciturn.model.estimate import Estimate

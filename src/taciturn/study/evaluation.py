@@ -18,6 +18,7 @@ from taciturn.study.disturbed import AfterStep
 from taciturn.study.limited import WithoutLimits
 from taciturn.study.lines import (
     MOST_DECIMALS,
+    AsWritten,
     bound_text,
     clock_text,
     decimals_of,
@@ -30,7 +31,6 @@ from taciturn.study.lines import (
 )
 from taciturn.study.measure import CONDITIONAL
 from taciturn.study.units import TimeUnit, Unit, rate_unit
-from taciturn.study.written import AsWritten
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
 ZERO = 1e-11  # relative difference of two costs that is a rounding error

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
+from taciturn._display import Displayed
 from taciturn._text import LARGE, magnitude, number_text, percent
 from taciturn.model.diagram import pattern_text
 from taciturn.model.estimate import Estimate
@@ -101,3 +103,53 @@ def queries_text(schedule: Schedule) -> str:
         return f"{len(ticks)} of {len(schedule.queries)} steps" + (f": {listed}" if ticks else "")
     once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} steps, periodically"
     return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"
+
+
+def proved_text(bound: float | None) -> str:
+    """Return a proved bound rounded up, empty if there is none."""
+    return "" if bound is None else rounded(bound, 6, 1)
+
+
+@dataclass(frozen=True, repr=False)
+class AsWritten(Displayed):
+    """The policy on the plant as written, without a slow disturbance that a default has added.
+
+    Args:
+        added: time constant and deviation of this disturbance, as text.
+        cost: cost of the policy on the plant as written.
+        cost_all_time: cost of sending every sample there; None if it is not known.
+        rates: sends per step or per second there, by scheduled link.
+        settled: whether the initial transient has decayed.
+    """
+
+    added: str
+    cost: Estimate
+    cost_all_time: float | None
+    rates: Mapping[str, Estimate] = field(hash=False)
+    settled: bool = True
+
+    def document(self) -> dict[str, Any]:
+        """Return the part of the JSON document of ``taciturn evaluate --json``."""
+        return {
+            "added": self.added,
+            "cost": self.cost.document("value", "standard_error"),
+            "cost_all_time": self.cost_all_time,
+            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
+            "settled": self.settled,
+        }
+
+    def extra(self) -> str:
+        """Return by how much the policy costs more than sending every sample on the plant as written, as text."""
+        if not self.cost_all_time:
+            return "without known cost of every sample"
+        return percent_above(self.cost, self.cost_all_time)
+
+    def text(self, unit: str) -> str:
+        """Return what is added and the numbers without it as one sentence."""
+        every = "" if self.cost_all_time is None else f", every sample {self.cost_all_time:.6g} ({self.extra()})"
+        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
+        late = "" if self.settled else "; the loop has not settled: more steps are required"
+        return (
+            f"a slow disturbance at each input that the problem does not state ({self.added}); on the plant as "
+            f"written, this policy costs {self.cost}{every}, {rates}{late}"
+        )

@@ -13,7 +13,7 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn._figure import HEIGHT, Panel, Series, Size, draw
 from taciturn._progress import Progress, answered_within, in_notebook
-from taciturn._text import per_unit, percent
+from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
@@ -23,11 +23,9 @@ from taciturn.simulation.average import check_effort
 from taciturn.study.clock import ClockKind, ClockPoint
 from taciturn.study.evaluation import Evaluation, bound_at_rate, least_cost, periodic_cost
 from taciturn.study.fair import clock_of
-from taciturn.study.lines import proved
-from taciturn.study.printed import tradeoff_text
-from taciturn.study.sweeping.cells import Cell, Effort, check_confidence, evaluate_cells
+from taciturn.study.lines import bound_text, percent_above, proved, proved_text
+from taciturn.study.sweeping.cells import Cell, Effort, check_confidence, check_grid, evaluate_cells, grid_of, label_of
 from taciturn.study.sweeping.store import Store
-from taciturn.study.sweeping.sweep import check_grid, grid_of, label_of
 from taciturn.study.units import TimeUnit, Unit, rate_unit
 
 if TYPE_CHECKING:
@@ -299,3 +297,53 @@ def _name(key: str, value: object) -> str:
 
 def _rate(point: Point) -> float:
     return next(iter(point.evaluation.rates.values())).value
+
+
+def tradeoff_text(found: Tradeoff) -> str:
+    """Return the table of ``taciturn tradeoff``: rates, cost, guarantee and periodic control at each point."""
+    names = list(found.points[0].values)
+    first = found.points[0].evaluation
+    of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
+    cost = f"cost {per_unit(found.unit)}"
+    header = [*names, *(f"sends per {first.rate_unit}{text}" for text in of.values())]
+    sharp = all(point.evaluation.cost_bound_at_rate is not None for point in found.points)
+    header += [cost, "extra cost", "guarantee, this rate" if sharp else "guarantee", "periodic, same rate"]
+    bounded = any(point.evaluation.lower_bound is not None for point in found.points)
+    header += ["no schedule below"] if bounded else []
+    windows = {one.evaluation.violations.window for one in found.points if one.evaluation.violations is not None}
+    header += [name for window in windows for name in ("violation per step", f"within {window}")]
+    rows: list[list[str]] = []
+    for point in found.points:
+        e, least, periodic = point.evaluation, least_cost(point.evaluation), periodic_cost(point.evaluation)
+        bound = bound_at_rate(e) if sharp else None
+        rows.append(
+            [
+                *(str(value) for value in point.values.values()),
+                *(str(rate) for rate in e.rates.values()),
+                str(e.cost),
+                percent_above(e.cost, e.cost_all_time) if e.cost_all_time else "",
+                proved_text(e.cost_bound) if bound is None else bound_text(bound, 1),
+                "none" if periodic is None else str(periodic),
+                *(["none" if least is None else f"{least:.6g}"] if bounded else []),
+                *(_violation(e) if windows else []),
+            ]
+        )
+    parts = [table_text(header, rows, len(names))]
+    if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
+        pace = "" if first.base_rate is None else f" at {first.base_rate:.4g} sends per {first.rate_unit}"
+        lines = [("every sample", f"{first.cost_all_time:.6g}{pace}")]
+        parts.append(pairs_text(lines + ([("guarantee", found.guarantee)] if found.guarantee else [])))
+    for note in dict.fromkeys(note for point in found.points for note in point.evaluation.notes):
+        at = [point.values for point in found.points if note in point.evaluation.notes]
+        settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
+        parts.append(wrapped_text(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}"))
+    if bounded and not found.one_controller:
+        parts.append(wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs"))
+    return "\n".join(parts)
+
+
+def _violation(found: Evaluation) -> list[str]:
+    """Return the probabilities that a limit is violated, per step and within the window."""
+    if found.violations is None:
+        return ["none", "none"]
+    return [str(found.violations.total.per_step), str(found.violations.total.within)]

@@ -8,17 +8,13 @@ written.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
-from taciturn._display import Displayed
 from taciturn._progress import Progress
 from taciturn.design.given import send_every_sample
 from taciturn.errors import TaciturnError
 from taciturn.model.controller import ContinuousController, Controller
 from taciturn.model.disturbance import Disturbance
-from taciturn.model.estimate import Estimate
 from taciturn.model.kept import Kept
 from taciturn.model.pid import PID, PIDLoops
 from taciturn.model.plant import ContinuousPlant
@@ -26,53 +22,8 @@ from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.problem.bare import BareKind
 from taciturn.study.disturbed import averages_on, precisely
-from taciturn.study.lines import percent_above
+from taciturn.study.lines import AsWritten
 from taciturn.study.measure import Request
-
-
-@dataclass(frozen=True, repr=False)
-class AsWritten(Displayed):
-    """The policy on the plant as written, without a slow disturbance that a default has added.
-
-    Args:
-        added: time constant and deviation of this disturbance, as text.
-        cost: cost of the policy on the plant as written.
-        cost_all_time: cost of sending every sample there; None if it is not known.
-        rates: sends per step or per second there, by scheduled link.
-        settled: whether the initial transient has decayed.
-    """
-
-    added: str
-    cost: Estimate
-    cost_all_time: float | None
-    rates: Mapping[str, Estimate] = field(hash=False)
-    settled: bool = True
-
-    def document(self) -> dict[str, Any]:
-        """Return the part of the JSON document of ``taciturn evaluate --json``."""
-        return {
-            "added": self.added,
-            "cost": self.cost.document("value", "standard_error"),
-            "cost_all_time": self.cost_all_time,
-            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
-            "settled": self.settled,
-        }
-
-    def extra(self) -> str:
-        """Return by how much the policy costs more than sending every sample on the plant as written, as text."""
-        if not self.cost_all_time:
-            return "without known cost of every sample"
-        return percent_above(self.cost, self.cost_all_time)
-
-    def text(self, unit: str) -> str:
-        """Return what is added and the numbers without it as one sentence."""
-        every = "" if self.cost_all_time is None else f", every sample {self.cost_all_time:.6g} ({self.extra()})"
-        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
-        late = "" if self.settled else "; the loop has not settled: more steps are required"
-        return (
-            f"a slow disturbance at each input that the problem does not state ({self.added}); on the plant as "
-            f"written, this policy costs {self.cost}{every}, {rates}{late}"
-        )
 
 
 def plant_as_written(

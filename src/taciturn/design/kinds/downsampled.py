@@ -6,7 +6,8 @@ import numpy as np
 
 from taciturn._arrays import count, number
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.certainty import Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.estimation import DEVIATION, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise

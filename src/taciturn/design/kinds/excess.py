@@ -7,14 +7,10 @@ from typing import Literal
 
 from taciturn._arrays import choice, count, instance
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
-from taciturn.design.certainty import (
-    SEND,
-    certainty_policy,
-    control_steps,
-    design_certainty,
-)
 from taciturn.design.certainty import Actuation as LQGActuation
+from taciturn.design.certainty import certainty_policy, control_steps, design_certainty
 from taciturn.design.dropout_gains import gains_for_losses
+from taciturn.design.estimation import SEND
 from taciturn.design.given import drops, keep_controller
 from taciturn.design.kept import lqg_observer
 from taciturn.design.kind import Kind, TradeoffParameter

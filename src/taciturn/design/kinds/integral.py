@@ -10,7 +10,7 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn._progress import check_time
-from taciturn.design.certainty import SEND
+from taciturn.design.estimation import SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError

@@ -6,10 +6,8 @@ import numpy as np
 
 from taciturn._arrays import instance, number
 from taciturn.design.anti_windup import within_limits
-from taciturn.design.certainty import CLOCK, SEND, count_ticks
-from taciturn.design.estimation import ESTIMATE, HELD
+from taciturn.design.estimation import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.lossy import (

@@ -12,19 +12,15 @@ from taciturn._arrays import Array, choice, number, symmetrised
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
-    CLOCK,
-    COLLOCATED,
-    SEND,
     completed_square,
     control_steps,
-    count_ticks,
     expect_constant_set_points,
     silence_form,
     steps_at_the_actuator,
 )
-from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.estimation import CLOCK, COLLOCATED, ESTIMATE, HELD, SEND, FilterSteps, by_clock, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.prices import Prices, by_clock, price_control
+from taciturn.design.prices import Prices, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import expect_known_start, forgetting

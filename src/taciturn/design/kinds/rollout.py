@@ -10,16 +10,13 @@ import numpy as np
 from taciturn._arrays import Array, count, symmetrised
 from taciturn._progress import check_time
 from taciturn.design.certainty import (
-    CLOCK,
-    SEND,
     CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
-    count_ticks,
     design_certainty,
     measure_excess,
 )
-from taciturn.design.estimation import ESTIMATE
+from taciturn.design.estimation import CLOCK, ESTIMATE, SEND, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise

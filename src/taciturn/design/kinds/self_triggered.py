@@ -7,8 +7,8 @@ import numpy as np
 from taciturn._arrays import count, number, symmetrised
 from taciturn._progress import check_time
 from taciturn.design.bounds import LARGEST_PARAMETER, less_noise
-from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
-from taciturn.design.estimation import ESTIMATE
+from taciturn.design.certainty import certainty_policy, control_steps, design_certainty, measure_excess
+from taciturn.design.estimation import ESTIMATE, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise

@@ -11,13 +11,13 @@ from taciturn.design._fixed_point import least_value
 from taciturn.design.anti_windup import within_limits
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.certainty import (
-    SEND,
     CertaintyEquivalentDesign,
     design_certainty,
     expect_average,
     expect_constant_set_points,
 )
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
+from taciturn.design.estimation import SEND
 from taciturn.design.kept import lqg_observer
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter

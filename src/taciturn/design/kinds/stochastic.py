@@ -9,14 +9,13 @@ from taciturn._modes import root
 from taciturn._progress import check_time
 from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
 from taciturn.design.certainty import (
-    DEVIATION,
-    SEND,
     Actuation,
     CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     design_certainty,
 )
+from taciturn.design.estimation import DEVIATION, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise

@@ -10,8 +10,9 @@ import numpy as np
 from taciturn._arrays import number
 from taciturn._display import Displayed
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.certainty import SEND, expect_average
+from taciturn.design.certainty import expect_average
 from taciturn.design.dead_bands import errors_of_one
+from taciturn.design.estimation import SEND
 from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.routes import nonempty, sensor_base

@@ -8,8 +8,8 @@ import numpy as np
 
 from taciturn._arrays import Array, instance, number
 from taciturn.design.anti_windup import within_limits
-from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, steps_at_the_actuator
-from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.certainty import design_certainty, steps_at_the_actuator
+from taciturn.design.estimation import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting

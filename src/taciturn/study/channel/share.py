@@ -13,6 +13,7 @@ from taciturn._arrays import choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, answered_within, in_notebook
+from taciturn._text import pairs_text, percent, table_text
 from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
@@ -24,7 +25,7 @@ from taciturn.study.channel.loop_classes import gather
 from taciturn.study.channel.prices import DualBound
 from taciturn.study.channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game, measure
 from taciturn.study.evaluate import SURE
-from taciturn.study.printed import sharing_text
+from taciturn.study.lines import rounded
 from taciturn.study.sweeping.workers import idle
 from taciturn.study.units import Unit, cost_unit
 
@@ -352,3 +353,52 @@ def share_channel(
 
 def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
+
+
+def sharing_text(found: Sharing) -> str:
+    """Return the cost of the loops on a shared channel."""
+    base, bound = found.cost_all_time, found.lower_bound
+
+    def above(cost: float) -> str:
+        if not base:
+            return ""
+        share = cost / base
+        return f"   ({percent(share - 1, 2, signed=True)})" if share < 10 else f"   ({share:.4g} times)"
+
+    lines = [
+        ("scheduler", found.scheduler),
+        ("loops", f"{found.loops}, at most {found.capacity} sends per step"),
+        ("sum of costs", f"{found.cost} per {found.unit}{above(found.cost.value)}"),
+        ("every sample", f"{base:.6g}"),
+    ]
+    if bound is not None:
+        sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
+        text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
+        lines.append(("no less than", text))
+    label, attained = "best periodic" if found.clock_attained else "periodic, bound", found.cost_periodic_attained
+    lines += [
+        (label, f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
+        *([] if found.clock_attained else [("periodic, found", f"{attained:.6g}{above(attained)}")]),
+        ("consistent", {True: "yes", False: "no", None: "undecided within the standard errors"}[found.consistent]),
+        ("load", f"{found.load} sends per step"),
+    ]
+    if found.load_expected is not None:
+        lines.append(("expected load", f"{found.load_expected} if no loop had to wait"))
+    if found.scheduler == "random-access":
+        lines.append(("on the channel", f"{found.busy} packets per step, collisions included"))
+    if found.price is not None and found.waiting is not None:
+        lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per step")]
+    rows = [
+        [
+            one.name,
+            f"{one.copies}",
+            f"{one.cost}",
+            f"{one.cost_all_time:.6g}",
+            f"{one.rate}",
+            f"{one.rate_periodic:.4g}",
+        ]
+        for one in found.shares
+    ]
+    per = "sends per check"
+    header = ["", "loops", f"cost per {found.unit}", "every sample", per, f"{label}: {per}"]
+    return "\n".join([pairs_text([*lines, *(("note", note) for note in found.notes)]), table_text(header, rows, 1)])

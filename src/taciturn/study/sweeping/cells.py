@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import logging
 import math
 import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, cast
 
-from taciturn._arrays import instance, number
+from taciturn._arrays import expect_unmasked, instance, number, quoted
 from taciturn._display import Displayed
 from taciturn._progress import NoTimeLeft, Progress, check_time, seconds_left
 from taciturn._version import __version__
@@ -303,3 +305,84 @@ def _answer(problem: Problem, cell: Cell, effort: Effort, progress: Progress | N
         return Refusal(error)
     except ArithmeticError as error:
         return Refusal(ProblemError(f"a number is out of range ({error}); expected sizes nearer to 1"))
+
+
+def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
+    """Return the values of each name as lists.
+
+    Raises:
+        ProblemError: there are no names or no values, a value is given twice, or the values are not a list.
+    """
+    instance("over", over, Mapping)
+    listed: dict[str, list[object]] = {}
+    for name, values in over.items():
+        instance("a name in over", name, str)
+        plain = plain_value(name, values)
+        if not isinstance(plain, list):
+            raise ProblemError(f"the values of {name} are {quoted(values)}; expected a list such as [0.1, 1.0]")
+        listed[name] = cast("list[object]", plain)
+        labels_of(name, listed[name])
+        path = path_of(name)
+        for other in itertools.islice(listed, len(listed) - 1):
+            if path[: len(path_of(other))] == path_of(other) or path == path_of(other)[: len(path)]:
+                raise ProblemError(
+                    f"the keys {other} and {name} are the same, or one contains the other; expected one of them"
+                )
+    if not listed or not all(listed.values()):
+        raise ProblemError("there are no values; expected a name with at least one value, such as theta=0.1,1")
+    return listed
+
+
+def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
+    """Return every combination of the values; the last name varies fastest."""
+    return [dict(zip(listed, values, strict=True)) for values in itertools.product(*listed.values())]
+
+
+def label_of(problem: Problem) -> dict[str, str]:
+    """Return the label of a sweep's results: digest of the problem, and version."""
+    return {"problem": fingerprint(problem), "version": __version__}
+
+
+def labels_of(name: str, values: Sequence[object]) -> list[Any]:
+    """Return the coordinates of a dimension: numbers and words unchanged, other values as JSON.
+
+    Raises:
+        ProblemError: a value occurs twice.
+    """
+    numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
+    plain = numbers or all(isinstance(one, str) for one in values)
+    labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]
+    twice = next((one for one in labels if labels.count(one) > 1), None) if len(set(labels)) < len(labels) else None
+    if twice is not None:
+        raise ProblemError(f"{name} has the value {twice} twice; expected each value once")
+    return labels
+
+
+def path_of(name: str) -> list[str]:
+    """Return the path of a name: its tables, then its key."""
+    path = name.split(".")
+    return path if len(path) > 1 else ["policy", *path]
+
+
+def plain_value(name: str, value: object) -> object:
+    """Return a value in the form of a problem file: arrays as lists of rows.
+
+    Raises:
+        ProblemError: a problem file cannot contain the value.
+    """
+    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+        expect_unmasked(f"a value of {name}", value)
+        value = cast("Any", value).tolist()
+    elif hasattr(value, "values") and not isinstance(value, Mapping):  # labelled arrays
+        value = cast("Any", value).values.tolist()
+    if isinstance(value, Mapping):
+        table = cast("Mapping[object, object]", value)
+        return {str(key): plain_value(name, one) for key, one in table.items()}
+    if isinstance(value, list | tuple | range):
+        return [plain_value(name, one) for one in cast("Iterable[object]", value)]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ProblemError(f"a value of {name} is {quoted(value)}; expected numbers, words, lists or arrays of them")
+
+
+LARGEST = 2**63  # limit of the integers that a file can hold

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 import platform
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,23 +13,32 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from taciturn._arrays import expect_unmasked, instance, quoted
 from taciturn._progress import Progress, answered_within, in_notebook
 from taciturn._text import per_unit
-from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.record import digest, encode, fingerprint, origin
-from taciturn.study.sweeping.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
+from taciturn.study.record import digest, encode, origin
+from taciturn.study.sweeping.cells import (
+    LARGEST,
+    Cell,
+    Cells,
+    Effort,
+    Refusal,
+    check_confidence,
+    check_grid,
+    label_of,
+    labels_of,
+    path_of,
+    run_cells,
+)
 from taciturn.study.sweeping.store import Store
 
 if TYPE_CHECKING:
     import xarray
 
-LARGEST = 2**63  # limit of the integers that a file can hold
 TAKEN = ("drop", "method", "tolerance")  # argument names of the selection methods of labelled arrays
 
 
@@ -90,14 +97,14 @@ def sweep(
         check_effort(seed, standard_error, steps)
         listed = check_grid(over)
         for name in listed:
-            if _path(name) == ["policy", "seed"]:
+            if path_of(name) == ["policy", "seed"]:
                 raise ProblemError(
                     "seed is not a key of a problem; expected one sweep for each seed (--seed, seed=), with the same "
                     "store"
                 )
             if name in TAKEN:
                 raise ProblemError(f"the dimension name {name} is reserved by xarray; expected policy.{name}")
-        axes = {name: _labels(name, values) for name, values in listed.items()}
+        axes = {name: labels_of(name, values) for name, values in listed.items()}
         _check_axes(problem, listed, confidence)
         cells = _Grid(listed, seed)
         label = label_of(problem)
@@ -110,84 +117,6 @@ def sweep(
         methods = ", ".join(sorted(table.methods))
         told = {name: str(value) for name, value in origin(problem, seed, methods).items()}
         return table.dataset(axes, label | told | {"machine": f"{platform.machine()}, {platform.system()}"})
-
-
-def label_of(problem: Problem) -> dict[str, str]:
-    """Return the label of a sweep's results: digest of the problem, and version."""
-    return {"problem": fingerprint(problem), "version": __version__}
-
-
-def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
-    """Return the values of each name as lists.
-
-    Raises:
-        ProblemError: there are no names or no values, a value is given twice, or the values are not a list.
-    """
-    instance("over", over, Mapping)
-    listed: dict[str, list[object]] = {}
-    for name, values in over.items():
-        instance("a name in over", name, str)
-        plain = _plain(name, values)
-        if not isinstance(plain, list):
-            raise ProblemError(f"the values of {name} are {quoted(values)}; expected a list such as [0.1, 1.0]")
-        listed[name] = cast("list[object]", plain)
-        _labels(name, listed[name])
-        path = _path(name)
-        for other in itertools.islice(listed, len(listed) - 1):
-            if path[: len(_path(other))] == _path(other) or path == _path(other)[: len(path)]:
-                raise ProblemError(
-                    f"the keys {other} and {name} are the same, or one contains the other; expected one of them"
-                )
-    if not listed or not all(listed.values()):
-        raise ProblemError("there are no values; expected a name with at least one value, such as theta=0.1,1")
-    return listed
-
-
-def _path(name: str) -> list[str]:
-    """Return the path of a name: its tables, then its key."""
-    path = name.split(".")
-    return path if len(path) > 1 else ["policy", *path]
-
-
-def _plain(name: str, value: object) -> object:
-    """Return a value in the form of a problem file: arrays as lists of rows.
-
-    Raises:
-        ProblemError: a problem file cannot contain the value.
-    """
-    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
-        expect_unmasked(f"a value of {name}", value)
-        value = cast("Any", value).tolist()
-    elif hasattr(value, "values") and not isinstance(value, Mapping):  # labelled arrays
-        value = cast("Any", value).values.tolist()
-    if isinstance(value, Mapping):
-        table = cast("Mapping[object, object]", value)
-        return {str(key): _plain(name, one) for key, one in table.items()}
-    if isinstance(value, list | tuple | range):
-        return [_plain(name, one) for one in cast("Iterable[object]", value)]
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    raise ProblemError(f"a value of {name} is {quoted(value)}; expected numbers, words, lists or arrays of them")
-
-
-def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
-    """Return every combination of the values; the last name varies fastest."""
-    return [dict(zip(listed, values, strict=True)) for values in itertools.product(*listed.values())]
-
-
-def _labels(name: str, values: Sequence[object]) -> list[Any]:
-    """Return the coordinates of a dimension: numbers and words unchanged, other values as JSON.
-
-    Raises:
-        ProblemError: a value occurs twice.
-    """
-    numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
-    plain = numbers or all(isinstance(one, str) for one in values)
-    labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]
-    twice = next((one for one in labels if labels.count(one) > 1), None) if len(set(labels)) < len(labels) else None
-    if twice is not None:
-        raise ProblemError(f"{name} has the value {twice} twice; expected each value once")
-    return labels
 
 
 def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confidence: float | None) -> None:
@@ -241,7 +170,7 @@ class _Grid:
 
 def _seed_of(seed: int, values: Mapping[str, object]) -> int:
     """Return the seed of a cell, which ``taciturn evaluate --seed`` accepts."""
-    stated = {".".join(_path(name)): _as_float(value) for name, value in values.items()}
+    stated = {".".join(path_of(name)): _as_float(value) for name, value in values.items()}
     words = np.frombuffer(bytes.fromhex(digest(encode(stated))), dtype=np.uint32)
     return int(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words[:4])).generate_state(1)[0])
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from taciturn._text import wrapped_text
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular
-from taciturn.study.printed import sweep_text
+
+if TYPE_CHECKING:
+    import xarray
 
 if TYPE_CHECKING:
     import pandas
@@ -58,3 +61,22 @@ class SweepTable(Tabular):
         frame = self.result.to_dataframe().reset_index()
         frame.attrs.update(self.result.attrs)
         return frame
+
+
+def sweep_text(found: xarray.Dataset) -> str:
+    """Return the grid of a sweep, and the cells with the smallest and the largest cost."""
+    grid = " × ".join(f"{name} ({size})" for name, size in found.sizes.items())
+    refused = int((found.refusal != "").sum())
+    parts = [f"{found.refusal.size} cells over {grid}: {found.refusal.size - refused} evaluated, {refused} refused"]
+    ends = () if refused == found.refusal.size else (("smallest", found.cost.argmin), ("largest", found.cost.argmax))
+    for name, find in ends:
+        at = found.isel(find(...))
+        where = ", ".join(f"{key} = {at[key].item()}" for key in found.sizes)
+        cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
+        rates = [
+            f"{at[key].item():.4g} {at[key].units} ({key[5:]})"
+            for key in map(str, found.data_vars)
+            if key.startswith("rate_") and f"{key}_standard_error" in found
+        ]
+        parts.append(f"{name} cost {cost} at {where}; {', '.join(rates)}")
+    return "\n".join(map(wrapped_text, parts))

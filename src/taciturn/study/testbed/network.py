@@ -17,6 +17,7 @@ from taciturn._figure import Panel, Series, Size, draw
 from taciturn._files import temporary_folder
 from taciturn._grid import parse_settings
 from taciturn._progress import Progress, in_notebook
+from taciturn._text import pairs_text, per_unit
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
@@ -37,7 +38,6 @@ from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
-from taciturn.study.printed import network_text
 from taciturn.study.testbed.logs import PART, Logs
 from taciturn.study.testbed.ticks import cost_of_ticks, measured, rate_of_ticks, remark_on_rates
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
@@ -376,3 +376,23 @@ def _datagrams(link: str, reports: Mapping[str, Mapping[str, Any]]) -> dict[str,
 
 def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None]:
     return lambda line: progress((line["tick"] + 1) / ticks)
+
+
+def network_text(found: NetworkRun) -> str:
+    """Return the cost and the packets of a network run."""
+    policy = found.loop.policy
+    cost = "-" if found.cost is None else f"{found.cost} {per_unit(found.unit)}"
+    lines = [("policy", policy.kind), ("steps", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
+    lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
+    if found.nominal:
+        lines.append(("every sample", f"{policy.cost_all_time:.6g}"))
+    for link, counted in found.datagrams.items():
+        told = (f"{count} {'sent again' if name == 'again' else name}" for name, count in counted.items())
+        lines.append((f"link, {link}", ", ".join(told)))
+    for name, report in found.reports.items():
+        if report.get("degraded"):
+            lines.append(("degraded", f"{name}: " + ", ".join(f"{n} {why}" for why, n in report["degraded"].items())))
+        if report.get("lateness_ms"):
+            shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
+            lines.append(("lateness, ms", f"{name}: {shown}"))
+    return pairs_text([*lines, *(("note", note) for note in found.notes)])

@@ -16,11 +16,11 @@ import numpy as np
 
 from taciturn._arrays import count
 from taciturn._display import Displayed
+from taciturn._text import pairs_text
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.problem import Problem
 from taciturn.runtime.faults import Fault
-from taciturn.study.printed import world_text
 from taciturn.study.testbed.devices import NoCompilerError, compile_devices
 from taciturn.study.testbed.invariants import INVARIANTS, Copy, find_copies
 from taciturn.study.testbed.world import MakeNode, World
@@ -147,3 +147,19 @@ def prepare(problem: Problem) -> tuple[Loop, Sequence[Copy]]:
     if broken is not None:
         raise ProblemError(f"without any fault, {broken}; expected nodes that run over this network")
     return loop, find_copies(quiet.monitor.snapshots, 20)
+
+
+def world_text(found: WorldRun) -> str:
+    """Return the faults, the counters and the recovery of a world."""
+    lines = [("world", f"{found.seed}, {found.steps} steps, {found.ticks} steps of nodes in {found.seconds:.2f} s")]
+    lines.append(("nodes in C", ", ".join(found.devices) or "none"))
+    lines.append(("keys", "one for each link" if found.keyed else "none"))
+    lines += [("fault", fault.text()) for fault in found.faults]
+    for name, counted in found.counters.items():
+        shown = ", ".join(f"{number} {what}" for what, number in counted.items() if number)
+        lines.append((name, shown or "no packets"))
+    if found.recovery is not None:
+        lines.append(
+            ("recovery", f"{found.recovery} steps after the last fault; at most {found.promised} are promised")
+        )
+    return pairs_text([*lines, ("broken", found.broken or "no invariant"), *(("note", note) for note in found.notes)])

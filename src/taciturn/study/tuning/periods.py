@@ -7,12 +7,12 @@ from typing import Any
 
 from taciturn._arrays import number
 from taciturn._progress import Progress, answered_within
+from taciturn._text import pairs_text, table_text
 from taciturn.errors import ProblemError
 from taciturn.lqg.regulation import has_average
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem.bare import Studied, as_problem
-from taciturn.study.printed import periods_text
 from taciturn.study.tuning.tune import Tuned, tune
 
 FASTER = 2.0  # from one period to the next
@@ -152,3 +152,19 @@ def _gains(before: Tuned, after: Tuned) -> bool:
     cost, base = after.evaluation.cost, after.evaluation.cost_all_time
     above = cost.value - (0.0 if base is None else base)
     return before.evaluation.cost.value - cost.value > max(ENOUGH * above, cost.standard_error)
+
+
+def periods_text(found: TunedPeriod) -> str:
+    """Return the periods that were tried at a given rate, and the best of them."""
+    names = ["period", found.best.parameter.name, "cost", "consistent"]
+    rows = [
+        [
+            f"{one.problem.parameters['period']:g}",
+            one.parameter.beside(None),
+            str(one.evaluation.cost),
+            one.evaluation.consistency or "",
+        ]
+        for one in found.tried
+    ]
+    period = pairs_text([("period", f"{found.best.problem.parameters['period']:g}")])
+    return "\n".join([table_text(names, rows, 1), period, str(found.best)])
