@@ -21,10 +21,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported: times are 
 
 import taciturn
 from taciturn import Problem, share_channel
-from taciturn.study.channel.loop_classes import Kind, gather
-from taciturn.study.channel.prices import Curves
-from taciturn.study.channel.schedulers import SCHEDULERS, Game
-from taciturn.study.channel.simulated import Group, measure_freely
+from taciturn_channel.classes import Kind, gather
+from taciturn_channel.prices import Curves
+from taciturn_channel.schedulers import SCHEDULERS, Game
+from taciturn_channel.simulated import Group, measure_freely
 
 DOUBLE, PENDULUM, MASSES = "wiener-double-integrator", "inverted-pendulum", "two-mass-lqg"
 SIZES = (2, 10, 100, 1000, 10_000, 100_000)

@@ -22,11 +22,9 @@ import numpy as np
 import taciturn
 from taciturn._arrays import Array
 from taciturn._files import write_whole
-from taciturn.export.folder import CFolder, print_folder
-from taciturn.export.sizes import find_tool, measure_sizes
-from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
-from taciturn.model.policy import Assign, Decide, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide
 from taciturn.program.c import c_literal
 from taciturn.program.ops import Precision
 from taciturn_boards.cortex import (
@@ -39,6 +37,8 @@ from taciturn_boards.cortex import (
     run_on,
     self_check,
 )
+from taciturn_export.folder import CFolder, print_folder, record_loop
+from taciturn_export.sizes import find_tool, measure_sizes
 
 TICKS = 2000  # at most: a finite-horizon run has fewer
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it

@@ -19,10 +19,10 @@ from taciturn.model.policy import Policy
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Sent
+from taciturn.program.ops import Sent
 from taciturn.simulation.bank import Bank
 from taciturn.simulation.statistics import mean
-from taciturn.study.bench import PATHS, Contestant, race
+from taciturn_bench.bench import PATHS, Contestant, race
 
 WANTED = 1e-4  # relative standard error of the cost
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from taciturn.loop import Loop
-from taciturn.model.policy import Assign
-from taciturn.program.target import VECTORS
+from taciturn.model.steps import Assign
+from taciturn.program.llvm import VECTORS
 
 SOURCE = Path(__file__).with_name("limit.cpp")
 FLAGS = ["-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-std=c++17", "-shared", "-fPIC"]

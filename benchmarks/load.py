@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 import taciturn
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.processes import Process
-from taciturn.runtime.udp import Endpoint, free_addresses, parse_address
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.endpoint import Endpoint, free_addresses, parse_address
+from taciturn_udp.processes import Process
 
 
 def serve(loops: int, tick: float, ticks: int) -> dict[str, object]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from taciturn.loop import Loop
-from taciturn.model.policy import Assign
-from taciturn.study.bench import Contestant
+from taciturn.model.steps import Assign
+from taciturn_bench.bench import Contestant
 
 
 class Data:

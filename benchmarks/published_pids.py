@@ -18,7 +18,7 @@ import numpy as np
 import taciturn
 from taciturn import PID, ContinuousPlant, Network, Problem, TaciturnError
 from taciturn._files import write_whole
-from taciturn.design.kept import cost_as_kept, disturbed
+from taciturn.base.given_controller import cost_as_kept, disturbed
 
 MORE = 0.05
 ACCURACY = 5e-4  # standard error relative to the cost

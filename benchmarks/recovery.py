@@ -117,8 +117,8 @@ class Rig:
     def __init__(self, folder: Path, tick: float, fast: float, seed: int, keeps: bool) -> None:
         """Write the problem and the key, and form the commands; ``fast`` is the rate of the nodes' wall clocks."""
         import taciturn
-        from taciturn.runtime.packet import Wire
-        from taciturn.runtime.udp import free_addresses
+        from taciturn.nodes.packet import Wire
+        from taciturn_udp.endpoint import free_addresses
 
         class Numbered(Wire):
             """A wire format that adds a number to the steps of the plant."""
@@ -166,7 +166,7 @@ class Rig:
 
     def start(self, *roles: str) -> None:
         """Start nodes, and wait until they listen."""
-        from taciturn.runtime.processes import Process
+        from taciturn_udp.processes import Process
 
         for role in roles:
             self.processes[role] = Process(self.commands[role], f"the {role}")
@@ -182,9 +182,9 @@ class Rig:
             self._serve(ended)
 
     def _serve(self, ended: Callable[[], bool]) -> None:
-        from taciturn.runtime.plant import SimulatedPlant
-        from taciturn.runtime.udp import Endpoint
-        from taciturn.runtime.world import PlantServer
+        from taciturn.nodes.plant import SimulatedPlant
+        from taciturn_udp.endpoint import Endpoint
+        from taciturn_udp.plant import PlantServer
 
         plant, begin, held = SimulatedPlant(self.problem.close(self.policy), self.seed), time.monotonic(), 0
 
@@ -255,7 +255,7 @@ def jump(rig: Rig, steps: int) -> None:
 
 def replay(rig: Rig) -> None:
     """Kill the actuator, start it again, and send it a packet of an earlier run before it receives another one."""
-    from taciturn.runtime.packet import Packet, Wire
+    from taciturn.nodes.packet import Packet, Wire
 
     old = Packet("data", "actuator", 1_000_000, 700_000, (0.5,), epoch=int(time.time()) - 86_400)
     rig.links["actuator"].cut = True

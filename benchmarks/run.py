@@ -34,9 +34,9 @@ from taciturn.loop import Loop
 from taciturn.program.draws import seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Entry
-from taciturn.study import bench
-from taciturn.study.bench import PATHS, TICKS, Contestant, by_matrices, compiled, race
+from taciturn.program.ops import Entry
+from taciturn_bench import bench
+from taciturn_bench.bench import PATHS, TICKS, Contestant, by_matrices, compiled, race
 
 HAND_FULL, HAND_REDUCED = "C++ by hand, full", "C++ by hand, innovations"
 JAX_FULL, JAX_REDUCED = "JAX scan, full", "JAX scan, innovations"

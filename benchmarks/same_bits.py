@@ -45,10 +45,10 @@ def as_text(document: Any) -> str:
 
 def datagrams(loop: Any) -> str:
     """Return the datagrams that the nodes of a loop send over ideal links, as hexadecimal digits."""
-    from taciturn.model.places import roles
-    from taciturn.runtime.node import Node
-    from taciturn.runtime.packet import Wire
-    from taciturn.runtime.plant import SimulatedPlant
+    from taciturn.model.packets import roles
+    from taciturn.nodes.node import Node
+    from taciturn.nodes.packet import Wire
+    from taciturn.nodes.plant import SimulatedPlant
 
     nodes = {role: Node(loop.policy, role, network=loop.network, seed=5) for role in roles(loop.policy)}
     plant, wire, lines = SimulatedPlant(loop, seed=3), Wire(loop.policy, loop.network, key=b"k" * 16), list[str]()
@@ -71,7 +71,7 @@ def of_policies() -> Iterator[tuple[str, Callable[[], str]]]:
     from catalogue import POLICIES, closed
     from systems import make_system
 
-    from taciturn.export.folder import print_folder
+    from taciturn_export.folder import print_folder
 
     for seed, unstable in ((11, False), (7, True)):
         for name, build in POLICIES.items():

@@ -16,7 +16,7 @@ import sys
 import time
 from pathlib import Path
 
-from taciturn.study.bench import describe_machine
+from taciturn_bench.bench import describe_machine
 
 IMPORT = "python -c 'import numpy, scipy.linalg'"
 ANSWER = "import taciturn; taciturn.evaluate(taciturn.load('two-mass-lqg'), standard_error=1e-4)"

@@ -67,7 +67,7 @@ def workers_by(name: str, workers: int) -> Generator[Executor | None]:
     elif name == "dask":
         from distributed import LocalCluster
 
-        from taciturn._dask import dask_workers
+        from taciturn_sweep.cluster import dask_workers
 
         with (
             LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,

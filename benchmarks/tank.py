@@ -21,14 +21,14 @@ from pathlib import Path
 import numpy as np
 
 import taciturn
-from taciturn.design.certainty import design_certainty
+from taciturn.base.certainty import design_certainty
 from taciturn.loop import EXCESS
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.program import draws
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Sent
-from taciturn.study.bench import describe_machine
+from taciturn.program.ops import Sent
+from taciturn_bench.bench import describe_machine
 
 SOURCE = Path(__file__).with_name("tank_by_hand.c")
 FLAGS = ["-O3", "-march=native", "-mprefer-vector-width=512", "-ffast-math", "-std=gnu11", "-shared", "-fPIC"]

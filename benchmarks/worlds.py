@@ -24,7 +24,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from taciturn.study.testbed.worlds import WorldRun
+from taciturn_worlds.world import WorldRun
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from runtime.defects import DEFECTS

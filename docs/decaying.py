@@ -7,7 +7,8 @@ import numpy as np
 from taciturn import Cost, Plant, Policy, Theory, Trigger
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.riccati import regulate
-from taciturn.model.policy import ONE, Assign, Decide, Form, Received, Send
+from taciturn.model.steps import ONE, Assign, Decide, Received, Send
+from taciturn.model.trigger import Form
 
 
 def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Policy:

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from inspect import Parameter
 
-from taciturn import _matlab as matrices
 from taciturn import problem
-from taciturn.analyse import outcomes
-from taciturn.design.catalogue import CATALOGUE, own_kinds
-from taciturn.design.kind import Kind
+from taciturn.analyse import switched
+from taciturn.design.kind import CATALOGUE, Kind, own_kinds
 from taciturn.design.kinds.distributed import MOST_SETS
 from taciturn.lqg import lossy
-from taciturn.model import cost, link, set_points
-from taciturn.problem import functions
-from taciturn.renewal._white_coordinates import MOST_STATES
+from taciturn.model import cost, link, signals
+from taciturn.problem import files as matrices
+from taciturn.problem import read
+from taciturn.renewal.chain import MOST_STATES
 from taciturn.renewal.fitted import DIRECTIONS
 from taciturn.simulation import sampling
 
@@ -103,20 +102,20 @@ def limits(kinds: Sequence[Kind]) -> str:
 
 def sizes(_: Sequence[Kind]) -> str:
     """Return the largest sizes that the library computes with."""
-    fourth = int((outcomes.MOST / 2) ** 0.25)
+    fourth = int((switched.MOST_MOMENTS / 2) ** 0.25)
     rows = {
         "steps of a finite horizon (`cost.horizon`)": cost.LONGEST,
-        "sampling steps of a timetable of set-points": set_points.LONGEST,
+        "sampling steps of a timetable of set-points": signals.LONGEST,
         "steps between two sends (`max_interval`)": link.LONGEST,
         "directions of the error for `optimal`, and for costs without simulation by quadrature": MOST_STATES,
         "directions of the error for `near-optimal`": DIRECTIONS,
         "actuator links whose sets `distributed` compares (`joint`)": MOST_SETS,
-        "links that drop packets, for the exact cost of attempts on all of them": outcomes.MOST_LINKS,
+        "links that drop packets, for the exact cost of attempts on all of them": switched.MOST_LINKS,
         "modes that do not decay, for critical losses": lossy.MOST_MODES,
         "states of a loop over one link with losses, for its fourth moments (else a statistical test)": fourth,
         "simulated steps of an evaluation": sampling.MOST_OPERATIONS,
         "bytes of a problem file, or of a file of set-points": problem.LARGEST,
-        "bytes of a Python file with the function of a plant": functions.LARGEST,
+        "bytes of a Python file with the function of a plant": read.LARGEST_CODE,
         "bytes of all variables of a matrix file": matrices.LARGEST,
     }
     return _table(("size", "at most"), [(what, f"{most:,}") for what, most in rows.items()])

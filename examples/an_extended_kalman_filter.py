@@ -8,7 +8,8 @@ are the same.
 import numpy as np
 
 import taciturn
-from taciturn.model.policy import Apply, Policy, Step
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Apply, Step
 
 DT, KEPT = 0.1, 1 - 0.1 * 0.2  # seconds per step; factor of the speed after damping
 C, V, W = np.array([[1.0, 0.0]]), np.array([[0.5]]), np.diag([1e-5, 0.1])

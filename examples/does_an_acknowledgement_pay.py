@@ -6,7 +6,8 @@ An acknowledgement reports to the controller that its input arrived, and costs a
 from matplotlib.figure import Figure
 
 import taciturn
-from taciturn.lqg.lossy import Channel, critical_losses
+from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.lossy import critical_losses
 
 plant = taciturn.Plant(A=[[1.0, 0.1], [0.9, 1.0]], B=[[0.0], [0.1]], W=[[0.0, 0.0], [0.0, 0.1]], dt=0.1)
 cost = taciturn.Cost(Q=[[1.0, 0.0], [0.0, 0.1]], R=[[0.01]])

@@ -8,11 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import taciturn
-from taciturn.model.equilibrium import equilibrium
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
+from taciturn.model.dynamics import equilibrium
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.set_points import Timetable
+from taciturn.model.signals import ExternalDisturbance, Timetable
 
 AREA, OUTLET = np.array([28.0, 32.0, 28.0, 32.0]), np.array([0.071, 0.057, 0.071, 0.057])  # cm²: johansson2000
 FLOWS = np.array([[0.7 * 3.33, 0], [0, 0.6 * 3.35], [0, 0.4 * 3.35], [0.3 * 3.33, 0]])  # cm³/(V s): johansson2000

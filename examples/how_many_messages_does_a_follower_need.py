@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 import taciturn
 from taciturn.lqg.discrete import discretise
-from taciturn.model.policy import Acknowledged, Assign, Decide, Location, Policy, Received, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Acknowledged, Assign, Decide, Location, Received, Send
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 TAU, H, KP, KD = 0.1, 0.7, 0.2, 0.7  # engine's time constant (s), time gap (s), radar gains: ploeg2011, ploeg2014

@@ -9,7 +9,8 @@ import numpy as np
 from systems import System
 
 from taciturn import Cost, Loop, Network, Plant, Policy, close, design
-from taciturn.lqg.lossy import Channel, slowest_growth
+from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.lossy import slowest_growth
 from taciturn.lqg.riccati import regulate
 from taciturn.program.numpy import run
 

@@ -120,7 +120,7 @@ def kernel() -> None:
     """Skip, so that nobody overlooks it, where namespaces cannot be made."""
     import taciturn  # not earlier than the threads of OpenBLAS are told above
     from taciturn.errors import ProblemError
-    from taciturn.runtime.namespaces import KernelLoss, Namespaces
+    from taciturn_udp.namespaces import KernelLoss, Namespaces
 
     try:
         with Namespaces(taciturn.load("lossy-double-integrator").design(), {"sensor": KernelLoss(1, 1)}):

@@ -18,24 +18,26 @@ import numpy as np
 
 from taciturn import ContinuousPlant, Cost, Jumps, Network, Plant, ProblemError, Reference, close, design
 from taciturn.analyse.limits import resets
-from taciturn.analyse.renewal import NoQuadratureError, chain_of
+from taciturn.analyse.renewal import chain_of
 from taciturn.analyse.switched import switched
-from taciturn.export.fmu import print_fmu
-from taciturn.export.folder import print_folder
 from taciturn.loop import Loop
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.information import INFORMED
-from taciturn.model.policy import Assign, Decide, Policy, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Send
 from taciturn.model.trigger import Trigger
+from taciturn.nodes.control import to_control
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.together import Nodes
 from taciturn.program.lower import LOWERED
 from taciturn.program.node import lower_node
-from taciturn.runtime.control import to_control
-from taciturn.runtime.nodes import Nodes
-from taciturn.runtime.plant import SimulatedPlant
+from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import average
-from taciturn.study.channel.loop_classes import CHANNELS
-from taciturn.study.testbed.network import losses
-from taciturn.study.testbed.world import World
+from taciturn_channel.classes import CHANNELS
+from taciturn_export.fmu import print_fmu
+from taciturn_export.folder import print_folder
+from taciturn_udp.run import losses
+from taciturn_worlds.world import World
 
 LEARNT = (SIMULATED, LOWERED, INFORMED)
 ONE = [[1.0]]

@@ -16,7 +16,7 @@ import numpy as np
 
 from taciturn import Loop
 from taciturn.simulation import average as simulated
-from taciturn.simulation.average import Averages, Estimator
+from taciturn.simulation.sampling import Averages, Estimator
 
 TIMES = 16
 SHIFT = 7_654_321  # of the seed

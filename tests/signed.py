@@ -18,14 +18,13 @@ from used import KINDS
 
 from taciturn._plugins import problem_folders
 from taciturn.errors import TaciturnError
-from taciturn.export.fmu import print_fmu
-from taciturn.export.node import print_node
 from taciturn.loop import Loop
-from taciturn.model.packets import fingerprint
-from taciturn.model.places import roles
+from taciturn.model.packets import fingerprint, roles
+from taciturn.nodes.description import describe_wire
 from taciturn.problem import Problem, load, parse
-from taciturn.runtime.description import describe_wire
 from taciturn.study.record import fingerprint as digest_of_problem
+from taciturn_export.fmu import print_fmu
+from taciturn_export.node import print_node
 
 MATRICES: dict[str, Any] = {
     "plant": {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 
-from taciturn._ending import ENDING
+from taciturn._process import ENDING
 
 
 def in_a_terminal() -> None:

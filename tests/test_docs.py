@@ -31,12 +31,12 @@ LONG = {  # examples that take more than two seconds in reduced counts, and modu
     "a_loop_over_udp_that_loses_packets",
     "a_robot_tracked_by_a_camera",
     "how_many_loops_share_a_radio",
-    "taciturn.study.certify",
-    "taciturn.study.channel.share",
+    "taciturn_certify.certify",
+    "taciturn_channel.share",
     "taciturn.study.compare",
-    "taciturn.study.export",
-    "taciturn.study.sweeping.sweep",
-    "taciturn.study.tuning.periods",
+    "taciturn_export.export",
+    "taciturn_sweep.sweep",
+    "taciturn.study.tune",
     "taciturn_twins.calibration",
     "which_policy_costs_least_at_half_the_traffic",
     "will_it_settle_whatever_the_spring",
@@ -173,7 +173,7 @@ def test_the_index_lists_every_page() -> None:
 
 def test_the_table_of_commands_has_every_command() -> None:
     """And no other."""
-    from taciturn.cli import app
+    from taciturn.cli.frame import app
 
     text = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
     table = text.partition("| command | result |")[2].partition("\n\n")[0]
@@ -190,7 +190,7 @@ def typed(text: str) -> list[list[str]]:
 
 def test_the_command_line_understands_what_the_pages_type() -> None:
     """Commands, options and their values are parsed, and nothing is run."""
-    from taciturn.cli import app
+    from taciturn.cli.frame import app
 
     commands = typer.main.get_command(app).commands
     pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

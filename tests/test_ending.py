@@ -12,7 +12,7 @@ from terminals import in_a_terminal
 
 START = """
 import os, signal, sys, time
-from taciturn._ending import at_once, deferred, ends_on_signals, remark, until_stopped
+from taciturn._process import at_once, deferred, ends_on_signals, remark, until_stopped
 def me(number=signal.SIGINT):
     os.kill(os.getpid(), number)
 """

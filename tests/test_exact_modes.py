@@ -5,14 +5,12 @@ import pytest
 from flint import fmpq_mat
 
 from taciturn import ContinuousPlant, Cost, Plant, ProblemError, UnstableError, close, design
-from taciturn._exact_modes import Limit, Lost, modes_of, unmoved, unmoved_and_seen
-from taciturn._rational import above, rational, reaches_all
+from taciturn._rational import Limit, Lost, above, modes_of, rational, reaches_all, unmoved, unmoved_and_seen
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.equation import accumulate
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.lyapunov import accumulate
-from taciturn.lqg.quadratic import Quadratic
+from taciturn.lqg.quadratic import Quadratic, unpaid
 from taciturn.lqg.riccati import regulate
-from taciturn.lqg.structure import unpaid
 from taciturn.simulation.reliability import comes_never_to_rest
 
 CIRCLE, AXIS = Limit(False), Limit(True)

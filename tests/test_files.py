@@ -16,14 +16,14 @@ import xarray
 import taciturn
 from taciturn import ProblemError, load
 from taciturn._files import read_bytes
-from taciturn._matlab import read_variables
-from taciturn.cli.words import _links
+from taciturn.cli.frame import _links
+from taciturn.nodes.keys import read_keys
 from taciturn.problem import parse
-from taciturn.program import cache
-from taciturn.runtime.keys import read_keys
-from taciturn.runtime.service import FileStorage
-from taciturn.study.sweeping.store import Store, save_whole
+from taciturn.problem.files import read_variables
+from taciturn.program import machine
+from taciturn.study.record import Store, save_whole
 from taciturn_twins.control import read_eye
+from taciturn_udp.service import FileStorage
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
 SEEN = 30  # seconds after which a test that waits for the other end of a pipe fails
@@ -151,12 +151,12 @@ def test_a_pipe_among_the_cells_and_the_compiled_programs_is_computed_again(
     store.write(key, {"cost": 1.0})
     assert store.read(key) == {"cost": 1.0}
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    folder = cache.cache_folder()
+    folder = machine.cache_folder()
     assert folder is not None
     os.mkfifo(folder / "a.o", 0o600)
-    assert cache.read_code(folder, "a") is None
-    cache.write_code(folder, "a", b"code", 9)
-    assert cache.read_code(folder, "a") == b"code"
+    assert machine.read_code(folder, "a") is None
+    machine.write_code(folder, "a", b"code", 9)
+    assert machine.read_code(folder, "a") == b"code"
 
 
 def test_a_label_nested_deeply_is_damaged(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from taciturn._arrays import pushed
-from taciturn._growth import growth, normal_moments
+from taciturn._modes import growth, normal_moments
 
 
 @pytest.mark.parametrize("order", [2, 4])

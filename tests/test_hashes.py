@@ -12,7 +12,7 @@ import taciturn
 from taciturn import evaluate, load
 
 UNHASHABLE = re.compile(r"\b(Mapping|dict|list|set|Array|ndarray|NDArray)\b")
-TABLES = "taciturn.problem.tables"  # of pydantic's, which are read once
+TABLES = "taciturn.problem.schema"  # of pydantic's, which are read once
 
 
 def values() -> Iterator[type]:

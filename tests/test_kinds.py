@@ -14,12 +14,10 @@ import pytest
 
 import taciturn
 from taciturn import PID, ContinuousPlant, Cost, Jumps, Network, Plant, Problem
-from taciturn.design.catalogue import CATALOGUE
-from taciturn.design.kind import Kind
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
-from taciturn.model.set_points import RandomSteps, Timetable
-from taciturn.problem.suggested import example_of
+from taciturn.design.kind import CATALOGUE, Kind
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import ExternalDisturbance, RandomSteps, Timetable
+from taciturn.problem.draft import example_of
 
 A, B, W, C, V = [[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2), [[1.0, 0.0]], [[0.1]]
 F, FW = [[0.0, 1.0], [0.0, 0.0]], np.diag([0.0, 2.5])

@@ -17,13 +17,13 @@ import numpy as np
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, Policy, Problem, close
 from taciturn._modes import root
 from taciturn.analyse.limits import resets
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.disturbance import Reference
 from taciturn.model.estimate import Estimate
-from taciturn.model.reference import Reference
-from taciturn.problem.suggested import example_of
-from taciturn.program.names import Sent, is_entry
+from taciturn.problem.draft import example_of
+from taciturn.program.ops import Sent, is_entry
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 A, B, C, V, W = [[1.1, 0.2], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.2]], [[0.1, 0.0], [0.0, 0.1]]

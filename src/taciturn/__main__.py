@@ -1,6 +1,15 @@
-"""The command line as ``python -m taciturn``."""
+"""The command line as ``python -m taciturn``.
 
-from taciturn.cli import main
+``python -m taciturn.cli``.
+"""
+
+from __future__ import annotations
+
+from taciturn.cli.frame import main
+
+if __name__ == "__main__":
+    main()
+
 
 if __name__ == "__main__":
     main()

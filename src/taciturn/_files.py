@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from taciturn._ending import at_once
+from taciturn._process import at_once
 
 PART = ".part"  # ending of the name of an incomplete file
 

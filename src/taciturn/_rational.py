@@ -1,16 +1,44 @@
 """Ranks and kernels of matrices in rational numbers, which decide without a tolerance.
 
 A double is a rational number. So whether an input moves a mode of a plant is a question that has an answer.
+
+The precision of python-flint, a global of the process that only ``precision`` sets.
+
+Modes that no input moves, and which of them decay, stay or grow: exact answers for matrices of doubles.
+
+A double is a rational number. The modes that the input through B does not move are the roots of a polynomial with
+rational coefficients: the characteristic polynomial of A on the states modulo those that B, AB, A²B, … span. By
+duality, the modes of A' that C' does not move are those that the outputs Cx do not show.
+
+A root λ lies on the stability limit if and only if it is its own mirror image there: ρ²/λ* for a circle of radius ρ,
+and −λ* for the imaginary axis. The mirror images are the roots of the reflected polynomial. So roots on the limit are
+common roots of both, which a greatest common divisor finds exactly; all other roots are separated from the limit by
+balls of growing precision.
+
+Sampling changes none of these answers. An input moves all modes of a sampled plant unless (λ − μ)h = 2πik for two modes
+λ ≠ μ of the plant, or λh = 2πik ≠ 0 for one mode. For rational matrices and a rational period h, the left sides are
+algebraic numbers, and π is not. So the modes of the plant before it was sampled decide. With a discount α they are
+compared with −ln α/(2h), which no algebraic number is.
+
+The cosines and sines of an oscillator that a user samples are rounded, so its exact modes do not lie on the limit. On
+request, modes that rounding the entries may have moved off the limit count as modes on it: some matrix within the
+rounding has this mode on the limit, by the least singular value. The entry of a single state is what it is.
+
+Source: trentelman2001, kalman1963
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from threading import RLock
+from typing import NamedTuple, cast
 
 import numpy as np
-from flint import fmpq, fmpq_mat, fmpz_mat, nmod, nmod_mat
+from flint import acb, arb, ctx, fmpq, fmpq_mat, fmpq_poly, fmpz_mat, nmod, nmod_mat
 
-from taciturn._arrays import Array, Bits
+from taciturn._arrays import NO_VARIANCE, Array, Bits
+from taciturn._modes import ROUNDOFF, Modes, balancing, closure, in_cycles, mode_text
 
 PRIME = (1 << 61) - 1  # a rank modulo this prime is at most the rank of the rational numbers
 
@@ -191,3 +219,266 @@ def is_semidefinite(values: Array) -> bool:
                 rest[i, j] -= factor * row[j - k]
                 rest[j, i] = rest[i, j]
     return True
+
+
+_LOCK = RLock()
+
+
+@contextmanager
+def precision(bits: int) -> Generator[None]:
+    """Set the precision of python-flint; the one before is restored, and other threads wait."""
+    with _LOCK:
+        before, ctx.prec = ctx.prec, bits
+        try:
+            yield
+        finally:
+            ctx.prec = before
+
+
+BITS = 128  # first precision of the roots; it doubles until the limit separates them
+FEWEST, MOST = 6, 17  # digits of a mode in a message
+SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
+ROUNDINGS = 8  # of each entry of a matrix, by which a mode may have left the limit
+NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
+
+
+class Lost(NamedTuple):
+    """Modes of which it is known whether they decay, the fastest ones first, with their multiplicities.
+
+    Args:
+        growing: those outside the stability limit.
+        staying: those on the limit.
+        decaying: those inside.
+    """
+
+    growing: Modes
+    staying: Modes
+    decaying: Modes
+
+    @property
+    def lasting(self) -> Modes:
+        """The modes that do not decay, the fastest first."""
+        return np.concatenate([self.growing, self.staying])
+
+
+NONE = Lost(*(np.zeros(0, dtype=np.complex128) for _ in range(3)))
+
+
+class Limit(NamedTuple):
+    """The edge of the modes that count as decaying.
+
+    Args:
+        continuous: whether time is continuous: the edge is the imaginary axis, and otherwise the unit circle.
+        discount: α, by which the cost of a later step counts less: the edge is the circle of radius 1/√α, or in
+            continuous time the line Re λ = −ln α/(2h).
+        period: h, the period of the steps in continuous time.
+    """
+
+    continuous: bool
+    discount: float = 1.0
+    period: float = 1.0
+
+    def __str__(self) -> str:
+        """Return the edge as text."""
+        return self.text(FEWEST)
+
+    def text(self, digits: int) -> str:
+        """Return the edge as text, with a number of digits."""
+        if self.continuous:
+            return "the imaginary axis" if self.at == 0 else f"the line Re s = {self.at:.{digits}g}"
+        return "the unit circle" if self.at == 1 else f"the circle of radius 1/√discount = {self.at:.{digits}g}"
+
+    def region(self, digits: int) -> str:
+        """Return the region of the modes that decay as text, with a number of digits."""
+        return "the open left half-plane" if self.continuous and self.discount == 1 else self.text(digits)
+
+    @property
+    def at(self) -> float:
+        """Real part or modulus of the edge."""
+        if self.continuous:
+            return -float(np.log(self.discount)) / (2 * self.period)
+        return 1 / float(np.sqrt(self.discount))
+
+    def named(self, mode: complex) -> str:
+        """Return a mode as text, with as many digits as tell it from the edge."""
+        return mode_text(mode, self.digits(mode))
+
+    def digits(self, mode: complex) -> int:
+        """Return the least number of digits, six or more, in which a mode and the edge lie as they do."""
+        at, own = self.at, mode.real if self.continuous else abs(mode)
+        if abs(own - at) <= SAME * at:
+            return FEWEST  # the double may be that of a mode on the edge
+        for digits in range(FEWEST, MOST):
+            rounded = complex(*(float(f"{part:.{digits}g}") for part in (mode.real, mode.imag)))
+            shown, edge = rounded.real if self.continuous else abs(rounded), float(f"{at:.{digits}g}")
+            if shown != edge and (shown > edge) == (own > at):
+                return digits
+        return MOST
+
+    @property
+    def reaching(self) -> bool:
+        """Whether an eigenvalue can lie on the edge: a line that is not the axis has transcendental real parts."""
+        return not self.continuous or self.discount == 1
+
+    def side(self, root: acb) -> int:
+        """Return 1 for a root that is proved to lie outside, −1 for one inside, and 0 for another one."""
+        if self.continuous:
+            distance = root.real + arb(self.discount).log() / (2 * arb(self.period))
+        else:
+            distance = (root.real**2 + root.imag**2) * arb(self.discount) - 1
+        return 1 if distance > 0 else -1 if distance < 0 else 0
+
+    def reflected(self, polynomial: fmpq_poly) -> fmpq_poly:
+        """Return the polynomial whose roots are the mirror images of the nonzero roots of another one."""
+        coefficients = polynomial.coeffs()
+        if self.continuous:
+            return fmpq_poly([one if k % 2 == 0 else -one for k, one in enumerate(coefficients)])
+        discount = fmpq(*self.discount.as_integer_ratio())
+        return fmpq_poly(list(reversed([one / discount**k for k, one in enumerate(coefficients)])))
+
+    def image(self, root: acb) -> acb:
+        """Return the mirror image of a nonzero root."""
+        conjugate = acb(root.real, -root.imag)
+        return -conjugate if self.continuous else acb(1) / (conjugate * arb(self.discount))
+
+
+def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
+    """Return the modes of A that the input through B does not move.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        limit: the edge of the modes that count as decaying.
+        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
+    """
+    if not len(A) or reaches_all(A, B):
+        return NONE
+    leads = np.asarray(A != 0, dtype=np.bool_)
+    inside = closure((B != 0).any(axis=1), leads)  # the states that inputs affect
+    found, among = [NONE], np.ix_(inside, inside)
+    if not reaches_all(A[among], B[inside]):
+        moved = A[among], B[inside]
+        found.append(_of_block(_beyond(rational(moved[0]), reachable(*moved)), limit, rounded))
+    for cycle in in_cycles(leads):
+        if not inside[cycle].any():
+            found.append(_of_block(rational(A[np.ix_(cycle, cycle)]), limit, rounded and int(cycle.sum()) > 1))
+    return _joined(found)
+
+
+def free_modes(A: Array, limit: Limit) -> Lost:
+    """Return all modes of A; those that rounding the entries may have moved off the limit count as modes on it."""
+    return unmoved(A, np.zeros((len(A), 0)), limit, rounded=True)
+
+
+def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: bool = False) -> Lost:
+    """Return the modes of A that the input through B does not move and on which combinations of states depend.
+
+    They are the modes of A on the states modulo those that the input reaches and those that never show.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        rows: the combinations, (any, n).
+        limit: the edge of the modes that count as decaying.
+        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
+    """
+    F, hidden = rational(A), kernel(reachable(A.T, rows.T).transpose())
+    return _of_block(_beyond(F, within(F, basis(beside(rational(B), hidden)))), limit, rounded)
+
+
+def _beyond(F: fmpq_mat, reached: fmpq_mat) -> fmpq_mat:
+    """Return the dynamics of the states modulo a subspace that F does not leave, given by a basis in reduced form."""
+    # a state modulo the reached ones has as coordinates its entries outside the pivots, without their combination
+    inside = pivots(reached)
+    rest, kept = np.flatnonzero(~inside).tolist(), np.flatnonzero(inside).tolist()
+    late = lines(F.transpose(), rest).transpose()
+    return lines(late, rest) - (lines(reached, rest) * lines(late, kept) if kept else fmpq_mat(len(rest), len(rest)))
+
+
+def _of_block(block: fmpq_mat, limit: Limit, rounded: bool) -> Lost:
+    found = modes_of(block, limit)
+    if not (rounded and (found.growing.size or found.decaying.size)):
+        return found
+    A = np.array([int(one.p) / int(one.q) for one in block.entries()]).reshape(block.nrows(), block.ncols())
+    scale = balancing(A)
+    A = A / scale[:, None] * scale
+    out, into = (_may_stay(A, modes, limit) for modes in (found.growing, found.decaying))
+    staying = [found.staying, found.growing[out], found.decaying[into]]
+    return Lost(found.growing[~out], np.concatenate(staying), found.decaying[~into])
+
+
+def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
+    """Return for each mode whether a matrix within the rounding of A has it on the axis or the unit circle."""
+    nearest = 1j * modes.imag if limit.continuous else modes / np.maximum(np.abs(modes), NO_VARIANCE)
+    rounding = ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
+    near = np.abs(modes - nearest) <= NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
+    shifted = nearest[near][:, None, None] * np.eye(len(A)) - A
+    near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= rounding
+    return near
+
+
+def _joined(parts: list[Lost]) -> Lost:
+    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*parts, strict=True)))
+
+
+def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
+    """Return all modes of a matrix of rational numbers."""
+    return _split(A.charpoly(), limit)
+
+
+def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
+    """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
+    found = roots_of(polynomial, limit)
+    return Lost(*(_values(found, side) for side in (1, 0, -1)))
+
+
+class Root(NamedTuple):
+    """A root of a polynomial, its multiplicity, and its side of a limit: 1 outside, 0 on it, −1 inside."""
+
+    root: acb
+    many: int
+    side: int
+
+
+def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[Root]:
+    """Return the different roots of a polynomial, in at least the given precision."""
+    on = None if limit.reaching else 0
+    while True:
+        with precision(bits):
+            found = [Root(root, many, limit.side(root)) for root, many in _roots(polynomial)]
+            sides = [one.side for one in found]
+            if 0 in sides and on is None:
+                on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
+            if sides.count(0) == (on or 0):
+                return found
+        bits *= 2
+
+
+def _roots(polynomial: fmpq_poly) -> list[tuple[acb, int]]:
+    """Return the different roots with their multiplicities, which the types of python-flint leave out."""
+    return cast("list[tuple[acb, int]]", polynomial.complex_roots())  # pyright: ignore[reportUnknownMemberType]
+
+
+def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
+    """Return how many different roots are their own mirror images; None if this precision does not tell.
+
+    Args:
+        common: a polynomial that has the mirror images of its roots as roots.
+        limit: the mirror.
+    """
+    roots, count = [root for root, _ in _roots(common)] if common.degree() else [], 0
+    for k, root in enumerate(roots):
+        near = [j for j, other in enumerate(roots) if limit.image(root).overlaps(other)]
+        if len(near) != 1:
+            return None
+        count += near[0] == k
+    return count
+
+
+def _values(found: list[Root], side: int) -> Modes:
+    chosen = [complex(one.root) for one in found if one.side == side for _ in range(one.many)]
+    return _sorted(np.array(chosen, dtype=np.complex128))
+
+
+def _sorted(modes: Modes) -> Modes:
+    return modes[np.lexsort((-modes.imag, -np.abs(modes)))]

@@ -1,8 +1,11 @@
-"""Closed loops of plant, policy and network, with a check that every node uses only signals available to it."""
+"""Closed loops of plant, policy and network, with a check that every node uses only signals available to it.
+
+Assumptions of a policy's theory that a loop violates: the differences between the loop and the design.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import gcd
@@ -10,35 +13,81 @@ from math import gcd
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
-from taciturn._assumptions import check_plants, list_violations
 from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.feedthrough import point_with, with_same_start
+from taciturn.lqg.discrete import Discrete, discretise, point_with, with_same_start
+from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import SIMULATED, uncovered
-from taciturn.model.display import about
+from taciturn.model.coverage import BURSTS, DRIFT, FUNCTION, JUMPS, LIMIT, ROUNDING, SIMULATED, uncovered
 from taciturn.model.disturbance import padded
-from taciturn.model.information import check_network
+from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.network import REFERENCE, Network
-from taciturn.model.placement import with_intervals
-from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Policy
-from taciturn.model.set_points import SampledChanges
-from taciturn.model.steps import ONE, assigned
+from taciturn.model.plant import ContinuousPlant, Plant, about
+from taciturn.model.policy import Policy, with_intervals
+from taciturn.model.signals import SampledChanges
+from taciturn.model.steps import ONE, Assign, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
 from taciturn.program.controller import Begin, add_values, begin_time_step, deviation, gather_input, measure, replaced
-from taciturn.program.controls import with_controls
-from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
+from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
-from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import APPLIED, TimeStep, first_input, link_state
-from taciturn.program.names import Name, Sent, named
-from taciturn.program.ops import Precision
-from taciturn.program.set_points import TIMETABLE, add_changes, draw_noise
-from taciturn.program.trace import trace
+from taciturn.program.ops import Name, Precision, Sent, named
+from taciturn.program.signals import TIMETABLE, add_changes, add_jumps, draw_noise
+from taciturn.program.tracing import trace
+
+
+def check_plants(problem: Discrete, policy: Policy) -> None:
+    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant.
+
+    Raises:
+        ProblemError: such a property is an input limit, a function, or the initial covariance for an average cost.
+    """
+    plant, model = problem.plant, policy.model
+    begun = policy.cost is not None and policy.cost.mission
+    ignored = {
+        "input_limit": model.input_limit is not None and not plant.agrees("input_limit", model),
+        "input_rate": model.input_rate is not None and not plant.agrees("input_rate", model),
+        "function": model.function is not None and plant.function is None,
+        "initial.covariance": model.covariance.any() and not begun and not plant.agrees("covariance", model),
+    }
+    for name in (name for name, unused in ignored.items() if unused):
+        raise ProblemError(
+            f"plant.{name} is given, but the simulated plant, plant.actual, has a different {name} or none; expected "
+            f"plant.actual.{name} with the same value, or no plant.{name}, which the design does not use"
+        )
+
+
+def list_violations(problem: Discrete, policy: Policy, network: Network, missing: Sequence[str]) -> tuple[str, ...]:
+    """Return the properties ``missing`` in the theory's coverage, and the differences from the design, as text."""
+    plant, model, cost = problem.plant, policy.model, problem.cost
+    started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
+    exact, designed = network.delivery, policy.network.delivery
+    alike = (designed,) if policy.theory.covers >= BURSTS else (designed, designed.without_bursts())
+
+    def lacks(names: frozenset[str]) -> bool:
+        return not names.isdisjoint(missing)
+
+    found = {
+        "the plant is not linear (A and B are its linearisation)": lacks(FUNCTION),
+        "the plant is not the one of the design": not plant.same_as(model) and not lacks(DRIFT),
+        "the plant does not rest at the operating point of the design": lacks(DRIFT),
+        # set-points count from the operating point, so another one starts them elsewhere
+        "the initial state is not the one of the design": started
+        and (cost.mission or (resting_states(plant).any() and not lacks(DRIFT))),
+        "inputs are clipped (input_limit)": "plant.input_limit" in missing,
+        "the changes of the inputs are limited (input_rate)": "plant.input_rate" in missing,
+        "the noise has jumps, but the filter's theory assumes Gaussian noise": lacks(JUMPS),
+        "losses come in bursts, but the design uses only their mean": lacks(BURSTS),
+        "the network is not the one of the design": not lacks(BURSTS) and exact not in alike,
+        "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
+        f"packets contain rounded numbers ({network.payload})": lacks(ROUNDING),
+        "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
+    }
+    others = [name for name in missing if name not in FUNCTION | LIMIT | JUMPS | BURSTS | ROUNDING | DRIFT]
+    return (*(text for text, departs in found.items() if departs), *map("the theory does not cover {}".format, others))
+
 
 COST, EXCESS = "cost", "excess"
 INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed

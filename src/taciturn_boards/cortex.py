@@ -8,9 +8,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from taciturn.export.folder import CORE_SOURCES, CFolder
-from taciturn.export.node import CNode
-from taciturn.export.sizes import (
+from taciturn.extend import write_whole
+from taciturn_export.folder import CORE_SOURCES, CFolder, RecordedRun
+from taciturn_export.node import CNode
+from taciturn_export.sizes import (
     CORTEX_M3,
     CORTEX_M4F,
     PATIENCE,
@@ -20,8 +21,6 @@ from taciturn.export.sizes import (
     compile_sources,
     find_tool,
 )
-from taciturn.export.vector import RecordedRun
-from taciturn.extend import write_whole
 
 COUNTING = ("-icount", "shift=7")  # see board.h for the reason
 

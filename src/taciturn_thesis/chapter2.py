@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 from taciturn.extend import Panel, Progress, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
-from taciturn.study.clock import Clock
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.fair import clock_of, sampling_clock
-from taciturn.study.sweeping.cells import Cell, Effort, evaluate_cells
+from taciturn.study.periodic import Clock, clock_of, sampling_clock
+from taciturn.study.points import Cell, Effort, evaluate_cells
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:

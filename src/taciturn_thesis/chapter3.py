@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from taciturn.extend import Panel, Progress, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
-from taciturn.simulation.course import course
-from taciturn.simulation.trajectory import simulate
+from taciturn.simulation.trajectory import course, simulate
 from taciturn.study.evaluate import evaluate
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 

@@ -11,14 +11,14 @@ from taciturn.design.kinds.lossy_lqg import lossy_lqg
 from taciturn.extend import Panel, Progress, Series, Style, draw
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
+from taciturn.model.disturbance import Reference
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
-from taciturn.model.reference import Reference
 from taciturn.problem import load
 from taciturn.simulation.average import average
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.sweeping.cells import Cell, Effort, evaluate_cells
+from taciturn.study.points import Cell, Effort, evaluate_cells
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from taciturn.cli.frame import EXAMPLE, GROUPS, Json, Seed, app, progress_bar
-from taciturn.cli.words import complete_from
+from taciturn.cli.frame import EXAMPLE, GROUPS, Json, Seed, app, complete_from, progress_bar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Progress, find_plugins, in_notebook, load_plugin
-from taciturn.problem.tables import suggest
+from taciturn.problem.schema import suggest
 from taciturn_thesis.chapter2 import chapter2
 from taciturn_thesis.chapter3 import chapter3
 from taciturn_thesis.chapter4 import chapter4

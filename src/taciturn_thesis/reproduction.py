@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from taciturn.extend import Displayed, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.model.result import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 
 if TYPE_CHECKING:

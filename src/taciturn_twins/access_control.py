@@ -12,8 +12,8 @@ from email.message import Message
 from urllib.parse import parse_qs, quote
 
 from taciturn.errors import ProblemError
-from taciturn.runtime.keys import is_loopback
-from taciturn.runtime.udp import Address
+from taciturn.nodes.keys import is_loopback
+from taciturn_udp.endpoint import Address
 
 
 class AccessControl:

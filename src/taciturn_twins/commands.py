@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from taciturn.cli.frame import EXAMPLE, GROUPS, File, Json, NoFunctions, Plot, Seed, app, print_json, progress_bar
-from taciturn.cli.links import check_counts, tick_length
-from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength
+from taciturn_udp.commands import Bind, Key, Loops, RealTime, TickLength, check_counts, tick_length
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -79,7 +78,7 @@ def twin(
 ) -> None:
     """Run the digital twin of a robot: rigid bodies, camera, image processing, and packets over UDP."""
     from taciturn.extend import check_format, number, pairs_text, save
-    from taciturn.runtime.keys import read_keys
+    from taciturn.nodes.keys import read_keys
     from taciturn_twins.catalogue import find_robot
     from taciturn_twins.faults import parse_fault
     from taciturn_twins.record import check_record, check_video, write_record, write_video
@@ -154,12 +153,12 @@ def _live(
     """
     from taciturn.errors import ProblemError
     from taciturn.extend import number
-    from taciturn.runtime.udp import parse_address
     from taciturn_twins.catalogue import find_robot
     from taciturn_twins.live import watch_twin
     from taciturn_twins.page import Page
     from taciturn_twins.prepared import prepare
     from taciturn_twins.run import check_run
+    from taciturn_udp.endpoint import parse_address
 
     if file is not None or setup.runs > 1:
         option = "a problem file" if file is not None else f"--runs {setup.runs}"
@@ -207,15 +206,15 @@ def camera(
     """Render the pictures that a robot's sensor requests, and send them to a controller in another process."""
     import taciturn
     from taciturn.extend import until_stopped
-    from taciturn.runtime.keys import read_keys
-    from taciturn.runtime.service import say_where
-    from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.nodes.keys import read_keys
     from taciturn_twins.camera import Camera
     from taciturn_twins.catalogue import find_robot
     from taciturn_twins.faults import parse_fault
     from taciturn_twins.mission import check_mission
     from taciturn_twins.serve import CameraServer
     from taciturn_twins.wire import CameraWire
+    from taciturn_udp.endpoint import Endpoint, parse_address
+    from taciturn_udp.service import say_where
 
     check_counts({"--loops": loops})
     found, problem = find_robot(robot), taciturn.load(file, functions=not no_functions)

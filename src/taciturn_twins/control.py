@@ -12,14 +12,14 @@ from taciturn.errors import ProblemError
 from taciturn.extend import read_text, write_whole
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
-from taciturn.runtime.keys import Keys
-from taciturn.runtime.packet import Packet
-from taciturn.runtime.service import logged
+from taciturn.nodes.keys import Keys
+from taciturn.nodes.packet import Packet
 from taciturn_twins.calibration import Calibration
 from taciturn_twins.catalogue import find_robot
 from taciturn_twins.robot import Robot
 from taciturn_twins.vision import Eye
 from taciturn_twins.wire import PictureWire
+from taciturn_udp.service import logged
 
 LARGEST = 2**20  # bytes of a calibration
 
@@ -63,7 +63,7 @@ def wire_of_pictures(
         network: network, which defines the rounding of packets.
         key: key that authenticates the packets.
         calibration: calibration file of the camera.
-        seen: target of a JSON line per picture, as in ``taciturn.runtime.service.logged``.
+        seen: target of a JSON line per picture, as in ``taciturn_udp.service.logged``.
         watch: file for the newest picture of the first loop, with the detected marker.
 
     Raises:

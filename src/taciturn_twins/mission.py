@@ -10,9 +10,10 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, number
-from taciturn.model.places import roles
+from taciturn.model.packets import roles
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import Policy, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Send
 from taciturn.problem import Problem
 from taciturn_twins.catalogue import reference
 from taciturn_twins.identification import Identification

@@ -11,8 +11,8 @@ import numpy as np
 from taciturn.extend import Array, Displayed
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
-from taciturn.runtime.namespaces import KernelLoss, predict_drops
 from taciturn_twins.world import TwinPlant
+from taciturn_udp.namespaces import KernelLoss, predict_drops
 
 ESTIMATE = "prior"  # name of the predicted state in the policies
 Lines = Sequence[Mapping[str, Any]]

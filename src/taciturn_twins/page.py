@@ -13,10 +13,10 @@ from typing import Any
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, count, number
-from taciturn.runtime.udp import Address
 from taciturn_twins.access_control import AccessControl
 from taciturn_twins.feed import Feed, encode
 from taciturn_twins.server import Server
+from taciturn_udp.endpoint import Address
 
 KEYS = (
     "tick", "time", "state", "estimate", "input", "trigger", "threshold", "sent", "arrived", "packets", "drops",

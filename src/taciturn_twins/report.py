@@ -9,10 +9,10 @@ import numpy as np
 
 from taciturn.extend import Array
 from taciturn.model.estimate import Estimate
-from taciturn.study.testbed.ticks import measured
 from taciturn_twins.identification import Identification
 from taciturn_twins.outcome import Trial, mean
 from taciturn_twins.robot import Robot
+from taciturn_udp.run import measured
 
 
 def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:

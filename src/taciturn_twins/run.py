@@ -14,7 +14,6 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.problem import load, parse
 from taciturn.study.record import origin
-from taciturn.study.testbed.ticks import measured
 from taciturn_twins.catalogue import find_robot
 from taciturn_twins.dataset import to_dataset
 from taciturn_twins.figures import figure_of
@@ -24,6 +23,7 @@ from taciturn_twins.prepared import Prepared, prepare
 from taciturn_twins.report import listed, model_lines, summary_of, vision
 from taciturn_twins.robot import Robot
 from taciturn_twins.trial import Setup, run_trial
+from taciturn_udp.run import measured
 
 if TYPE_CHECKING:
     import xarray

@@ -6,14 +6,14 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from taciturn.runtime.packet import Packet
-from taciturn.runtime.relay import of_loop
-from taciturn.runtime.service import take_until
-from taciturn.runtime.udp import Address, Endpoint
-from taciturn.runtime.window import Window
+from taciturn.nodes.inbox import Window
+from taciturn.nodes.packet import Packet
 from taciturn_twins.camera import Camera
 from taciturn_twins.faults import Fault
 from taciturn_twins.wire import CameraWire
+from taciturn_udp.endpoint import Address, Endpoint
+from taciturn_udp.relay import of_loop
+from taciturn_udp.service import take_until
 
 KEPT = 8  # number of steps whose poses are stored, as a request may arrive when the plant is ahead
 PASSED = ("mark", "answer")  # kinds of packets that the camera passes on, behind the earlier requests

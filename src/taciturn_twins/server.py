@@ -20,10 +20,10 @@ from socketserver import TCPServer
 from typing import Any
 
 from taciturn.errors import ProblemError
-from taciturn.runtime.udp import Address
 from taciturn_twins.access_control import AccessControl
 from taciturn_twins.connections import Connections, Timed
 from taciturn_twins.feed import Feed
+from taciturn_udp.endpoint import Address
 
 PULSE = 2.0  # seconds between keep-alive events while there are no other events
 PATIENCE = 10.0  # seconds in which a client must send a whole request, and in which it must read an answer

@@ -13,14 +13,9 @@ from typing import Any
 
 from taciturn.errors import ProblemError
 from taciturn.extend import Displayed, Progress, choice, count, number, temporary_folder
+from taciturn.nodes.keys import Keys
+from taciturn.nodes.packet import Wire
 from taciturn.problem import Problem
-from taciturn.runtime.keys import Keys
-from taciturn.runtime.namespaces import Namespaces
-from taciturn.runtime.packet import Wire
-from taciturn.runtime.processes import Processes
-from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.study.testbed.logs import logged_lines
-from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn_twins.body import Body
 from taciturn_twins.control import write_calibration
 from taciturn_twins.faults import CAMERA, Fault, window
@@ -30,6 +25,10 @@ from taciturn_twins.prepared import Prepared
 from taciturn_twins.robot import Robot
 from taciturn_twins.wire import CameraWire
 from taciturn_twins.world import TwinPlant, World
+from taciturn_udp.endpoint import Endpoint, parse_address
+from taciturn_udp.namespaces import Namespaces
+from taciturn_udp.processes import Processes
+from taciturn_udp.run import kernel_losses, logged_lines, losses
 
 
 @dataclass(frozen=True, repr=False)

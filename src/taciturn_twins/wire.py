@@ -15,8 +15,8 @@ from typing import TypeAlias
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.wire import BYTES
-from taciturn.runtime.keys import Keys
-from taciturn.runtime.packet import Packet, Wire
+from taciturn.nodes.keys import Keys
+from taciturn.nodes.packet import Packet, Wire
 
 UNSEEN = "unseen"  # reason for the rejection of a picture without a marker
 Seen: TypeAlias = Callable[[Packet, bytes, Sequence[float] | None], None]

@@ -10,14 +10,14 @@ import numpy as np
 from taciturn.extend import Array
 from taciturn.model.plant import Plant
 from taciturn.model.wire import PLANT
+from taciturn.nodes.node import Values
+from taciturn.nodes.packet import Packet, Wire
 from taciturn.problem import Problem
-from taciturn.runtime.node import Values
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import Told, Turns, take_until
-from taciturn.runtime.udp import Address, Endpoint
-from taciturn.runtime.world import PlantServer
 from taciturn_twins.body import Body
 from taciturn_twins.wire import CameraWire
+from taciturn_udp.endpoint import Address, Endpoint
+from taciturn_udp.plant import PlantServer
+from taciturn_udp.service import Told, Turns, take_until
 
 FLOW = 0.01  # seconds between two updates of the bodies in real time
 

@@ -15,7 +15,8 @@ from systems import make_system
 import taciturn
 from taciturn import Cost, Plant, ProblemError, close, design
 from taciturn._modes import radius
-from taciturn.analyse.certificates import (
+from taciturn.analyse.switched import Switched, switched, switched_innovations
+from taciturn_certify.certificates import (
     Certificate,
     NoCertificateError,
     bound_cost,
@@ -23,8 +24,7 @@ from taciturn.analyse.certificates import (
     find_decay,
     find_gain,
 )
-from taciturn.analyse.inequalities import Inequalities, Inequality, Unknowns
-from taciturn.analyse.switched import Switched, switched, switched_innovations
+from taciturn_certify.inequalities import Inequalities, Inequality, Unknowns
 
 HALVING = 2.0**-12  # what the search for a rate leaves open
 
@@ -217,6 +217,6 @@ def test_a_solver_that_is_not_installed_is_one_sentence(monkeypatch: pytest.Monk
     def missing(name: str) -> None:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("taciturn._cvxpy.import_module", missing)
+    monkeypatch.setattr("taciturn_certify.inequalities.import_module", missing)
     with pytest.raises(ProblemError, match=r"clarabel is not installed.*pip install 'taciturn\[certify\]'"):
         find_decay(two_masses())

@@ -8,8 +8,8 @@ from scipy.linalg import solve_discrete_are
 
 import taciturn
 from taciturn import Burst, Cost, Network, Plant, UnstableError, average, close, design
-from taciturn.analyse import outcomes as module
-from taciturn.analyse.outcomes import outcomes
+from taciturn.analyse import switched as module
+from taciturn.analyse.switched import outcomes
 from taciturn.model.operating_point import OperatingPoint
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, ProblemError, Trigger, close, design
 from taciturn.analyse.renewal import chain_of, solve_renewal
-from taciturn.model.policy import Assign, Decide, Received, Send
+from taciturn.model.steps import Assign, Decide, Received, Send
 from taciturn.model.theory import Identity, Reset, Theory
 from taciturn.model.trigger import Form
 from taciturn.problem import parse

@@ -12,12 +12,11 @@ from systems import make_system
 
 import taciturn
 from taciturn import Cost, Loop, Network, Plant, ProblemError, close, design
-from taciturn._modes import factor
-from taciturn.analyse.reduction import invariant
+from taciturn._modes import factor, invariant
 from taciturn.analyse.switched import Switched, switched, switched_innovations
-from taciturn.model.policy import Send
-from taciturn.program.names import Entry, Option, is_entry
+from taciturn.model.steps import Send
 from taciturn.program.numpy import run
+from taciturn.program.ops import Entry, Option, is_entry
 
 TICKS, PATHS = 60, 4
 SERVED = ("all-time", "lqg joint hold", "lqg joint model", "lqg separate hold", "lqg separate model", "absolute")

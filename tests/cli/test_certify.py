@@ -87,5 +87,5 @@ def test_a_missing_file_and_a_missing_solver_are_one_sentence(
     def missing(name: str) -> None:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("taciturn._cvxpy.import_module", missing)
+    monkeypatch.setattr("taciturn_certify.inequalities.import_module", missing)
     assert "pip install 'taciturn[certify]'" in run("certify", write()).sentence

@@ -12,9 +12,9 @@ import pytest
 import typer.main
 from cli.conftest import Run
 
-from taciturn.cli import words
+from taciturn.cli import frame
 from taciturn.cli.frame import EXAMPLE, GROUPS, app
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE
 
 COMMANDS = sorted(name for names in GROUPS.values() for name in names)
 
@@ -67,7 +67,7 @@ def test_the_example_of_a_command_is_one(run: Run, monkeypatch: pytest.MonkeyPat
     assert (first, second) == ("taciturn", name)
     given = command.make_context(name, arguments).params
     for word in [given.get("file"), *(given.get("files") or ())]:
-        assert word is None or word in words.complete_file("")
+        assert word is None or word in frame.complete_file("")
     monkeypatch.setenv("COLUMNS", "80")
     shown = run(name, "--help").out
     assert max(map(len, shown.splitlines())) <= 80

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import pytest
 from counts import few
 
-from taciturn.runtime.processes import Process
-from taciturn.runtime.udp import Endpoint, free_addresses
-from taciturn.study.testbed.invariants import RECOVERY, BrokenError
+from taciturn_udp.endpoint import Endpoint, free_addresses
+from taciturn_udp.processes import Process
+from taciturn_worlds.invariants import RECOVERY, BrokenError
 
 if TYPE_CHECKING:
     from conftest import Run, Write
@@ -164,7 +164,7 @@ def test_a_world_is_replayed_from_its_seed(run: Run, monkeypatch: pytest.MonkeyP
     assert all(document["invariants"].values())
     assert document["node_ticks"] == document["ticks"]
     broken = BrokenError(RECOVERY, 7, "a packet is missing")
-    monkeypatch.setattr("taciturn.study.testbed.world.World.run", lambda world, copies: broken)
+    monkeypatch.setattr("taciturn_worlds.world.World.run", lambda world, copies: broken)
     answer = run("network", "remote-scalar", "--world", "2")
     assert answer.code == 1
     assert "world 2 breaks an invariant at step 7: a packet is missing" in answer.err
@@ -246,8 +246,8 @@ def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:
     )
     controller.expect()
     import taciturn
-    from taciturn.runtime.packet import Packet, Wire
-    from taciturn.runtime.udp import parse_address
+    from taciturn.nodes.packet import Packet, Wire
+    from taciturn_udp.endpoint import parse_address
 
     wire = Wire(taciturn.load("two-mass-lqg").design())
     for tick in range(30):

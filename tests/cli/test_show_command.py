@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.steps import Send
-from taciturn.problem.suggested import example_of
+from taciturn.problem.draft import example_of
 from taciturn.study.describe import describe
-from taciturn.study.lines import rounded
+from taciturn.study.evaluation import rounded
 
 if TYPE_CHECKING:
     from conftest import Run, Write

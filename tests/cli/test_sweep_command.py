@@ -11,7 +11,7 @@ from cli.conftest import Run, Write
 
 from taciturn.cli.frame import progress_bar
 from taciturn.simulation import sampling
-from taciturn.study.sweeping.table import SweepTable
+from taciturn_sweep.sweep import SweepTable
 
 EFFORT = ("--steps", "20000", "--workers", "1")
 

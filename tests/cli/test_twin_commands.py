@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from twin.crews import blind, short_mission, stand_in
 
-from taciturn.runtime.udp import Endpoint
 from taciturn_twins.control import write_calibration
+from taciturn_udp.endpoint import Endpoint
 
 if TYPE_CHECKING:
     from conftest import Run

@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 import taciturn
-from taciturn._ending import ENDING
-from taciturn.cli import main
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.udp import Endpoint
-from taciturn.runtime.world import PlantServer
-from taciturn.study.sweeping.workers import processes
+from taciturn._process import ENDING
+from taciturn.cli.frame import main
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Wire
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn.study.workers import processes
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
+from taciturn_udp.plant import PlantServer
 
 TICKS = 100
 

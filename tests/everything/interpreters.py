@@ -17,11 +17,11 @@ import numpy as np
 import taciturn
 from taciturn.errors import TaciturnError
 from taciturn.model.policy import Policy
+from taciturn.nodes.plant import SimulatedPlant
 from taciturn.problem import Problem
-from taciturn.runtime.plant import SimulatedPlant
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import decode, encode
-from taciturn.study.testbed.worlds import run_world, run_world_with_devices
+from taciturn_worlds.world import run_world, run_world_with_devices
 
 TICKS = 80
 RARE = 0.05  # sends per step below which a link may well be silent for the 300 steps after which a world gives up

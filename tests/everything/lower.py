@@ -16,8 +16,8 @@ from everything.routes import is_sentence
 from taciturn.analyse.limits import LowerBound
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
+from taciturn.study.evaluate import expect_bound
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.lower import expect_bound
 
 CONFIDENCE, CERTAIN = 0.999, 1 - 1e-9
 FACTORS = (1.0, 0.3, 3.0)  # by which the threshold is changed

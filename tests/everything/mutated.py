@@ -21,13 +21,12 @@ import numpy as np
 from everything.interpreters import SkippedError, stepping
 
 from taciturn.model.network import Network
-from taciturn.model.packets import packet_shapes
-from taciturn.model.places import inputs_at, roles
+from taciturn.model.packets import inputs_at, packet_shapes, roles
 from taciturn.model.policy import Policy
 from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, KINDS, LARGEST, OFFSETS
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
 from taciturn.problem import Problem
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
 
 TICKS = 60
 EPOCH = 5  # of the senders
@@ -50,7 +49,7 @@ def like_python(problem: Problem, seed: int, folder: Path) -> str | None:
     role = listening[int(rng.integers(len(listening)))]
     (place := folder / "mutated").mkdir(exist_ok=True)
     program = compile_checked(policy, role, network, place)
-    with patch("taciturn.runtime.window.WIDTH", WIDTH):
+    with patch("taciturn.nodes.inbox.WIDTH", WIDTH):
         host = with_small_inbox(Node(policy, role, network=network, epoch=9))
         given, expected = both(host, Wire(policy, network), policy, network, problem.cost.horizon or TICKS, rng)
     try:

@@ -141,8 +141,8 @@ def test_a_number_that_only_python_accepts_is_a_fault(monkeypatch: pytest.Monkey
     drawn = build(("linear controller", "sensor decides", "kind excess"), 1)
     problem = load(write(drawn, tmp_path, text_of(drawn.tables)))
     assert mutated.like_python(problem, 3, tmp_path) is None
-    monkeypatch.setattr("taciturn.runtime.packet.fits", lambda values: all(map(isfinite, values)))
-    monkeypatch.setattr("taciturn.runtime.inbox.fits", lambda values: all(map(isfinite, values)))
+    monkeypatch.setattr("taciturn.nodes.packet.fits", lambda values: all(map(isfinite, values)))
+    monkeypatch.setattr("taciturn.nodes.inbox.fits", lambda values: all(map(isfinite, values)))
     assert mutated.like_python(problem, 3, tmp_path) is not None
 
 

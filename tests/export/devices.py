@@ -16,18 +16,17 @@ from unittest.mock import patch
 import pytest
 
 import taciturn
-from taciturn.export.folder import CORE_SOURCES
-from taciturn.export.node import CoreSizes, core_links, print_node
 from taciturn.model.network import Network
-from taciturn.model.packets import packet_shapes
-from taciturn.model.places import inputs_at, outputs_at, wire_links
+from taciturn.model.packets import inputs_at, outputs_at, packet_shapes, wire_links
 from taciturn.model.policy import Policy
 from taciturn.model.wire import KINDS
+from taciturn.nodes.inbox import Handling, Inbox, Stream
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import REFUSALS, Packet
 from taciturn.program.ops import Precision
-from taciturn.runtime.inbox import Handling, Inbox, Stream
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import REFUSALS, Packet
-from taciturn.study.testbed.devices import ACCESS, COUNTERS, Key
+from taciturn_export.folder import CORE_SOURCES
+from taciturn_export.node import CoreSizes, core_links, print_node
+from taciturn_worlds.devices import ACCESS, COUNTERS, Key
 
 CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent
@@ -280,7 +279,7 @@ class SmallInbox(Inbox):
         """Take a packet in that a step wants which is not further ahead than places are."""
         stream = self.streams.get((packet.kind, packet.link))
         self.past = past
-        with patch("taciturn.runtime.inbox.AHEAD", WAITING - (stream.lag if stream else 0)):
+        with patch("taciturn.nodes.inbox.AHEAD", WAITING - (stream.lag if stream else 0)):
             return super().take(packet, past)
 
     def _wait(self, stream: Stream, packet: Packet) -> None:

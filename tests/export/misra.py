@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from export.test_folders import two_mass
 
-from taciturn.export.folder import CORE_SOURCES, print_folder
+from taciturn_export.folder import CORE_SOURCES, print_folder
 
 TABLE = Path(__file__).parent.parent.parent / "docs" / "misra.json"
 FOUND = re.compile(r"([\w.]+):(\d+):(\d+):misra-c2012-(\d+\.\d+)")

@@ -12,9 +12,8 @@ from export.devices import CORE, Device, compile_core_for, compile_node, needs_c
 from export.test_folders import compile_check, run_check, two_mass, write
 from export.test_nodes_in_c import LOOPS, places
 
-from taciturn.export.data import FORMAT
-from taciturn.export.folder import print_folder
-from taciturn.export.node import print_node
+from taciturn_export.folder import print_folder
+from taciturn_export.node import FORMAT, print_node
 
 FLIP = """
 #include "device.c"

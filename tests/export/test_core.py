@@ -11,8 +11,8 @@ import pytest
 from counts import few
 from export.devices import CORE, STRICT, write_sizes
 
-from taciturn.export.folder import CORE as FILES
-from taciturn.export.folder import CORE_SOURCES
+from taciturn_export.folder import CORE as FILES
+from taciturn_export.folder import CORE_SOURCES
 
 COMPILERS = {"gcc": [], "clang": [], "arm-none-eabi-gcc": ["-mcpu=cortex-m3", "-mthumb"]}
 TOOLS = {"gcc": "", "clang": "", "arm-none-eabi-gcc": "arm-none-eabi-"}

@@ -19,20 +19,19 @@ from runtime.test_nodes import TANKS
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.export import sizes
-from taciturn.export.folder import CFolder, print_folder
-from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
-from taciturn.model.places import inputs_at, outputs_at, roles
+from taciturn.model.packets import inputs_at, outputs_at, roles
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
+from taciturn.nodes.plant import SimulatedPlant
 from taciturn.problem import Problem
 from taciturn.program.ops import Precision
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.study.testbed.network import losses
 from taciturn_boards import cortex
 from taciturn_boards.cortex import M3, M4F, Counts, EmulatedBoard, Main
 from taciturn_boards.processor import NodeOnBoard
+from taciturn_export import sizes
+from taciturn_export.folder import CFolder, print_folder, record_loop
+from taciturn_udp.run import losses
 
 ROOT = Path(__file__).parent.parent.parent
 POLICIES: dict[str, tuple[str, Mapping[str, object]]] = {  # problem, and what is changed in it

@@ -20,9 +20,9 @@ from parity.loops import with_functions
 from systems import make_system
 
 import taciturn
-from taciturn.export.folder import print_folder
 from taciturn.program.c import c_literal
 from taciturn.program.ops import Precision
+from taciturn_export.folder import print_folder
 
 
 @pytest.mark.evidence

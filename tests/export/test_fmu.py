@@ -30,11 +30,10 @@ from systems import make_system
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.export.description import Version, list_variables, tick_length
-from taciturn.export.fmu import Fmu, print_fmu
-from taciturn.export.node import identifier
 from taciturn.loop import Loop
 from taciturn.problem import parse
+from taciturn_export.fmu import Fmu, Version, list_variables, print_fmu, tick_length
+from taciturn_export.node import identifier
 
 VERSIONS: tuple[Version, ...] = ("3.0", "2.0")
 LOSSY = "lossy-double-integrator"

@@ -26,14 +26,13 @@ from systems import System, make_system, systems
 import taciturn
 from taciturn import Cost, Network, Plant, Reference, design
 from taciturn.errors import ProblemError
-from taciturn.export import node
-from taciturn.export.folder import CORE_SOURCES, GENERATED_BY, CFolder, print_folder
-from taciturn.export.node import identifier
-from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
 from taciturn.model.wire import KINDS
 from taciturn.program.ops import Precision
-from taciturn.study.export import bear_single, export_c
+from taciturn_export import node
+from taciturn_export.export import bear_single, export_c
+from taciturn_export.folder import CORE_SOURCES, GENERATED_BY, CFolder, print_folder, record_loop
+from taciturn_export.node import identifier
 
 AGREES = "steps compared, every decision and every bit of the input agrees"
 SOME = (

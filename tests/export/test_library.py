@@ -14,9 +14,9 @@ from export.test_folders import two_mass, write
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.export.folder import print_folder
-from taciturn.export.library import LONGEST
 from taciturn.loop import Loop
+from taciturn_export.folder import print_folder
+from taciturn_export.library import LONGEST
 
 REQUIRED = {"name", "version", "author", "maintainer", "sentence", "paragraph", "category", "url", "architectures"}
 ARDUINO = """#include <stddef.h>

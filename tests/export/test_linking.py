@@ -12,7 +12,7 @@ import pytest
 from export.devices import needs_compiler
 from export.test_folders import two_mass, write
 
-from taciturn.export.folder import CORE_SOURCES, print_folder
+from taciturn_export.folder import CORE_SOURCES, print_folder
 
 
 @pytest.fixture(scope="module")

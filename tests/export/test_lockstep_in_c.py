@@ -13,14 +13,14 @@ from export.test_folders import write
 from runtime.loops import by_hand
 
 import taciturn
-from taciturn.export.folder import CORE_SOURCES, print_folder
-from taciturn.model.places import roles
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.udp import Endpoint
-from taciturn.runtime.world import PlantServer
+from taciturn.model.packets import roles
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Wire
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn_export.folder import CORE_SOURCES, print_folder
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
+from taciturn_udp.plant import PlantServer
 
 STEPS, SEED = 60, 3
 OPTIONS = ("-std=gnu99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")

@@ -8,7 +8,7 @@ import pytest
 from export import misra
 from export.test_folders import two_mass, write
 
-from taciturn.export.folder import print_folder
+from taciturn_export.folder import print_folder
 
 
 def test_every_deviation_has_a_reason() -> None:

@@ -25,11 +25,11 @@ import taciturn
 from taciturn import Network
 from taciturn.loop import Loop
 from taciturn.model.network import Network as AnyNetwork
-from taciturn.model.places import roles
+from taciturn.model.packets import roles
 from taciturn.model.policy import Policy
-from taciturn.runtime.inbox import USABLE
-from taciturn.runtime.node import Node, Stepped
-from taciturn.runtime.packet import Packet, Wire
+from taciturn.nodes.inbox import USABLE
+from taciturn.nodes.node import Node, Stepped
+from taciturn.nodes.packet import Packet, Wire
 
 LOOP, SEED = 7, 3
 
@@ -205,7 +205,7 @@ EVENTS = st.lists(FATES | STEPS, min_size=10, max_size=60)
 all_or_some = pytest.mark.parametrize("every", few([3, 1], 1), ids=["every third node", "every node"])
 
 
-@patch("taciturn.runtime.window.WIDTH", WIDTH)
+@patch("taciturn.nodes.inbox.WIDTH", WIDTH)
 def play(found: Case, events: list[tuple], seed: int) -> Pair:
     """Give a node on the host and in C what happens, and compare after each step."""
     pair = Pair(found, seed)

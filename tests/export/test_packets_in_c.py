@@ -22,9 +22,9 @@ from runtime.test_packets import KEY, mutated
 import taciturn
 from taciturn import Network
 from taciturn.errors import ProblemError
-from taciturn.export.folder import CORE_SOURCES
 from taciturn.model.wire import HEADER_SIZE, LARGEST
-from taciturn.runtime.packet import REFUSALS, Packet, Wire, _tag
+from taciturn.nodes.packet import REFUSALS, Packet, Wire, _tag
+from taciturn_export.folder import CORE_SOURCES
 
 RANGES = {"sensor_range": (10.0, 0.3), "actuator_range": 7.0}
 PAYLOADS = ("float64", "float32", "int16")

@@ -11,11 +11,11 @@ from export.devices import Device, Library, compile_node
 from export.test_nodes_in_c import LOOP, LOOPS
 from runtime.test_packets import KEY
 
-from taciturn.model.places import wire_links
-from taciturn.runtime.keys import Keys
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.reception import answer_to
+from taciturn.model.packets import wire_links
+from taciturn.nodes.keys import Keys
+from taciturn.nodes.packet import Packet, Wire
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn_udp.service import answer_to
 
 OTHER = bytes(range(40, 60))
 

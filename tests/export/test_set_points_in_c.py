@@ -13,14 +13,14 @@ from export.devices import Device, Library, compile_checked, compile_node, feed
 from runtime.test_packets import KEY
 
 from taciturn.loop import Loop
-from taciturn.model.places import wire_links
+from taciturn.model.packets import wire_links
 from taciturn.model.wire import SETPOINT
+from taciturn.nodes.keys import Keys
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
 from taciturn.problem import parse
-from taciturn.runtime.keys import Keys
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.reception import answer_to
-from taciturn.study.export import export_c
+from taciturn_export.export import export_c
+from taciturn_udp.service import answer_to
 
 OTHER = bytes(range(40, 60))
 SECRET = b"sixteen bytes..."  # of feed.c

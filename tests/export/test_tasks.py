@@ -10,7 +10,7 @@ from export.devices import STRICT, needs_compiler
 from export.test_folders import two_mass, write
 
 import taciturn
-from taciturn.export.folder import print_folder
+from taciturn_export.folder import print_folder
 
 EXAMPLE = Path(__file__).parent.parent.parent / "docs" / "tasks.c"
 STEPS = 200

@@ -15,11 +15,11 @@ from export.test_nodes_in_c import LOOP, LOOPS, case, compiled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taciturn.export.folder import CORE_SOURCES, print_folder
-from taciturn.runtime.clock import AGREED, Phase
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
+from taciturn.nodes.clock import AGREED, Phase
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
 from taciturn_boards import cortex
+from taciturn_export.folder import CORE_SOURCES, print_folder
 
 CATCH_UP = 16  # TAC_CATCH_UP of the core
 

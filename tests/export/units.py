@@ -14,16 +14,15 @@ from export.devices import HERE, needs_compiler
 from fmpy.simulation import instantiate_fmu
 
 import taciturn
-from taciturn.export.description import Version, may_lose, tick_length
-from taciturn.export.fmu import Fmu, print_fmu
-from taciturn.export.node import identifier
-from taciturn.export.vector import RecordedRun, drawn_by_the_policy, record_loop
 from taciturn.loop import Loop
-from taciturn.model.places import wire_links
+from taciturn.model.packets import wire_links
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Entry
+from taciturn.program.ops import Entry
+from taciturn_export.fmu import Fmu, Version, may_lose, print_fmu, tick_length
+from taciturn_export.folder import RecordedRun, drawn_by_the_policy, record_loop
+from taciturn_export.node import identifier
 
 FMI = Path(taciturn.__file__).parent / "export" / "fmi"
 SEED = 3

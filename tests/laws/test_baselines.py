@@ -17,7 +17,7 @@ from taciturn import Cost, Plant, ProblemError, UnstableError, close, design, lo
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
-from taciturn.program.names import Entry, Option, Sent
+from taciturn.program.ops import Entry, Option, Sent
 from taciturn.simulation.average import completed_squares, plain_average
 
 SOME = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from systems import System, systems
 
 from taciturn import Loop
-from taciturn.analyse.certificates import (
+from taciturn.analyse.switched import Switched, switched, switched_innovations
+from taciturn.simulation.average import average, plain_average
+from taciturn_certify.certificates import (
     SHARES,
     Certificate,
     NoCertificateError,
@@ -23,8 +25,6 @@ from taciturn.analyse.certificates import (
     find_decay,
     find_gain,
 )
-from taciturn.analyse.switched import Switched, switched, switched_innovations
-from taciturn.simulation.average import average, plain_average
 
 Found = TypeVar("Found")
 NAMES = (

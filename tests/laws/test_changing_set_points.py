@@ -10,13 +10,12 @@ from counts import few
 from systems import make_system, well_posed
 
 from taciturn import ContinuousPlant, Cost, Network, Plant, average, close, design, load, simulate
-from taciturn.design.certainty import design_certainty
+from taciturn.base.certainty import design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
 from taciturn.model.network import NodeRole
-from taciturn.model.set_points import RandomSteps, Timetable
+from taciturn.model.signals import ExternalDisturbance, RandomSteps, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
 

@@ -16,10 +16,10 @@ from taciturn._modes import factor
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.network import Network
-from taciturn.study.channel.loop_classes import gather
-from taciturn.study.channel.prices import Curves
-from taciturn.study.channel.schedulers import SCHEDULERS
-from taciturn.study.channel.share import Sharing, share_channel
+from taciturn_channel.classes import gather
+from taciturn_channel.prices import Curves
+from taciturn_channel.schedulers import SCHEDULERS
+from taciturn_channel.share import Sharing, share_channel
 
 SOME = settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 

@@ -15,16 +15,16 @@ from measured import average, times
 
 import taciturn
 from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Plant, ProblemError, close, design
-from taciturn.design.certainty import CertaintyEquivalentDesign, design_certainty
+from taciturn.base.certainty import CertaintyEquivalentDesign, design_certainty
 from taciturn.design.dead_bands import Filtered
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.gain import largest_gain
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.policy import Policy
+from taciturn.model.signals import ExternalDisturbance
 
 NODES = {
     "s1": NodeRole(measures=(0,)),

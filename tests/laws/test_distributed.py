@@ -16,10 +16,11 @@ from scipy.linalg import expm
 from systems import System, make_system, well_posed
 
 from taciturn import Burst, Cost, Estimate, Loop, Network, Plant, Policy, UnstableError, close, design, evaluate
-from taciturn.analyse.outcomes import outcomes
+from taciturn.analyse.switched import outcomes
 from taciturn.errors import ProblemError
 from taciturn.loop import EXCESS
-from taciturn.model.network import LinkLaw, NodeRole
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import NodeRole
 from taciturn.program.numpy import run
 from taciturn.simulation.average import completed_squares, plain_average
 
@@ -209,7 +210,7 @@ def j_all_is_that_of_an_attempt_on_every_link(system: System, network: Network, 
     loop = close(system.plant, policy)
     found = outcomes(loop)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taciturn.analyse.outcomes.MOST", 1e6)
+        patch.setattr("taciturn.analyse.switched.MOST_MOMENTS", 1e6)
         assume(found is None or (found.F.shape[1] <= 12 and found.growth(2) < 0.8 and found.growth(4) < 0.9))
     simulated = average(loop, plain_average(loop), seed=system.seed, steps=scaled(200_000, 60_000)).cost
     assert abs(simulated.value - policy.cost_all_time) <= 5 * simulated.standard_error

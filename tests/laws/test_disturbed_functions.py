@@ -10,12 +10,11 @@ from counts import few
 
 import taciturn
 from taciturn import Cost, Plant, close, design, simulate
+from taciturn.model.disturbance import follow
 from taciturn.model.dynamics import Map
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.set_points import Changes, RandomSteps, Timetable
-from taciturn.runtime.plant import SimulatedPlant
+from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, Timetable
+from taciturn.nodes.plant import SimulatedPlant
 
 A, B = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.1], [0.5]])
 C = np.array([[1.0, 0.0]])

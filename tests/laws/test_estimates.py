@@ -13,7 +13,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.simulation import sampling as module
 from taciturn.simulation.average import average, completed_squares, difference, plain_average
-from taciturn.simulation.course import course
+from taciturn.simulation.trajectory import course
 
 PLANT = Plant([[1.1, 0.3], [0.0, 0.8]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]], [[0.1]])
 COST = Cost([[1.0, 0.0], [0.0, 0.5]], [[0.3]])

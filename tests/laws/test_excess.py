@@ -12,7 +12,8 @@ from systems import System, make_system, well_posed
 import taciturn
 from taciturn import design
 from taciturn.analyse.limits import bound_below
-from taciturn.simulation.average import Averages, average
+from taciturn.simulation.average import average
+from taciturn.simulation.sampling import Averages
 
 Actuation = Literal["hold", "model"]
 STEPS = 1_600_000

@@ -13,7 +13,7 @@ from counts import few
 from scipy.linalg import block_diag, solve_discrete_are
 from systems import make_system, well_posed
 
-from taciturn import (
+from taciturn import (  # fmt: skip
     ContinuousPlant,
     Cost,
     Network,
@@ -27,15 +27,13 @@ from taciturn import (
     design,
     load,
     simulate,
-)  # fmt: skip
+)
 from taciturn.analyse.limits import bound_below
-from taciturn.design.certainty import design_certainty
+from taciturn.base.certainty import design_certainty
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import discretise
-from taciturn.lqg.regulation import has_average, regulator_equations
-from taciturn.model.exosystem import Exosystem, ExternalDisturbance
-from taciturn.model.following import follow
-from taciturn.model.set_points import SetPoint, Timetable
+from taciturn.lqg.discrete import discretise, has_average, regulator_equations
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import Exosystem, ExternalDisturbance, SetPoint, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
 from taciturn.study.describe import describe

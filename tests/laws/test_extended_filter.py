@@ -14,10 +14,10 @@ from taciturn import Policy, close, design
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.lqg.kalman import steady_filter
-from taciturn.model.policy import Apply, Step
+from taciturn.model.steps import Apply, Step
 from taciturn.model.theory import Theory
-from taciturn.program.names import is_entry
 from taciturn.program.numpy import run
+from taciturn.program.ops import is_entry
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -35,13 +35,12 @@ from taciturn import (
     plant_from,
     simulate,
 )
-from taciturn.design.given import send_every_sample
+from taciturn.design.silence import send_every_sample
 from taciturn.lqg.discrete import discretise
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
 from taciturn.model.limits import Limits
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.set_points import RandomSteps
+from taciturn.model.signals import ExternalDisturbance, RandomSteps
 from taciturn.problem import parse
 from taciturn.simulation.average import average, choose_estimator
 from taciturn.simulation.violations import violations

@@ -14,30 +14,19 @@ from hypothesis import strategies as st
 from runtime.loops import differing_ticks, record
 
 import taciturn
-from taciturn import (
-    PID,
-    Controller,
-    Cost,
-    Disturbance,
-    Loop,
-    Network,
-    Plant,
-    Policy,
-    UnstableError,
-    design,
-)
-from taciturn.design.base import advantage
-from taciturn.design.given import send_every_sample
-from taciturn.design.kept import REMEDY, lqg_observer
-from taciturn.design.routes import actuator_base, sensor_base
+from taciturn import PID, Controller, Cost, Disturbance, Loop, Network, Plant, Policy, UnstableError, design
+from taciturn.base.given_controller import REMEDY, lqg_observer
+from taciturn.base.receiver import actuator_base, sensor_base
+from taciturn.base.value import advantage
+from taciturn.design.silence import send_every_sample
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.program.engine import prepare
-from taciturn.program.names import Option, Sent
 from taciturn.program.numpy import run
+from taciturn.program.ops import Option, Sent
 from taciturn.simulation.average import average
-from taciturn.study.disturbed import sends_every_sample
+from taciturn.study.evaluation import sends_every_sample
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)

@@ -9,23 +9,15 @@ import pytest
 from laws.test_given_controllers import ALL_TIME, KEPT, NO_DISTURBANCE, STEP, TANK, WEIGHTS, random_loop
 
 import taciturn
-from taciturn import (
-    Controller,
-    Cost,
-    Network,
-    Plant,
-    ProblemError,
-    UnstableError,
-    design,
-)
-from taciturn.design.certainty import design_certainty
-from taciturn.design.kept import lqg_observer
+from taciturn import Controller, Cost, Network, Plant, ProblemError, UnstableError, design
+from taciturn.base.certainty import design_certainty
+from taciturn.base.given_controller import lqg_observer
 from taciturn.lqg.discrete import discretise
-from taciturn.model.policy import Decide, Location
+from taciturn.model.steps import Decide, Location
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.program.engine import prepare
-from taciturn.program.names import Sent
+from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
 
 

@@ -13,12 +13,13 @@ from measured import agree_together, average
 from systems import System, systems
 
 from taciturn import ContinuousPlant, Cost, Loop, Policy, close, design
-from taciturn.design.certainty import Actuation
+from taciturn.base.certainty import Actuation
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.lqg.sampling import sample
-from taciturn.model.policy import Decide
-from taciturn.simulation.average import Averages, Estimator, completed_squares, plain_average
+from taciturn.model.steps import Decide
+from taciturn.simulation.average import completed_squares, plain_average
+from taciturn.simulation.sampling import Averages, Estimator
 
 STEPS, FEW_STEPS = scaled(500_000, 120_000), 100_000
 MOST_STEPS = 5_000_000  # a loop that keeps its start for longer hardly sends, and more steps show little

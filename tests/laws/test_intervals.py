@@ -16,12 +16,11 @@ from systems import System, make_system, systems
 import taciturn
 from taciturn import Cost, Loop, Network, Plant, Policy, ProblemError, close, design
 from taciturn.model.link import LinkLaw
-from taciturn.model.location import fixed_choices
 from taciturn.model.network import NodeRole
-from taciturn.model.policy import Assign, Decide, Send
+from taciturn.model.steps import Assign, Decide, Send, fixed_choices
 from taciturn.model.trigger import Form, Trigger
-from taciturn.program.names import Sent
 from taciturn.program.numpy import run
+from taciturn.program.ops import Sent
 from taciturn.simulation.average import plain_average
 from taciturn.study.describe import describe
 from taciturn.study.record import origin

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 import taciturn
 from taciturn import Controller, Cost, Disturbance, Network, Plant, Policy, Problem, ProblemError
-from taciturn.design.certainty import design_certainty
+from taciturn.base.certainty import design_certainty
+from taciturn.design.several_nodes import MOST_LINKS
 from taciturn.lqg.discrete import discretise
-from taciturn.model.joint import MOST_LINKS
-from taciturn.model.network import LinkLaw, NodeRole
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import NodeRole
 from taciturn.simulation.average import plain_average
 
 STEPS = 200_000

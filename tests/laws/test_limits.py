@@ -20,16 +20,15 @@ from systems import System, systems
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, Reference, close, design
 from taciturn.errors import TaciturnError
-from taciturn.export.folder import print_folder
 from taciturn.lqg.kalman import steady_filter
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
 from taciturn.model.packets import fingerprint
-from taciturn.model.set_points import Timetable
-from taciturn.program.names import Entry
-from taciturn.runtime.nodes import Nodes
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.study.disturbed import sends_every_sample
+from taciturn.model.signals import ExternalDisturbance, Timetable
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.together import Nodes
+from taciturn.program.ops import Entry
+from taciturn.study.evaluation import sends_every_sample
+from taciturn_export.folder import print_folder
 
 SEEDS = st.integers(0, 2**32 - 1)
 MOVED = ("send-on-delta", "lossy udp")  # whose measurements or losses tell the filter something else

@@ -11,18 +11,18 @@ from runtime.loops import differing_ticks, record
 
 import taciturn
 from taciturn import PID, Burst, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
-from taciturn.design.base import Attempts, Base, advantage, critical_scale
-from taciturn.design.kept import lqg_observer
-from taciturn.design.routes import actuator_base, sensor_base
+from taciturn.base.given_controller import lqg_observer
+from taciturn.base.receiver import actuator_base, sensor_base
+from taciturn.base.value import Attempts, Base, advantage, critical_scale
 from taciturn.design.silence import ChannelBelief
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
-from taciturn.model.policy import Received
+from taciturn.model.steps import Received
 from taciturn.program.engine import prepare
-from taciturn.program.names import Sent
 from taciturn.program.numpy import run
+from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
-from taciturn.study.disturbed import sends_every_sample
+from taciturn.study.evaluation import sends_every_sample
 
 PLANT = Plant([[1.02, 0.1], [0, 0.98]], [[0.005], [0.1]], np.diag([0.001, 0.01]), [[1, 0]], [[0.05]])
 WEIGHTS = Cost(np.diag([1.0, 0.1]), [[0.1]])

@@ -11,8 +11,8 @@ from taciturn import Cost, Plant, design
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.riccati import regulate
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import ExternalDisturbance
 
 SHAPES = {"ramp": None, "sinusoid": 0.3}
 

@@ -18,24 +18,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from systems import System, systems
 
-from taciturn import (
-    Cost,
-    Loop,
-    Network,
-    Plant,
-    UnstableError,
-    close,
-    design,
-    difference,
-    integrate,
-    load,
-    simulate,
-)
+from taciturn import Cost, Loop, Network, Plant, UnstableError, close, design, difference, integrate, load, simulate
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import run
+from taciturn.program.ops import Entry, Sent
 from taciturn.simulation.bank import Bank
-from taciturn.simulation.course import course
+from taciturn.simulation.trajectory import course
 
 Ode = Callable[[np.ndarray, np.ndarray], np.ndarray]
 NAMES = ("pendulum-on-a-cart", "pendulum-by-encoders", "omni-heading")

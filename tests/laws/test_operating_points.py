@@ -16,20 +16,18 @@ from used import COST, KINDS, SEEN
 
 import taciturn
 from taciturn import PID, Cost, Network, Plant, Policy, Problem, ProblemError, Reference, design, linearise
-from taciturn.export.vector import record_loop
 from taciturn.lqg.discrete import discretise
-from taciturn.model.display import about
-from taciturn.model.disturbance import Disturbance
-from taciturn.model.equilibrium import equilibrium
-from taciturn.model.following import follow
+from taciturn.model.disturbance import Disturbance, follow
+from taciturn.model.dynamics import equilibrium
 from taciturn.model.limits import Limits
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.places import roles
-from taciturn.model.plant import ContinuousPlant
-from taciturn.model.set_points import RandomSteps, Timetable
-from taciturn.runtime.node import Node
-from taciturn.runtime.plant import SimulatedPlant
+from taciturn.model.packets import roles
+from taciturn.model.plant import ContinuousPlant, about
+from taciturn.model.signals import RandomSteps, Timetable
+from taciturn.nodes.node import Node
+from taciturn.nodes.plant import SimulatedPlant
 from taciturn.simulation.violations import violations
+from taciturn_export.folder import record_loop
 
 QUICK = ("all-time", "lqg", "excess", "remote-lqg", "lossy-lqg", "distributed", "mixed", "consistent", "event-pid")
 TANK = {"plant.operating_point.x": [12.4, 12.7, 1.8, 1.4], "plant.operating_point.u": [3.0, 3.0]}

@@ -15,7 +15,7 @@ from systems import System, systems
 from taciturn import Cost, Network, Plant, ProblemError, close, design
 from taciturn._modes import radius
 from taciturn.errors import InformationError
-from taciturn.lqg.lyapunov import accumulate
+from taciturn.lqg.equation import accumulate
 from taciturn.model.policy import Policy
 
 FEW = settings(max_examples=15, deadline=None)

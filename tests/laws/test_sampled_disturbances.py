@@ -19,7 +19,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, expm
 
-from taciturn import (
+from taciturn import (  # fmt: skip
     PID,
     ContinuousPlant,
     Cost,
@@ -33,17 +33,16 @@ from taciturn import (
     compare,
     design,
     evaluate,
-)  # fmt: skip
+)
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.model.exosystem import Exosystem, ExternalDisturbance
-from taciturn.model.following import follow
-from taciturn.model.set_points import RandomSteps, Timetable
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import Exosystem, ExternalDisturbance, RandomSteps, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import plain_average
-from taciturn.study.channel.loop_classes import gather
 from taciturn.study.describe import describe
-from taciturn.study.tuning.periods import tune_period
+from taciturn.study.tune import tune_period
+from taciturn_channel.classes import gather
 
 TABLES: dict[str, Any] = {
     "plant": {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "W": [[0.01]], "V": [[0.01]]},

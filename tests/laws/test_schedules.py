@@ -15,7 +15,7 @@ from taciturn import Cost, Plant, UnstableError, average, close, design
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import necklaces
 from taciturn.lqg.riccati import regulate
-from taciturn.program.names import Option, Sent
+from taciturn.program.ops import Option, Sent
 
 SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 

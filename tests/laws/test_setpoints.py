@@ -13,11 +13,11 @@ from runtime.loops import differing_ticks, record
 
 import taciturn
 from taciturn import PID, Cost, Network, Plant, ProblemError, design
-from taciturn.design.kept import cost_as_kept
-from taciturn.program.names import Entry
+from taciturn.base.given_controller import cost_as_kept
 from taciturn.program.numpy import run
+from taciturn.program.ops import Entry
 from taciturn.simulation.average import average
-from taciturn.study.disturbed import sends_every_sample
+from taciturn.study.evaluation import sends_every_sample
 
 STABLE = Plant([[0.5]], [[1.0]], [[1.0]], dt=1.0)
 QUIET = 1e-18  # noise that leaves eight digits of a path

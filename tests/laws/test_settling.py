@@ -10,12 +10,10 @@ from counts import few
 
 import taciturn
 from taciturn.problem import Problem, parse
-from taciturn.program.names import Sent
+from taciturn.program.ops import Sent
 from taciturn.simulation.average import average, plain_average
-from taciturn.simulation.parts import Part
 from taciturn.simulation.reliability import drifts_of
-from taciturn.simulation.sampling import Sampling
-from taciturn.simulation.settled import History, Snapshots
+from taciturn.simulation.sampling import History, Part, Sampling, Snapshots
 from taciturn.simulation.violations import violations
 
 TANK = """

@@ -15,14 +15,14 @@ from taciturn.analyse.renewal import solve_renewal
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.model.link import LinkLaw
-from taciturn.program.controls import MOST
+from taciturn.program.draws import MOST
 from taciturn.program.engine import prepare
-from taciturn.program.names import Control, Sent
+from taciturn.program.ops import Control, Sent
 from taciturn.simulation import sampling
 from taciturn.simulation.average import average, completed_squares, plain_average
-from taciturn.simulation.course import course
 from taciturn.simulation.reliability import doubt_tail
 from taciturn.simulation.statistics import batch_means, controlled_mean, mean, regenerative, tail_index
+from taciturn.simulation.trajectory import course
 
 RECORDS = 100
 

@@ -14,17 +14,16 @@ from laws.test_lossy_controllers import forward_cost, random_network
 
 import taciturn
 from taciturn import ContinuousPlant, Controller, Cost, Disturbance, Network, Plant, ProblemError, UnstableError, design
-from taciturn.design.base import Attempts, Base, advantage, critical_scale
-from taciturn.design.certainty import design_certainty
+from taciturn.base.certainty import design_certainty, price_control
+from taciturn.base.receiver import actuator_base, predicting_actuator, predicting_controller, sensor_base
+from taciturn.base.value import Attempts, Base, advantage, critical_scale
 from taciturn.design.prediction import predict_continuously
-from taciturn.design.prices import price_control
-from taciturn.design.routes import actuator_base, predicting_actuator, predicting_controller, sensor_base
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.program.names import Sent
+from taciturn.program.ops import Sent
 from taciturn.simulation.average import average
-from taciturn.study.disturbed import sends_every_sample
+from taciturn.study.evaluation import sends_every_sample
 
 ACTUATIONS = ("hold", "model", "zero")
 

@@ -14,22 +14,12 @@ from scipy.linalg import block_diag, solve_discrete_are
 from systems import System, make_system, well_posed
 
 import taciturn
-from taciturn import (
-    Cost,
-    Network,
-    Plant,
-    Policy,
-    Problem,
-    ProblemError,
-    UnstableError,
-    close,
-    design,
-    simulate,
-)
+from taciturn import Cost, Network, Plant, Policy, Problem, ProblemError, UnstableError, close, design, simulate
+from taciturn.design.kind import placed
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.model.network import LinkLaw, NodeRole
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import NodeRole
 from taciturn.model.packets import fingerprint
-from taciturn.model.placement import placed
 from taciturn.simulation.average import plain_average
 from taciturn.study.record import decode, encode
 

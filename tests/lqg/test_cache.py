@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from taciturn import UnstableError
-from taciturn.lqg._cache import MOST
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.riccati import regulate
+from taciturn.lqg.riccati import MOST, regulate
 
 ONE = np.eye(1)
 

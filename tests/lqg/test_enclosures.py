@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from taciturn._precision import precision
-from taciturn._rational import rational
+from taciturn._rational import precision, rational
 from taciturn.lqg.enclosures import Balls, Doubles, inner
 
 

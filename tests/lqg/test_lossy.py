@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 
 from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, UnstableError, design, evaluate
 from taciturn._modes import radius
-from taciturn._precision import precision
-from taciturn.lqg._critical import Lasting
+from taciturn._rational import precision
+from taciturn.lqg.critical_losses import Channel, Lasting
 from taciturn.lqg.lossy import (
-    Channel,
     critical_losses,
     lossy_step,
     mean_square_rate,
@@ -28,7 +27,7 @@ from taciturn.lqg.lossy import (
     slowest_growth,
 )
 from taciturn.lqg.riccati import regulate, uncontrollable_modes
-from taciturn.model.policy import Assign
+from taciturn.model.steps import Assign
 from taciturn.model.trigger import Scheduled
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -14,11 +14,10 @@ from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn._arrays import block_diagonal
-from taciturn._cycles import largest_cycle
-from taciturn._modes import balancing
-from taciturn._precision import precision
+from taciturn._modes import balancing, largest_cycle
+from taciturn._rational import precision
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.lyapunov import accumulate
+from taciturn.lqg.equation import accumulate
 from taciturn.lqg.riccati import uncontrollable_modes
 
 seeds = st.integers(0, 2**32 - 1)

@@ -11,13 +11,12 @@ from systems import System, systems
 
 import taciturn
 from taciturn import Cost, Network, Plant
-from taciturn.design.certainty import design_certainty
-from taciturn.design.clocked import predicted_cost
+from taciturn.base.certainty import design_certainty
+from taciturn.design.at_fixed_steps import predicted_cost
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.multirate import MultirateControl, Timing
-from taciturn.lqg.periodic import Held
+from taciturn.lqg.periodic import Held, MultirateControl, Timing
 from taciturn.model.network import NodeRole
 
 NODES = {

@@ -11,18 +11,16 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from taciturn import Cost, Plant, design
-from taciturn._exact_modes import Limit, modes_of
 from taciturn._modes import least_eigenvalue, radius
-from taciturn._rational import rational
+from taciturn._rational import Limit, modes_of, rational
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg._mean_square import MeanSquare
+from taciturn.lqg.critical_losses import Channel, MeanSquare
+from taciturn.lqg.equation import Problem, accumulate, exactly
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.lossy import Channel, lossy_step, regulate_lossy
-from taciturn.lqg.lyapunov import accumulate
+from taciturn.lqg.lossy import lossy_step, regulate_lossy
 from taciturn.lqg.quadratic import Quadratic
 from taciturn.lqg.riccati import regulate, regulate_continuous, uncontrollable_modes
 from taciturn.lqg.sampling import sample
-from taciturn.lqg.stabilising import Problem, exactly
 
 seeds = st.integers(0, 2**32 - 1)
 times = pytest.mark.parametrize("continuous", [False, True], ids=["discrete", "continuous"])

@@ -11,7 +11,7 @@ from scipy.integrate import quad, quad_vec
 from scipy.linalg import expm, solve_continuous_are
 
 from taciturn._modes import radius
-from taciturn.lqg.lyapunov import accumulate
+from taciturn.lqg.equation import accumulate
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.lqg.sampling import sample_prediction
 

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from systems import System, make_system
 
 from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
-from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import radius
+from taciturn._rational import Limit, unmoved
 from taciturn.analyse.switched import switched
 from taciturn.errors import UnstableError
+from taciturn.lqg.equation import accumulate
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.riccati import regulate, regulate_continuous
-from taciturn.program.names import Entry
+from taciturn.program.ops import Entry
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -7,10 +7,10 @@ import pytest
 from counts import few
 from systems import make_system
 
-from taciturn.lqg._repetition import Repetition
-from taciturn.lqg.lossy import Channel, regulate_lossy_finite
+from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.lossy import regulate_lossy_finite
 from taciturn.lqg.queries import follow_every_query
-from taciturn.lqg.riccati import regulate_finite
+from taciturn.lqg.riccati import Repetition, regulate_finite
 
 HORIZON = 400
 

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 
 from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.lyapunov import accumulate
+from taciturn.lqg.equation import accumulate
 from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_finite
 
 seeds = st.integers(0, 2**32 - 1)

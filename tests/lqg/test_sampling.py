@@ -14,15 +14,15 @@ from drawn import law
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Network, Problem
-from taciturn.design import excess
+from taciturn.design.kinds.excess import excess
 from taciturn.errors import ProblemError, TaciturnError
+from taciturn.lqg.equation import accumulate
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.lyapunov import accumulate
 from taciturn.lqg.periodic import lift
 from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.lqg.sampling import sample, sample_prediction
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import ExternalDisturbance
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("A", "B", "Q", "R", "N", "W", "noise_cost")

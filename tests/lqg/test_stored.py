@@ -8,12 +8,11 @@ from flint import arb, arb_mat
 from scipy.linalg import block_diag
 
 from taciturn import ContinuousPlant, Controller, Cost, Plant, design
-from taciturn._precision import precision
-from taciturn.design.certainty import design_certainty
+from taciturn._rational import precision
+from taciturn.base.certainty import design_certainty
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.enclosures import Balls
-from taciturn.lqg.silence import Apart, allowance
-from taciturn.lqg.stored import filter_loop
+from taciturn.lqg.stored import Apart, allowance, filter_loop
 
 BITS, DOUBLINGS = 1024, 40
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.model.bursts.chain import Chain
-from taciturn.model.losses import LossLaw
+from taciturn.model.losses import Chain, LossLaw
 
 
 @dataclass(frozen=True, repr=False)

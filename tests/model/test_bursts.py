@@ -14,15 +14,13 @@ from parity.loops import assert_parity
 
 import taciturn
 from taciturn import Burst, Cost, Nodes, Plant, ProblemError, close, design
-from taciturn.analyse.outcomes import outcomes
-from taciturn.model import bursts
-from taciturn.model.bursts import law_text, read_law
-from taciturn.model.bursts.chain import Chain
+from taciturn.analyse.switched import outcomes
+from taciturn.model import losses
 from taciturn.model.link import LinkLaw
-from taciturn.model.losses import LossLaw
+from taciturn.model.losses import Chain, LossLaw, law_text, read_law
 from taciturn.model.network import Network
-from taciturn.runtime.relay import Fate
 from taciturn.simulation.average import plain_average
+from taciturn_udp.relay import Fate
 
 PLANT = Plant([[0.9, 0.1], [0.0, 0.7]], [[0.0], [1.0]], np.diag([0.1, 0.2]), mean=[1.0, 0.0])
 COST = Cost(np.diag([1.0, 0.5]), [[3.0]])
@@ -110,8 +108,8 @@ actuator_burst = {}
 @pytest.fixture
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Register a law of another package."""
-    entry = EntryPoint("fading", "model.fading:LAW", bursts.GROUP)
-    monkeypatch.setattr(bursts, "find_plugins", lambda group: {"fading": (entry,)} if group == bursts.GROUP else {})
+    entry = EntryPoint("fading", "model.fading:LAW", losses.GROUP)
+    monkeypatch.setattr(losses, "find_plugins", lambda group: {"fading": (entry,)} if group == losses.GROUP else {})
 
 
 @pytest.mark.usefixtures("registered")

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, design, load
 from taciturn._arrays import Array
-from taciturn.model.descriptor import explicit
-from taciturn.model.exosystem import Exosystem, ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
+from taciturn.model.plant import explicit
+from taciturn.model.signals import Exosystem, ExternalDisturbance
 
 FILE = """
 [plant]

@@ -13,16 +13,15 @@ from catalogue import MISSIONS, POLICIES, outputs
 from systems import make_system
 
 from taciturn import Cost, Plant, Policy, design, load
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE
 from taciturn.model.diagram import PLAIN, Diagram, Link, Place
-from taciturn.model.packets import packet_shapes
-from taciturn.model.places import roles
+from taciturn.model.packets import packet_shapes, roles
 from taciturn.model.steps import Send
 from taciturn.model.trigger import Form, Scheduled, Trigger
-from taciturn.problem.suggested import example_of
-from taciturn.program.names import Sent
+from taciturn.nodes.node import Node
+from taciturn.problem.draft import example_of
+from taciturn.program.ops import Sent
 from taciturn.renewal.policy import OptimalPolicy
-from taciturn.runtime.node import Node
 
 SYSTEM = make_system(5, 2, 1, 2, full_state=False)
 NAMES = (*POLICIES, *(kind for kind in CATALOGUE if kind not in POLICIES))

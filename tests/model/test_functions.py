@@ -15,7 +15,7 @@ from taciturn.analyse.renewal import bound_rate, solve_renewal
 from taciturn.analyse.switched import switched
 from taciturn.errors import InformationError
 from taciturn.model.packets import fingerprint
-from taciturn.model.policy import Apply, Assign, Decide, Received, Send, Step
+from taciturn.model.steps import Apply, Assign, Decide, Received, Send, Step
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form
 

@@ -8,7 +8,7 @@ import pytest
 from taciturn import Cost, Network, Plant, Policy, Trigger, close
 from taciturn.errors import InformationError
 from taciturn.model.information import check_information
-from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
+from taciturn.model.steps import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled
 
 PLANT = Plant([[0.9]], [[1.0]], [[1.0]])

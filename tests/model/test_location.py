@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import taciturn.model.location as location_module
+import taciturn.model.steps as location_module
 from taciturn import Cost, Plant, Policy, Trigger, average, close
-from taciturn.model.location import Location, joint_cycle
-from taciturn.model.policy import Assign, Decide, Received, Send
+from taciturn.model.steps import Assign, Decide, Location, Received, Send, joint_cycle
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled
 

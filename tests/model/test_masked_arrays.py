@@ -10,7 +10,7 @@ import pytest
 import taciturn
 from taciturn import Controller, Cost, Network, Plant, ProblemError, Reference, load
 from taciturn.model.limits import Limits
-from taciturn.model.set_points import RandomSteps, Timetable
+from taciturn.model.signals import RandomSteps, Timetable
 from taciturn.model.trigger import Scheduled
 from taciturn.problem.matrices import square_matrix
 

@@ -16,10 +16,10 @@ from parity.loops import assert_parity, differences, same
 from taciturn import Burst, Cost, Network, Plant, ProblemError, Reference, close, design
 from taciturn.loop import Loop
 from taciturn.model.losses import LossLaw
-from taciturn.model.policy import Received
+from taciturn.model.steps import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Sent
+from taciturn.program.ops import Sent
 
 SHARES = st.floats(0, 1)
 PLANT = Plant([[0.9]], [[1.0]], [[1.0]], mean=[1.0], covariance=[[1.0]])

@@ -13,13 +13,12 @@ import pytest
 
 import taciturn
 from taciturn import PID, Cost, Plant, design
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE, placed
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.model.network import LinkLaw, Network, NodeRole
-from taciturn.model.packets import fingerprint
-from taciturn.model.pid import PIDLoops
-from taciturn.model.placement import placed
-from taciturn.model.places import roles
+from taciturn.model.controller import PIDLoops
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import Network, NodeRole
+from taciturn.model.packets import fingerprint, roles
 from taciturn.problem import Problem, parse
 
 PLC = {"plc": {"controls": True}}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from taciturn import Cost, Estimate, Guarantee, Plant, Policy, ProblemError, Trigger, average, close, load
-from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
+from taciturn.model.steps import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
 from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Scheduled
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, average, close, design
 from taciturn.loop import Loop
-from taciturn.model.policy import ONE, Assign, Draw, Evaluate, Received, Send
+from taciturn.model.steps import ONE, Assign, Draw, Evaluate, Received, Send
 from taciturn.model.trigger import Form
 from taciturn.program import numpy as interpreter
-from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import Run
+from taciturn.program.ops import Entry, Sent
 from taciturn.simulation.average import plain_average
 
 SEEDS = st.integers(0, 2**32 - 1)

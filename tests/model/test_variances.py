@@ -9,9 +9,9 @@ import pytest
 
 import taciturn
 from taciturn import PID, Cost, Disturbance, Plant, ProblemError, design
-from taciturn.design.kept import cost_as_kept
+from taciturn.base.given_controller import cost_as_kept
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.disturbed import sends_every_sample
+from taciturn.study.evaluation import sends_every_sample
 
 STEP = 0.1
 TANK = Plant([[1, STEP], [0, 0.9]], [[0], [STEP]], np.diag([1e-4, 4e-4]), [[1, 0]], [[1e-3]], dt=STEP)

@@ -9,7 +9,7 @@ from systems import System
 
 from taciturn import Network, Policy, Trigger, close
 from taciturn.loop import Loop
-from taciturn.model.policy import Acknowledged, Apply, Assign, Decide, Draw, Evaluate, Location, Received, Send
+from taciturn.model.steps import Acknowledged, Apply, Assign, Decide, Draw, Evaluate, Location, Received, Send
 from taciturn.model.trigger import Form, GaussianTerm, Scheduled
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program

@@ -17,8 +17,7 @@ from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel, host
-from taciturn.program.names import Entry, Option, Sent, is_entry
-from taciturn.program.ops import Precision
+from taciturn.program.ops import Entry, Option, Precision, Sent, is_entry
 
 SEEDS = st.integers(0, 2**32 - 1)
 PRECISIONS = st.sampled_from(["float64", "float32"])

@@ -18,11 +18,10 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.program import engine, ir, machine
 from taciturn.program import numpy as interpreter
-from taciturn.program._llvm_body import SMALL
 from taciturn.program.ir import Builder, Program
+from taciturn.program.llvm import SMALL
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Entry, Sent
-from taciturn.program.ops import Precision, tiles
+from taciturn.program.ops import Entry, Precision, Sent, tiles
 from taciturn.simulation.bank import Bank
 
 PRECISIONS = st.sampled_from(["float64", "float32"])

@@ -14,11 +14,10 @@ from parity.loops import assert_parity
 from systems import System, systems
 
 from taciturn import Loop, Network, Plant, close, design, load
-from taciturn.model.policy import Received
+from taciturn.model.steps import Received
 from taciturn.program import numpy as interpreter
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Entry, Sent
-from taciturn.program.ops import Precision
+from taciturn.program.ops import Entry, Precision, Sent
 from taciturn.program.python import compile_python
 
 NAMES = ("pendulum-on-a-cart", "pendulum-by-encoders", "omni-heading")

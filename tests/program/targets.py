@@ -15,12 +15,10 @@ from systems import make_system
 
 import taciturn
 from taciturn.model.plant import Jumps
-from taciturn.program._llvm_body import Build
-from taciturn.program.exponential import exponential_of, falling, logarithm
+from taciturn.program.functions import exponential_of, falling, logarithm
 from taciturn.program.ir import Builder, Program
-from taciturn.program.llvm import print_llvm
+from taciturn.program.llvm import Build, Target, print_llvm
 from taciturn.program.ops import Precision, State
-from taciturn.program.target import Target
 from taciturn.renewal.events import IntegralTrigger, JumpProcess, cycle_program
 
 LINUX, WINDOWS, APPLE = "x86_64-unknown-linux-gnu", "x86_64-pc-windows-msvc", "x86_64-apple-macosx"

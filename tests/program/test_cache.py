@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taciturn.program import cache, machine
+from taciturn.program import machine
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
 
@@ -52,14 +52,14 @@ def forge(folder: Path) -> None:
     (one,) = {path.name for path in folder.iterdir()} - before
     assert answer(program(2)) == 4.0
     (two,) = {path.name for path in folder.iterdir()} - before - {one}
-    code = cache.read_code(folder, two.removesuffix(".o"))
+    code = machine.read_code(folder, two.removesuffix(".o"))
     assert code is not None
-    cache.write_code(folder, one.removesuffix(".o"), code, 99)
+    machine.write_code(folder, one.removesuffix(".o"), code, 99)
 
 
 def test_a_forgery_of_this_user_would_be_executed(folder: Path) -> None:
     """Otherwise the tests below could not fail."""
-    assert cache.cache_folder() == folder
+    assert machine.cache_folder() == folder
     forge(folder)
     assert answer(program(1)) == 4.0
 
@@ -79,14 +79,14 @@ def test_a_folder_that_others_can_only_read_becomes_private(folder: Path) -> Non
     """What is in it is used."""
     folder.mkdir(0o755)
     folder.chmod(0o755)
-    assert cache.cache_folder() == folder
+    assert machine.cache_folder() == folder
     assert mode(folder) == 0o700
 
 
 @pytest.mark.parametrize("bits", [0o775, 0o777, 0o1777, 0o720])
 def test_a_folder_that_others_could_write_is_emptied(folder: Path, bits: int) -> None:
     """Whoever planted a file there executes nothing."""
-    cache.cache_folder()
+    machine.cache_folder()
     forge(folder)
     folder.chmod(bits)
     with pytest.warns(UserWarning, match="other users could write to the cache folder .* were deleted"):
@@ -100,7 +100,7 @@ def test_a_folder_that_others_could_write_is_emptied(folder: Path, bits: int) ->
 @pytest.mark.parametrize("bits", [0o620, 0o602, 0o666])
 def test_a_file_that_others_can_write_is_not_executed(folder: Path, bits: int) -> None:
     """It is replaced by one that only this user can write."""
-    cache.cache_folder()
+    machine.cache_folder()
     forge(folder)
     for path in folder.iterdir():
         path.chmod(bits)
@@ -112,7 +112,7 @@ def test_a_file_that_others_can_write_is_not_executed(folder: Path, bits: int) -
 @root
 def test_what_another_user_owns_is_not_executed(folder: Path) -> None:
     """Neither a file, nor a folder."""
-    cache.cache_folder()
+    machine.cache_folder()
     forge(folder)
     for path in folder.iterdir():
         os.chown(path, 12345, -1)
@@ -126,7 +126,7 @@ def test_what_another_user_owns_is_not_executed(folder: Path) -> None:
 
 def test_code_under_the_name_of_another_program_is_not_executed(folder: Path) -> None:
     """The digest covers the name."""
-    cache.cache_folder()
+    machine.cache_folder()
     assert [answer(program(1)), answer(program(2))] == [2.0, 4.0]
     one, two = sorted(folder.iterdir())
     first, second = one.read_bytes(), two.read_bytes()
@@ -141,7 +141,7 @@ def test_a_relative_cache_home_is_ignored(monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv("XDG_CACHE_HOME", "here")
-    found = cache.cache_folder()
+    found = machine.cache_folder()
     assert found is not None
     assert found.is_relative_to(tmp_path / "home")
     assert not (tmp_path / "here").exists()

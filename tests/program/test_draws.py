@@ -12,9 +12,8 @@ from scipy import stats
 from taciturn.program.draws import GENERATOR, seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Entry
 from taciturn.program.numpy import run
-from taciturn.program.ops import State
+from taciturn.program.ops import Entry, State
 
 WORD = (1 << 64) - 1
 PATHS, TICKS = 4096, 25_000  # 1e8 steps

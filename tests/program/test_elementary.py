@@ -14,9 +14,18 @@ from hypothesis import strategies as st
 from parity.loops import same
 from program.printed import by_c, by_machine, by_numpy, by_python, program_of
 
-from taciturn.program.circular import arctangent, cosine, direction, sine, tangent
-from taciturn.program.elementary import NUMBERS
-from taciturn.program.exponential import exponential_less_one, exponential_of, hyperbolic_tangent, logarithm
+from taciturn.program.functions import (
+    NUMBERS,
+    arctangent,
+    cosine,
+    direction,
+    exponential_less_one,
+    exponential_of,
+    hyperbolic_tangent,
+    logarithm,
+    sine,
+    tangent,
+)
 from taciturn.program.ops import Precision
 
 PRECISIONS: list[Precision] = ["float64", "float32"]

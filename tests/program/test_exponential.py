@@ -10,7 +10,7 @@ from parity.loops import same
 
 from taciturn import ProblemError
 from taciturn.model.trigger import Form, GaussianTerm
-from taciturn.program.exponential import falling
+from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep
 from taciturn.program.machine import Kernel

@@ -13,9 +13,8 @@ import taciturn
 from taciturn import Network, Problem
 from taciturn.program.draws import with_draws
 from taciturn.program.ir import Builder, Coefficient, Program, merge_states
-from taciturn.program.names import Sent
 from taciturn.program.numpy import Run, run
-from taciturn.program.ops import State
+from taciturn.program.ops import Sent, State
 
 SEEDS = st.integers(0, 2**32 - 1)
 STARTS = (0.0, 0.0, 1.0, -2.5)

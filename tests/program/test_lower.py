@@ -14,12 +14,12 @@ from taciturn import Trigger
 from taciturn._modes import factor
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
-from taciturn.model.policy import ONE, Apply, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
+from taciturn.model.steps import ONE, Apply, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep
-from taciturn.program.names import Entry, Sent
 from taciturn.program.numpy import run
+from taciturn.program.ops import Entry, Sent
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -18,8 +18,8 @@ import taciturn
 from taciturn.loop import Loop
 from taciturn.program import machine
 from taciturn.program.ir import Builder
+from taciturn.program.llvm import Target
 from taciturn.program.machine import Kernel
-from taciturn.program.target import Target
 
 Compiled = list[str]
 

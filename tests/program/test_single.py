@@ -14,12 +14,10 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.program.draws import draw_numbers
 from taciturn.program.ir import Builder
-from taciturn.program.names import Entry, Name
 from taciturn.program.numpy import run
-from taciturn.program.ops import Precision
+from taciturn.program.ops import Entry, Name, Precision
 from taciturn.simulation.average import choose_estimator, plain_average
-from taciturn.simulation.parts import Part
-from taciturn.simulation.sampling import Sampling
+from taciturn.simulation.sampling import Part, Sampling
 
 KINDS: tuple[Precision, Precision] = ("float64", "float32")
 RESOLUTION = 2.0**-24  # of a float near 1

@@ -18,9 +18,8 @@ import taciturn
 from taciturn.errors import ProblemError
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
-from taciturn.program._llvm_body import Build
 from taciturn.program.ir import Builder
-from taciturn.program.target import VECTORS, Target
+from taciturn.program.llvm import VECTORS, Build, Target
 
 BUILDS: tuple[Build, ...] = ("parity", "fast")
 WIDTHS = (2, 4, 8, 16)

@@ -16,7 +16,7 @@ from taciturn import ProblemError
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
 from taciturn.program.numpy import run
-from taciturn.program.trace import trace
+from taciturn.program.tracing import trace
 
 X = {"x": 4, "u": 2}
 A = np.array([[1.0, 0.5, 0.0, -1.0], [0.0, 2.0, 0.25, 1.0], [0.0, 0.0, 0.0, 0.0], [0.1, 0.0, 0.0, 1.0]])

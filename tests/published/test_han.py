@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from taciturn import Cost, Plant, average, close, design
+from taciturn.lqg.equation import stationary
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.lyapunov import stationary
-from taciturn.model.policy import Assign, Decide, Draw, Policy, Received, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Draw, Received, Send
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from counts import few
 
-from taciturn.lqg.lossy import Channel, regulate_lossy_finite
+from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.lossy import regulate_lossy_finite
 
 
 def best(

@@ -13,7 +13,8 @@ import pytest
 import scipy.optimize
 
 from taciturn import Cost, Plant, average, close
-from taciturn.model.policy import Assign, Decide, Policy, Received, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Received, Send
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 from taciturn.renewal.chain import Chain

@@ -11,12 +11,13 @@ import pytest
 from counts import few
 
 from taciturn import Cost, Network, Plant, average, close
-from taciturn.model.policy import Assign, Decide, Location, Policy, Received, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Location, Received, Send
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.simulation.average import Averages
+from taciturn.simulation.sampling import Averages
 
 ONE, NEVER = np.eye(1), 1e9
 CLOCK, LEFT, SEND = "clock", "left", "send"

@@ -11,7 +11,8 @@ import pytest
 from counts import few
 
 from taciturn import Cost, Network, Plant, UnstableError, design
-from taciturn.lqg.lossy import Channel, critical_losses
+from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.lossy import critical_losses
 
 
 def test_the_pendubot_survives_losses_below_the_product_of_its_unstable_modes() -> None:

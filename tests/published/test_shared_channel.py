@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 
 from taciturn import Cost, Network, Plant, Problem, share_channel
-from taciturn.study.channel.share import SchedulerName, Sharing
+from taciturn_channel.share import SchedulerName, Sharing
 
 LOOPS = 40
 TDMA = (LOOPS - 1) / 2  # the mean of 0, 1, …, 39: variance of an integrator in its turn

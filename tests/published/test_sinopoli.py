@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taciturn.lqg.lossy import Channel, critical_losses
+from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.lossy import critical_losses
 
 ACKNOWLEDGED = Channel(0.0, 0.0, acknowledged=True, delayed=False)
 

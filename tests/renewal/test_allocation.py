@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taciturn.renewal.allocation import Clocked, LoopClass, allocate, allocate_slots
+from taciturn_channel.classes import Clocked, LoopClass, allocate, allocate_slots
 
 EXAMPLES = settings(max_examples=30, deadline=None)
 

@@ -12,8 +12,7 @@ from drawn import rows
 
 from taciturn.errors import ProblemError
 from taciturn.renewal import dual
-from taciturn.renewal._martingale import Martingale
-from taciturn.renewal.dual import DualBound, bound_schedules
+from taciturn.renewal.dual import DualBound, Martingale, bound_schedules
 from taciturn.renewal.fitted import Fitted, fit_schedule
 from taciturn.renewal.optimal import solve_optimal
 

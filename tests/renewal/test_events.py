@@ -20,13 +20,13 @@ from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.engine import prepare
 from taciturn.program.machine import Kernel
-from taciturn.renewal.bernstein import TaylorMotion
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles, sample_cycles, sweep_thresholds
 from taciturn.renewal.events import (
     CycleTrigger,
     IntegralTrigger,
     JumpProcess,
     LevelTrigger,
+    TaylorMotion,
     cycle_program,
     start_cycles,
 )

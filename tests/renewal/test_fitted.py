@@ -10,10 +10,9 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from taciturn.errors import ProblemError
-from taciturn.renewal._quasi_monte_carlo import Lattice
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.dual import PRECISE
-from taciturn.renewal.fitted import PATHS, SNAPSHOTS, fit_schedule, keep_errors
+from taciturn.renewal.fitted import PATHS, SNAPSHOTS, Lattice, fit_schedule, keep_errors
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.optimal import solve_optimal
 

@@ -12,11 +12,11 @@ from drawn import rows
 from taciturn.errors import ProblemError
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.lqg.sampling import sample
-from taciturn.model.plant import Jumps
+from taciturn.model.plant import JumpNoise, Jumps
 from taciturn.renewal import gaussian
-from taciturn.renewal._trigger_check import INTERPOLATED, SOLVED
-from taciturn.renewal.chain import Chain, Intervals, JumpNoise, NoQuadratureError
+from taciturn.renewal.chain import Chain, Intervals, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
+from taciturn.renewal.quadrature import INTERPOLATED, SOLVED
 
 UNIT = np.eye(2)
 

@@ -10,9 +10,10 @@ from numpy.polynomial.legendre import leggauss
 from scipy.stats import poisson, qmc
 
 from taciturn.lqg.riccati import regulate_continuous
-from taciturn.model.plant import Jumps
+from taciturn.model.plant import JumpNoise, Jumps
 from taciturn.renewal import jumps as quadrature
-from taciturn.renewal._jump_density import (
+from taciturn.renewal.chain import Chain, NoQuadratureError
+from taciturn.renewal.jump_density import (
     TABLES_MEET,
     CompoundPoissonNoise,
     Density,
@@ -21,7 +22,6 @@ from taciturn.renewal._jump_density import (
     legendre_nodes,
     plane_flow,
 )
-from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 from taciturn.renewal.jumps import solve_jumps
 
 # period: sends per second and average cost of the consistent periodic trigger on a double integrator

@@ -13,10 +13,10 @@ from renewal.chains import KINDS, large_chain, simulated
 import taciturn
 from taciturn.analyse.renewal import chain_of
 from taciturn.errors import ProblemError
-from taciturn.model.plant import Jumps
-from taciturn.renewal import _replication as _randomisation
+from taciturn.model.plant import JumpNoise, Jumps
 from taciturn.renewal import paths
-from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
+from taciturn.renewal import paths as _randomisation
+from taciturn.renewal.chain import Chain, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.paths import expect_quicker, solve_paths
 from taciturn.simulation.average import average

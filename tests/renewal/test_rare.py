@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taciturn.renewal.chain import NoQuadratureError
+from taciturn.renewal.fitted import bound_rare_sends
 from taciturn.renewal.optimal import solve_optimal
-from taciturn.renewal.rare_sends import bound_rare_sends
 
 
 @settings(max_examples=4, deadline=None)

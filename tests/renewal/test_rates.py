@@ -14,7 +14,7 @@ from renewal.chains import large_chain
 from renewal.test_gaussian import double_integrator, scalar
 
 from taciturn.errors import ProblemError
-from taciturn.renewal import _chi_square
+from taciturn.renewal import rates
 from taciturn.renewal.chain import Chain, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.rates import least_interval, rate_bounds, sends_in_window
@@ -43,7 +43,7 @@ def imhof(weights, limit):
 @pytest.mark.parametrize("limit", [1e-3, 0.5, 4.0, 30.0])
 def test_equal_weights_have_a_chi_square_law(states, limit):
     """The enclosure holds it and is as narrow as rounding."""
-    low, high = _chi_square.enclosed(np.full(states, 0.7), 0.7 * limit)
+    low, high = rates.enclosed(np.full(states, 0.7), 0.7 * limit)
     truth = scipy.stats.chi2.cdf(limit, states)
     assert low <= truth <= high
     assert high - low <= 1e-13 * (truth + 1e-3)
@@ -54,7 +54,7 @@ def test_the_series_the_contour_and_imhofs_integral_agree(seed):
     """Over random weights of three to six states: three formulas that share nothing."""
     draws = np.random.default_rng(seed)
     weights = 10.0 ** draws.uniform(-1.5, 1.0, 3 + seed % 4)
-    series, contour = _chi_square._series(weights, 2000), _chi_square._contour(weights)
+    series, contour = rates._series(weights, 2000), rates._contour(weights)
     assert series[1] - series[0] <= 1e-10
     assert contour[1] - contour[0] <= 1e-10
     assert max(series[0], contour[0]) <= min(series[1], contour[1])
@@ -67,8 +67,8 @@ def test_the_series_the_contour_and_imhofs_integral_agree(seed):
 def test_however_few_terms_the_series_encloses(terms):
     """What is missing is always between the two ends."""
     weights = np.array([0.03, 0.4, 1.3])
-    low, high = _chi_square._series(weights, terms)
-    least, most = _chi_square.enclosed(weights, 1.0)
+    low, high = rates._series(weights, terms)
+    least, most = rates.enclosed(weights, 1.0)
     assert low <= least
     assert high >= most
 
@@ -76,14 +76,14 @@ def test_however_few_terms_the_series_encloses(terms):
 def test_weights_far_apart_are_those_of_a_product():
     """A weight that is nothing next to the limit changes nothing; one that is huge leaves odds of μ^{-1/2}."""
     wide, tight = 1e8, 1e-12
-    low, high = _chi_square.enclosed(np.array([wide, 0.5, tight]), 1.0)
+    low, high = rates.enclosed(np.array([wide, 0.5, tight]), 1.0)
     inner, _ = scipy.integrate.quad(lambda x: scipy.stats.chi2.cdf(2 * (1 - x * x), 1), 0, 1, epsabs=1e-13)
     assert (low, high) == pytest.approx((2 * inner / np.sqrt(2 * np.pi * wide),) * 2, rel=1e-7)
 
 
 def test_no_weight_is_certain():
     """Σ over nothing is 0."""
-    assert _chi_square.enclosed(np.zeros(3), 1.0) == (1.0, 1.0)
+    assert rates.enclosed(np.zeros(3), 1.0) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize(("period", "high", "simple"), [(0.1, 0.560, 0.100), (0.5, 0.581, 0.187), (1.0, 0.600, 0.246)])

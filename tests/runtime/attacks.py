@@ -11,9 +11,9 @@ import numpy as np
 
 import taciturn
 from taciturn import Network
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Wire
-from taciturn.runtime.processes import Processes
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Wire
+from taciturn_udp.processes import Processes
 
 CHAPTER_7 = """
 [plant]

@@ -8,14 +8,15 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
-from taciturn.runtime import clock, serve, world
-from taciturn.runtime import packet as packets
-from taciturn.runtime.clock import JUMPED, Phase
-from taciturn.runtime.inbox import Inbox, Stream
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.reception import Reception, _Session
-from taciturn.runtime.serve import NodeServer
+from taciturn.nodes import clock
+from taciturn.nodes import packet as packets
+from taciturn.nodes.clock import JUMPED, Phase
+from taciturn.nodes.inbox import Inbox, Stream
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp import nodes, plant
+from taciturn_udp.nodes import NodeServer
+from taciturn_udp.service import Reception, _Session
 
 
 class Defect(NamedTuple):
@@ -125,10 +126,10 @@ DEFECTS: dict[str, Defect] = {
     "a late packet replaces a newer command": Defect(((Inbox, "_miss", _late_wins),)),
     "a late packet replaces a newer command in C": Defect(core={LATE_IN_C: "true"}),
     "an old packet silences a fresh node": Defect(((clock, "AGREED", 1 << 30),)),
-    "steps are caught up without a limit": Defect(((serve, "LEFT_BEHIND", 1 << 30),)),
+    "steps are caught up without a limit": Defect(((nodes, "LEFT_BEHIND", 1 << 30),)),
     "marks are never sent": Defect(((Node, "mark", lambda *_: ()),)),
     "marks are sent in every step": around(Node, "mark", lambda true, node, every: true(node, 0)),
-    "the plant applies a late input": around(world.PlantServer, "_sort", _late_input_wins),
+    "the plant applies a late input": around(plant.PlantServer, "_sort", _late_input_wins),
     "a clock that is some steps fast is not corrected": Defect(((Phase, "_follow", lambda *_: None),)),
     "a node does not doubt its clock after a gap": Defect(((NodeServer, "_notice", lambda *_: None),)),
     "the watchdog never expires": Defect(((Node, "silent_links", property(_silent_only_without_steps)),)),

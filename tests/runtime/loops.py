@@ -8,20 +8,20 @@ from unittest.mock import patch
 import numpy as np
 
 import taciturn
-from taciturn.export.vector import drawn_by_the_policy
 from taciturn.loop import Loop
-from taciturn.model.places import inputs_at, outputs_at, roles
-from taciturn.model.policy import Received
+from taciturn.model.packets import inputs_at, outputs_at, roles
+from taciturn.model.steps import Received
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet
+from taciturn.nodes.plant import SimulatedPlant
 from taciturn.problem import Problem
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
-from taciturn.program.names import Sent, is_entry
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.study.testbed.network import losses
+from taciturn.program.ops import Sent, is_entry
+from taciturn_export.folder import drawn_by_the_policy
+from taciturn_udp.run import losses
 
 Records = Mapping[str, np.ndarray]
 

@@ -9,9 +9,9 @@ from functools import cache, partial
 from runtime.defects import Defect
 
 import taciturn
-from taciturn.model.places import roles
-from taciturn.study.testbed.devices import DeviceCode, DeviceNode, compile_devices
-from taciturn.study.testbed.worlds import WorldRun, prepare, run_world
+from taciturn.model.packets import roles
+from taciturn_worlds.devices import DeviceCode, DeviceNode, compile_devices
+from taciturn_worlds.world import WorldRun, prepare, run_world
 
 BUILT_IN = ("remote-scalar", "double-integrator", "lossy-double-integrator", "two-mass")
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taciturn.runtime.clock import AGREED, Phase
+from taciturn.nodes.clock import AGREED, Phase
 
 TICK = 0.01
 

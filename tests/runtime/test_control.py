@@ -33,13 +33,13 @@ from taciturn import (
 )
 from taciturn._modes import factor
 from taciturn.errors import InformationError
-from taciturn.model.places import roles
+from taciturn.model.packets import roles
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet
+from taciturn.nodes.together import StepFunction
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
-from taciturn.program.names import Entry, Sent, is_entry
-from taciturn.runtime.node import Node
-from taciturn.runtime.nodes import StepFunction
-from taciturn.runtime.packet import Packet
+from taciturn.program.ops import Entry, Sent, is_entry
 
 NAMES = (
     "lqg joint model", "lqg separate hold", "excess model", "dynamic", "stochastic", "stochastic model", "rollout",

@@ -12,11 +12,11 @@ from counts import few
 from runtime.described import DescribedNode, Sent
 from runtime.test_nodes import PARTICULAR, build
 
-from taciturn.model.places import outputs_at, roles, wire_links
+from taciturn.model.packets import outputs_at, roles, wire_links
 from taciturn.model.wire import KINDS
-from taciturn.runtime.description import describe_wire
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet
+from taciturn.nodes.description import describe_wire
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet
 
 
 def plain(packet: Packet, links: tuple[str, ...]) -> Sent:

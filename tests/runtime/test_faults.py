@@ -13,8 +13,8 @@ from runtime.attacks import KEY, await_ticks, capture, chapter_7, noise, throw
 from runtime.test_network import assert_added_up, proofs, refused
 
 import taciturn
-from taciturn.runtime.processes import Processes
-from taciturn.study.testbed.network import NetworkRun, losses, run_network
+from taciturn_udp.processes import Processes
+from taciturn_udp.run import NetworkRun, losses, run_network
 
 pytestmark = pytest.mark.evidence
 TICK = 0.02  # at which a machine that does other things as well is in time

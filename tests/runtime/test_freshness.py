@@ -16,14 +16,14 @@ from runtime.test_servers import POLICY, soon
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.runtime.keys import KeyFile, Keys
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.reception import answer_to
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.udp import Endpoint
-from taciturn.runtime.world import PlantServer
+from taciturn.nodes.keys import KeyFile, Keys
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
+from taciturn_udp.plant import PlantServer
+from taciturn_udp.service import answer_to
 
 WIRE = Wire(POLICY, key=KEY)
 TICK = 0.02
@@ -153,7 +153,7 @@ def test_a_sender_answers_and_repeats_its_last_packets() -> None:
 
 def test_a_restored_node_needs_no_new_proof(tmp_path: Path) -> None:
     """The proof is part of the saved state; a node without its state asks again."""
-    from taciturn.runtime.service import FileStorage
+    from taciturn_udp.service import FileStorage
 
     storage = FileStorage(tmp_path / "state.json")
     with Endpoint(("127.0.0.1", 0)) as here:

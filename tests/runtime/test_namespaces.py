@@ -20,11 +20,11 @@ import taciturn
 from taciturn import Burst, cli
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
-from taciturn.model.policy import Send
-from taciturn.runtime.namespaces import KernelLoss, Namespaces, predict_drops
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.study.testbed.network import NetworkRun, kernel_losses, run_network
+from taciturn.model.steps import Send
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.endpoint import Endpoint, parse_address
+from taciturn_udp.namespaces import KernelLoss, Namespaces, predict_drops
+from taciturn_udp.run import NetworkRun, kernel_losses, run_network
 
 POLICY = taciturn.load("lossy-double-integrator").design()
 NAMES = Path("/var/run/netns")
@@ -157,7 +157,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next() -> None:
     """Its namespaces, and the processes in them."""
     code = (
         "import os, subprocess, taciturn\n"
-        "from taciturn.runtime.namespaces import Namespaces\n"
+        "from taciturn_udp.namespaces import Namespaces\n"
         "spaces = Namespaces(taciturn.load('lossy-double-integrator').design(), {}).__enter__()\n"
         "orphan = subprocess.Popen([*spaces.before('sensor'), 'sleep', '300'], stdout=subprocess.DEVNULL)\n"
         "while 'sleep' not in open(f'/proc/{orphan.pid}/cmdline').read().split('\\0'): pass\n"

@@ -19,9 +19,9 @@ from runtime.test_nodes import ACKNOWLEDGED
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.runtime.processes import Process, Processes
-from taciturn.runtime.relay import Fate
-from taciturn.study.testbed.network import NetworkRun, losses, run_network
+from taciturn_udp.processes import Process, Processes
+from taciturn_udp.relay import Fate
+from taciturn_udp.run import NetworkRun, losses, run_network
 
 Report = Mapping[str, Any]
 TICKS = 300
@@ -70,7 +70,7 @@ def assert_added_up(found: NetworkRun) -> None:
 def patient() -> Iterator[None]:
     """Let the plant wait for its nodes, however busy this machine is: what it tells again is counted again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("taciturn.runtime.world.IDLE", 20.0)
+        patch.setattr("taciturn_udp.plant.IDLE", 20.0)
         yield
 
 
@@ -290,7 +290,7 @@ def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: py
     silent = Process(["export", "two-mass-lqg", "--c", "/dev/null/nodes"], "the export")
     with monkeypatch.context() as patch:
         patch.setattr(Process, "alive", True)
-        patch.setattr("taciturn.runtime.processes.PATIENCE", 0.0)
+        patch.setattr("taciturn_udp.processes.PATIENCE", 0.0)
         with pytest.raises(ProblemError, match="the export has not started within 0 s; reduce"):
             silent.expect()
     silent.kill()
@@ -298,7 +298,7 @@ def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: py
     process.expect()
     os.kill(process._process.pid, signal.SIGSTOP)
     with monkeypatch.context() as patch:
-        patch.setattr("taciturn.runtime.processes.PATIENCE", 0.1)
+        patch.setattr("taciturn_udp.processes.PATIENCE", 0.1)
         with pytest.raises(ProblemError, match=r"the relay has not ended within 0\.1 s"):
             process.stop()
     assert not process.alive

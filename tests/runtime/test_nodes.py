@@ -18,10 +18,10 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, design
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.places import roles
-from taciturn.model.policy import Decide
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet
+from taciturn.model.packets import roles
+from taciturn.model.steps import Decide
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet
 
 TWO_STATES = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 1.0]])
 NOISY = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], np.eye(2), C=[[1.0, 0.0]], V=[[0.1]])
@@ -387,7 +387,7 @@ def test_nodes_that_cannot_be_separated_are_refused() -> None:
     """A link within one place, a signal that changes behind its packet."""
     from dataclasses import replace
 
-    from taciturn.model.policy import Assign, Send
+    from taciturn.model.steps import Assign, Send
 
     policy = taciturn.load("lossy-double-integrator").design()
     together = replace(policy, sites=(frozenset({"controller", "actuator"}),))
@@ -403,7 +403,7 @@ def test_nodes_that_cannot_be_separated_are_refused() -> None:
 def test_a_packet_that_is_read_before_it_is_sent_is_that_of_the_tick_before() -> None:
     """A delay as an order of steps: the loop and its nodes agree on it."""
     from taciturn import Policy, Trigger
-    from taciturn.model.policy import Assign, Decide, Received, Send
+    from taciturn.model.steps import Assign, Decide, Received, Send
     from taciturn.model.trigger import Form
 
     one = np.eye(1)

@@ -15,15 +15,15 @@ from systems import make_system
 
 import taciturn
 from taciturn import PID, ContinuousPlant, Cost, Loop, Network, Nodes, Plant, ProblemError, close, design
-from taciturn.design.certainty import design_certainty
+from taciturn.base.certainty import design_certainty
 from taciturn.lqg.discrete import discretise
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
-from taciturn.model.policy import Received
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import ExternalDisturbance
+from taciturn.model.steps import Received
+from taciturn.nodes.node import Node
 from taciturn.problem import parse
-from taciturn.program.names import Entry
 from taciturn.program.numpy import run
-from taciturn.runtime.node import Node
+from taciturn.program.ops import Entry
 
 SYSTEM = make_system(7, 3, 2, 2, False)
 TICKS = 120

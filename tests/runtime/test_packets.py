@@ -20,10 +20,10 @@ from taciturn import Network
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.wire import HEADER, HEADER_SIZE, Encoding, read_place
-from taciturn.runtime.keys import read_keys
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import REFUSALS, Packet, Wire
-from taciturn.runtime.window import WIDTH, Window
+from taciturn.nodes.inbox import WIDTH, Window
+from taciturn.nodes.keys import read_keys
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import REFUSALS, Packet, Wire
 
 KEY = bytes(range(32))
 U32 = st.integers(0, 2**32 - 1)
@@ -115,7 +115,7 @@ def test_a_fingerprint_is_that_of_the_data_and_not_of_their_last_bits() -> None:
     from dataclasses import replace
 
     from taciturn.model.packets import fingerprint
-    from taciturn.model.policy import Assign
+    from taciturn.model.steps import Assign
 
     def nudged(found: Policy, size: float) -> Policy:
         def turned(step: Assign) -> Assign:

@@ -20,10 +20,10 @@ from runtime.attacks import KEY
 from runtime.loops import by_hand
 
 import taciturn
-from taciturn.model.places import links_to, peers_of, place_of, plant_link, role_at, roles
-from taciturn.runtime.description import describe_wire
-from taciturn.runtime.udp import free_addresses
-from taciturn.study.testbed.network import losses
+from taciturn.model.packets import links_to, peers_of, place_of, plant_link, role_at, roles
+from taciturn.nodes.description import describe_wire
+from taciturn_udp.endpoint import free_addresses
+from taciturn_udp.run import losses
 
 PEER = Path(__file__).parent / "peer.mjs"
 SEED, PATIENCE = 3, 120.0  # seconds until a process that hangs is an error

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import taciturn
 from taciturn import Burst
 from taciturn.errors import ProblemError
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.relay import EmulatedLink, Fate
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.relay import EmulatedLink, Fate
 
 WIRE = Wire(taciturn.load("two-mass-lqg").design())
 

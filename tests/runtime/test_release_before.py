@@ -16,10 +16,10 @@ from runtime.test_servers import soon
 import taciturn
 from taciturn.errors import ProblemError
 from taciturn.model.wire import VERSION
-from taciturn.runtime.node import FORMAT, Node
-from taciturn.runtime.packet import Wire
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.udp import Endpoint
+from taciturn.nodes.node import FORMAT, Node
+from taciturn.nodes.packet import Wire
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
 
 KEY = bytes(range(32))
 PLAIN = (

@@ -9,12 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 import taciturn
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.udp import Endpoint
-from taciturn.runtime.world import PlantServer
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
+from taciturn_udp.plant import PlantServer
 
 PROBLEM = taciturn.load("two-mass-lqg")
 POLICY = PROBLEM.design()
@@ -244,8 +244,8 @@ def test_who_refuses_packets_of_another_policy_says_so_once(
 @pytest.mark.evidence
 def test_a_plant_without_inputs_says_whom_it_waits_for(here: Endpoint, monkeypatch: pytest.MonkeyPatch) -> None:
     """After a while and again after a longer one; not where the input comes."""
-    monkeypatch.setattr("taciturn.runtime.world.WAITED", 0.6)
-    monkeypatch.setattr("taciturn.runtime.world.WAITED_AGAIN", 0.4)
+    monkeypatch.setattr("taciturn_udp.plant.WAITED", 0.6)
+    monkeypatch.setattr("taciturn_udp.plant.WAITED_AGAIN", 0.4)
     said: list[str] = []
     with Endpoint(("127.0.0.1", 0)) as endpoint:
         plants = [SimulatedPlant(PROBLEM.close(POLICY))]

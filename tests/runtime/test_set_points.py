@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from taciturn import Cost, Network, Nodes, Plant, Policy, Problem, ProblemError, close, design, run_network, to_control
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
-from taciturn.model.places import plant_links
-from taciturn.model.set_points import RandomSteps
+from taciturn.model.disturbance import follow
+from taciturn.model.packets import plant_links
+from taciturn.model.signals import ExternalDisturbance, RandomSteps
 from taciturn.model.wire import SETPOINT
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.study.export import export_c
-from taciturn.study.testbed.devices import DeviceCode, DeviceNode
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn_export.export import export_c
+from taciturn_worlds.devices import DeviceCode, DeviceNode
 
 A, B = [[0.9, 0.2], [0.0, 0.8]], [[0.1, 0.0], [0.0, 0.5]]
 COST = Cost(np.eye(2), 0.1 * np.eye(2))

@@ -20,14 +20,13 @@ from runtime.test_servers import POLICY, WIRE, soon
 from systems import make_system
 
 from taciturn.errors import ProblemError
-from taciturn.model.places import roles
+from taciturn.model.packets import roles
 from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, LARGEST
-from taciturn.runtime.node import FORMAT, Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.seals import sealed
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.service import FileStorage
-from taciturn.runtime.udp import Endpoint
+from taciturn.nodes.node import FORMAT, Node, sealed
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
+from taciturn_udp.service import FileStorage
 
 
 class Kept:

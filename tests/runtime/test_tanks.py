@@ -10,11 +10,10 @@ from export.test_folders import AGREES, compile_check, run_check, write
 
 import taciturn
 from taciturn import Loop, Nodes, run_network, simulate
-from taciturn.export.folder import print_folder
-from taciturn.export.vector import record_loop
-from taciturn.model.equilibrium import equilibrium
-from taciturn.problem.functions import read_function
-from taciturn.runtime.plant import SimulatedPlant
+from taciturn.model.dynamics import equilibrium
+from taciturn.nodes.plant import SimulatedPlant
+from taciturn.problem.read import read_function
+from taciturn_export.folder import print_folder, record_loop
 
 OUTLET = 0.071  # cm², of tank 1
 POINT, VOLTS = [12.4, 12.7, 1.8, 1.4], [3.0, 3.0]

@@ -13,13 +13,13 @@ from export.devices import Device, compile_node
 from runtime.test_servers import soon
 
 from taciturn.loop import Loop
-from taciturn.model.intervals import longest_silence
+from taciturn.model.policy import longest_silence
 from taciturn.model.wire import SETPOINT
+from taciturn.nodes.node import Node
+from taciturn.nodes.packet import Packet, Wire
 from taciturn.problem import parse
-from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.udp import Endpoint
+from taciturn_udp.endpoint import Endpoint
+from taciturn_udp.nodes import NodeServer
 
 INTERVAL, WATCHDOG = 20, 30
 TANKS: dict[str, Any] = {

@@ -17,10 +17,9 @@ from runtime.test_nodes import TANKS
 
 import taciturn
 from taciturn.problem import parse
-from taciturn.runtime.attacks import Forgery, KeyChange, Recording
-from taciturn.runtime.faults import Crash, Fault, Jump, Loss, Pause, Replay
-from taciturn.study.testbed.devices import compile_devices
-from taciturn.study.testbed.worlds import prepare, run_world, run_world_with_devices
+from taciturn_worlds.devices import compile_devices
+from taciturn_worlds.faults import Crash, Fault, Forgery, Jump, KeyChange, Loss, Pause, Recording, Replay
+from taciturn_worlds.world import prepare, run_world, run_world_with_devices
 
 CUT = ("controller", "actuator")
 

@@ -10,7 +10,7 @@ import pytest
 
 from taciturn.errors import ProblemError
 from taciturn.program import machine
-from taciturn.study import bench
+from taciturn_bench import bench
 
 RUN = """
 import sys, taciturn

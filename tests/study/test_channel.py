@@ -17,16 +17,25 @@ from taciturn._arrays import Array
 from taciturn.analyse.limits import solve_optimum
 from taciturn.model.network import Network
 from taciturn.model.trigger import Form
-from taciturn.renewal.allocation import Clocked, LoopClass
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.study.channel.access import Grant, MostUrgent, Places, RandomAccess, RoundRobin, TimeDivision
-from taciturn.study.channel.cycles import best_stretch
-from taciturn.study.channel.loop_classes import gather
-from taciturn.study.channel.prices import Curves
-from taciturn.study.channel.schedulers import SCHEDULERS
-from taciturn.study.channel.share import share_channel
-from taciturn.study.channel.simulated import RULE_ERROR, Group, SharedChannel, contend, measure_freely
+from taciturn_channel.classes import Clocked, LoopClass, gather
+from taciturn_channel.prices import Curves
+from taciturn_channel.schedulers import SCHEDULERS, best_stretch
+from taciturn_channel.share import share_channel
+from taciturn_channel.simulated import (
+    RULE_ERROR,
+    Grant,
+    Group,
+    MostUrgent,
+    Places,
+    RandomAccess,
+    RoundRobin,
+    SharedChannel,
+    TimeDivision,
+    contend,
+    measure_freely,
+)
 
 UNIT = np.eye(1)
 WALK = Problem(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "all-time", {})

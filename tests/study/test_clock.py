@@ -16,10 +16,9 @@ from systems import System, systems
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, design
 from taciturn.lqg.periodic import Held
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
-from taciturn.study.clock import Clock, ClockPoint, Either, Ticked, beside, lower_hull
-from taciturn.study.fair import clock_of, sampling_clock
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import ExternalDisturbance
+from taciturn.study.periodic import Clock, ClockPoint, Either, Ticked, beside, clock_of, lower_hull, sampling_clock
 
 TANK = ContinuousPlant(
     [[-0.016, 0, 0.042, 0], [0, -0.011, 0, 0.033], [0, 0, -0.042, 0], [0, 0, 0, -0.033]],

@@ -20,8 +20,8 @@ import taciturn_boards
 import taciturn_thesis
 import taciturn_twins
 from taciturn._display import LONGEST, Displayed
-from taciturn.model.table import Tabular
-from taciturn.study.sweeping.table import SweepTable
+from taciturn.model.result import Tabular
+from taciturn_sweep.sweep import SweepTable
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 

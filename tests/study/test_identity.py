@@ -18,10 +18,9 @@ import pytest
 
 import taciturn
 from taciturn import ProblemError, load, sweep
-from taciturn._dask import dask_workers
-from taciturn.study.sweeping import identity
-from taciturn.study.sweeping.identity import Code, code_of, own_code
-from taciturn.study.sweeping.workers import answer_all, idle
+from taciturn.study import workers
+from taciturn.study.workers import Code, answer_all, code_of, idle, own_code
+from taciturn_sweep.cluster import dask_workers
 
 PACKAGE = Path(taciturn.__file__).parent
 MASSES = load("two-mass-lqg")
@@ -45,7 +44,7 @@ class Foreign(Executor):
                     future.set_exception(ModuleNotFoundError(f"No module named {fn.__module__!r}"))
                     return future
             else:
-                patch.setattr(identity, "own_code", lambda: self._code)
+                patch.setattr(workers, "own_code", lambda: self._code)
             future.set_result(fn(*args))
         return future
 
@@ -63,7 +62,7 @@ def test_a_worker_with_other_code_is_refused(
 ) -> None:
     """It computes nothing, and its cells are not stored under the key of this version."""
     computed: list[object] = []
-    monkeypatch.setattr("taciturn.study.sweeping.cells.evaluate", lambda *given, **_: computed.append(given))
+    monkeypatch.setattr("taciturn.study.points.evaluate", lambda *given, **_: computed.append(given))
     with pytest.raises(ProblemError, match=says):
         sweep(MASSES, GRID, executor=Foreign(monkeypatch, code), store=tmp_path, steps=2000)
     with pytest.raises(ProblemError, match=says):

@@ -15,11 +15,17 @@ from taciturn._text import ordinal, percent, wrapped_text
 from taciturn.analyse.limits import LowerBound
 from taciturn.model.schedule import Schedule
 from taciturn.renewal.policy import EventPolicy
-from taciturn.study.clock import Timed
-from taciturn.study.evaluation import Evaluation, bound_at_rate, evaluation_records, periodic_cost
-from taciturn.study.fair import fair_clock
-from taciturn.study.lines import percent_above, queries_text, rounded
-from taciturn.study.lower import contradicted
+from taciturn.study.evaluate import contradicted
+from taciturn.study.evaluation import (
+    Evaluation,
+    bound_at_rate,
+    evaluation_records,
+    percent_above,
+    periodic_cost,
+    queries_text,
+    rounded,
+)
+from taciturn.study.periodic import Timed, fair_clock
 
 SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
 COST = taciturn.Cost(Q=[[1.0]], R=[[1.0]])

@@ -15,11 +15,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from taciturn.runtime.processes import Processes
-from taciturn.runtime.service import logged, name_of_part
-from taciturn.study.testbed import logs, network
-from taciturn.study.testbed.logs import Logs
-from taciturn.study.testbed.network import run_network
+from taciturn_udp import run
+from taciturn_udp.processes import Processes
+from taciturn_udp.run import Logs, run_network
+from taciturn_udp.service import logged, name_of_part
 
 
 def line(tick: int) -> dict[str, Any]:
@@ -60,7 +59,7 @@ def test_a_log_without_parts_is_one_file(tmp_path: Path) -> None:
 
 def test_the_packets_of_all_parts_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read while the block runs, and at its end."""
-    monkeypatch.setattr(logs, "PAUSE", 0.001)
+    monkeypatch.setattr(run, "PAUSE", 0.001)
     nodes = SimpleNamespace(
         folder=tmp_path,
         roles=["controller"],
@@ -90,7 +89,7 @@ def test_the_packets_of_all_parts_are_counted(tmp_path: Path, monkeypatch: pytes
 def test_a_run_finds_the_same_packets_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of kilobytes, so that there are many."""
     whole = run_network("two-mass", ticks=400, seed=3)
-    monkeypatch.setattr(network, "PART", 2000)
+    monkeypatch.setattr(run, "PART", 2000)
     parts = run_network("two-mass", ticks=400, seed=3)
     assert parts.arrived == whole.arrived
     assert all(np.array_equal(parts.sends[link], sent) for link, sent in whole.sends.items())

@@ -16,8 +16,8 @@ from taciturn._figure import Panel, Series, draw
 from taciturn._text import WIDTH, folded, table_text, wrapped_text
 from taciturn.study.compare import Comparison, Contestant
 from taciturn.study.compare import _at_rate as at_rate
-from taciturn.study.tuning.goal import RateGoal
-from taciturn.study.tuning.tuned import Parameter, Tuned
+from taciturn.study.goal import RateGoal
+from taciturn.study.tune import Parameter, Tuned
 
 PATH = "/home/somebody/experiments/with-event-triggered-control/of-two-masses/theta-0.123456"
 PLANT = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 import taciturn
-from taciturn.runtime.relay import Fate
 from taciturn.study.describe import describe
-from taciturn.study.tuning.periods import tune_period
+from taciturn.study.tune import tune_period
+from taciturn_udp.relay import Fate
 
 NAME: Any = "two-mass-lqg"
 

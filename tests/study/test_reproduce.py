@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import taciturn
-from taciturn.simulation.course import course
+from taciturn.simulation.trajectory import course
 from taciturn_thesis import chapter2, chapter7
 from taciturn_thesis.chapter7 import two_circles
 from taciturn_thesis.reproduce import CHAPTERS, reproduce

@@ -20,9 +20,8 @@ from counts import few
 
 from taciturn import Cost, Problem, ProblemError, evaluate, load, sweep
 from taciturn._files import PART
-from taciturn.study.record import decode, encode, fingerprint
-from taciturn.study.sweeping import store as stores
-from taciturn.study.sweeping.store import Store, save_whole
+from taciturn.study import record as stores
+from taciturn.study.record import Store, decode, encode, fingerprint, save_whole
 
 GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
 EFFORT = 3e-3
@@ -30,16 +29,16 @@ EFFORT = 3e-3
 
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """Return the list of what is evaluated from now on."""
-    from taciturn.study.sweeping import cells
+    from taciturn.study import points
 
     seen: list[object] = []
-    real = cells.evaluate
+    real = points.evaluate
 
     def watched(problem: Problem, **given: object) -> object:
         seen.append(problem.parameters["theta"])
         return real(problem, **given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(cells, "evaluate", watched)
+    monkeypatch.setattr(points, "evaluate", watched)
     return seen
 
 
@@ -96,7 +95,7 @@ def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.Lo
 def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the old one kept stays."""
     swept(tmp_path)
-    for module in ("taciturn.study.sweeping.cells", "taciturn.study.sweeping.sweep"):
+    for module in ("taciturn.study.points", "taciturn_sweep.sweep"):
         monkeypatch.setattr(f"{module}.__version__", "0.0.9")
     seen = computed(monkeypatch)
     with pytest.warns(UserWarning, match=r"was filled by another version .*, now 0\.0\.9"):
@@ -333,7 +332,7 @@ def test_an_interrupt_within_a_submission_ends_the_pool() -> None:
     """Work that is noted and not queued yet is not waited for."""
     text = (
         "from unittest.mock import patch\n"
-        "from taciturn.study.sweeping.workers import processes\n"
+        "from taciturn.study.workers import processes\n"
         "if __name__ == '__main__':\n"
         "    with processes(2) as pool, patch.object(pool._work_ids, 'put', side_effect=KeyboardInterrupt):\n"
         "        pool.submit(abs, 1)\n"

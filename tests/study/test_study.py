@@ -9,8 +9,8 @@ import pytest
 
 import taciturn
 from taciturn import Network, Plant
-from taciturn.design.catalogue import CATALOGUE
-from taciturn.study.fair import clock_of
+from taciturn.design.kind import CATALOGUE
+from taciturn.study.periodic import clock_of
 from taciturn_thesis.reproduce import reproduce
 
 

@@ -21,10 +21,10 @@ from counts import few, scaled
 
 import taciturn
 from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
-from taciturn._dask import dask_workers
 from taciturn.model.network import Network
-from taciturn.study.sweeping.store import save_whole
-from taciturn.study.sweeping.table import SweepTable
+from taciturn.study.record import save_whole
+from taciturn_sweep.cluster import dask_workers
+from taciturn_sweep.sweep import SweepTable
 
 MASSES = load("two-mass-lqg")
 GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
@@ -117,7 +117,7 @@ from pathlib import Path
 from mpi4py.futures import MPIPoolExecutor
 
 import taciturn
-from taciturn.study.sweeping.store import save_whole
+from taciturn.study.record import save_whole
 
 if __name__ == "__main__":
     name, grid, effort, out = sys.argv[1:]

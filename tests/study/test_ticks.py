@@ -7,11 +7,13 @@ import pytest
 
 import taciturn
 from taciturn import Cost, Estimate, Plant, close, design
-from taciturn.model.following import follow
-from taciturn.model.set_points import RandomSteps, Timetable
+from taciturn.model.disturbance import follow
+from taciturn.model.signals import RandomSteps, Timetable
 from taciturn.simulation.statistics import batch_means
-from taciturn.study.testbed.network import NetworkRun, _datagrams, _unheard
-from taciturn.study.testbed.ticks import (
+from taciturn_udp.run import (
+    NetworkRun,
+    _datagrams,
+    _unheard,
     cost_of_ticks,
     least_steps,
     measured,

@@ -67,7 +67,7 @@ def test_without_a_comparison_nothing_is_said_to_be_consistent(ticking: Clock, m
     def late(*_: object) -> object:
         raise OutOfTime
 
-    monkeypatch.setattr("taciturn.study.fair.fair_clock", late)
+    monkeypatch.setattr("taciturn.study.periodic.fair_clock", late)
     ticking(0.0)
     found = taciturn.evaluate(problem, steps=50_000, time_limit=1.0)
     assert found.no_clock == "the time limit of 1 s passed"

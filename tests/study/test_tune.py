@@ -12,16 +12,15 @@ from counts import few
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE
 from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.problem.parameters import check_parameters
+from taciturn.study import search
 from taciturn.study.evaluation import Evaluation
-from taciturn.study.tuning import search, trials
-from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.goal import CostGoal, RateGoal
-from taciturn.study.tuning.search import Search
-from taciturn.study.tuning.tuned import Parameter, Tuned
+from taciturn.study.goal import CostGoal, RateGoal, budget_of
+from taciturn.study.search import Search
+from taciturn.study.tune import Parameter, Tuned
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
@@ -332,7 +331,7 @@ def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatc
         given[-1](0.5)
         raise ProblemError("enough")
 
-    monkeypatch.setattr(trials, "look_at", look_at)
+    monkeypatch.setattr(search, "look_at", look_at)
     looking = Search(MASSES, CATALOGUE["lqg"].tuning[0], RateGoal(0.3), 0, told.append)
     assert [looking.look(value) for value in (1.0, 2.0)] == [None, None]
     first, second = 1 - search.LEFT, 1 - search.LEFT**2
@@ -352,7 +351,7 @@ def faked(
         cost = Estimate(cost_of(problem.parameters["theta"]), 1e-4, "simulation")  # type: ignore[arg-type]
         return replace(found, cost=cost, rates={"actuator": Estimate(rate, error, "simulation")})
 
-    for module in (search, trials):
+    for module in (search, search):
         monkeypatch.setattr(module, "look_at", look_at)
 
 

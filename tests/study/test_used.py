@@ -14,10 +14,11 @@ from used import BURST, FULL, KINDS, LINKS, PROPERTIES, mark, table, uses_of
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, close, design
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import CATALOGUE
 from taciturn.errors import ProblemError
-from taciturn.model.policy import Assign, Policy, Received, Send
-from taciturn.study.effects import forgotten_start, without_effect
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Received, Send
+from taciturn.study.evaluate import forgotten_start, without_effect
 
 PAGE = Path(__file__).parents[2] / "docs" / "problem-file.md"
 SOME = ("lqg", "lossy-lqg", "integral", "optimal")

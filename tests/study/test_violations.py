@@ -17,13 +17,12 @@ import taciturn
 from taciturn import Cost, Loop, Network, Plant, ProblemError, close, design
 from taciturn.loop import COST
 from taciturn.lqg.riccati import regulate
-from taciturn.model.exosystem import ExternalDisturbance
-from taciturn.model.following import follow
+from taciturn.model.disturbance import follow
 from taciturn.model.limits import Limits, Violation
 from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.signals import ExternalDisturbance
 from taciturn.program.engine import prepare
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.simulation import splitting
 from taciturn.simulation.violations import violations
 from taciturn.study.record import decode, encode
 
@@ -176,7 +175,7 @@ def runs(loop: Loop, high: float, paths: int) -> tuple[float, float, float, floa
 
 def test_a_threshold_that_makes_too_many_copies_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The number of paths stays below its limit, and the probability is still unbiased."""
-    monkeypatch.setattr(splitting, "MOST_PATHS", 4000)
+    monkeypatch.setattr("taciturn.simulation.violations.MOST_PATHS", 4000)
     loop, deviation = every_sample()
     found = violations(loop, Limits(ROW, high=[float(norm.isf(1e-4)) * deviation]), accuracy=0.3).total
     assert found.levels < 6

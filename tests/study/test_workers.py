@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from taciturn import ProblemError, load, sweep
-from taciturn._dask import dask_workers
-from taciturn.study.sweeping import cells
-from taciturn.study.sweeping.workers import deserted
+from taciturn.study import points
+from taciturn.study.workers import deserted
+from taciturn_sweep.cluster import dask_workers
 
 
 @pytest.mark.evidence
@@ -55,7 +55,7 @@ def test_workers_that_are_gone_are_told_of_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """However long that lasts; the sweep continues when there is one again."""
-    monkeypatch.setattr(cells, "PATIENCE", 0.05)
-    monkeypatch.setattr(cells, "deserted", lambda executor: "tcp://there:1")
+    monkeypatch.setattr(points, "PATIENCE", 0.05)
+    monkeypatch.setattr(points, "deserted", lambda executor: "tcp://there:1")
     assert sweep(load("two-mass-lqg"), {"theta": [0.1]}, executor=Late(), steps=2000).cost.size == 1
     assert caplog.messages == ["no workers at tcp://there:1: waiting for one"]

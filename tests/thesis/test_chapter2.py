@@ -7,8 +7,9 @@ from counts import few
 from drawn import rows
 
 import taciturn
-from taciturn.simulation.average import Averages, average, plain_average
-from taciturn.study.fair import sampling_clock
+from taciturn.simulation.average import average, plain_average
+from taciturn.simulation.sampling import Averages
+from taciturn.study.periodic import sampling_clock
 
 EPSILON = 0.009
 COST_ERROR, RATE_ERROR = 5e-5, 5e-4

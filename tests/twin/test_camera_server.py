@@ -8,11 +8,11 @@ from typing import Any, cast
 import pytest
 
 import taciturn
-from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.udp import LARGEST_OF_ALL, Endpoint
+from taciturn.nodes.packet import Packet, Wire
 from taciturn_twins.faults import Fault, parse_fault
 from taciturn_twins.serve import CameraServer
 from taciturn_twins.wire import UNSEEN, CameraWire, PictureWire, QuestionWire
+from taciturn_udp.endpoint import LARGEST_OF_ALL, Endpoint
 
 POLICY = taciturn.load("rover").design()
 LIGHT, TICK = 3, 0.3

@@ -12,12 +12,12 @@ from twin.crews import crew
 
 from taciturn.model.network import Network
 from taciturn.problem import parse
-from taciturn.study.testbed.network import losses
 from taciturn_twins.live import watch_twin
 from taciturn_twins.mission import all_time
 from taciturn_twins.page import Page
 from taciturn_twins.steps import Steps
 from taciturn_twins.trial import Setup, run_trial
+from taciturn_udp.run import losses
 
 STEPS = 12
 

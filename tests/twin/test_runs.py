@@ -12,13 +12,13 @@ from twin.crews import short_mission, stand_in
 
 from taciturn._arrays import Array
 from taciturn.problem import load
-from taciturn.runtime.namespaces import predict_drops
-from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn_twins.faults import parse_fault
 from taciturn_twins.outcome import Trial
 from taciturn_twins.record import write_record
 from taciturn_twins.run import TwinRun, run_twin
 from taciturn_twins.trial import Setup
+from taciturn_udp.namespaces import predict_drops
+from taciturn_udp.run import kernel_losses, losses
 
 TICKS = {"rover": 20, "omni": 15}
 

@@ -1,18 +1,48 @@
-"""Closed loops as switched linear maps z⁺ = F_i z + G w, with the action i that minimises z'Ψ_i z + c_i."""
+"""Closed loops as switched linear maps z⁺ = F_i z + G w, with the action i that minimises z'Ψ_i z + c_i.
+
+Switched linear maps, and their reduction to reachable and observable states, scaled to about unit size.
+
+Jump linear maps z⁺ = F_o z + G w of loops over lossy links; the outcome o lists the links that drop a packet.
+
+The probability of an outcome depends only on the state of the links. Therefore the second and the fourth moments of z
+satisfy linear recursions. The moments exist in the long run only if these recursions are stable:
+
+    X_s⁺ = Σ_r T_rs Σ_o p(o | r) (F_o X_r F_o' + π_r G G'),
+
+where X_s is the second moment while the links are in state s, T contains the transition probabilities of the links, and
+π_r is the share of the steps in state r. For the fourth moment F_o acts on all four indices.
+
+Links whose decisions depend on disturbances and set-points that wander without limit, so that no rate is an average.
+
+Let d⁺ = Sd be disturbances and set-points, and let every link send in every step. Then the loop is linear, and all its
+other states approach the response z = Πd that satisfies
+
+    F_zz Π + F_zd = Π S.
+
+A trigger compares quadratic forms. Let η be the rows of their difference. If η(Π, I)d does not forget the noise that
+moves d, the difference grows without limit although everything is sent: the longer the loop has run, the more the
+decision depends on the size of d alone. Its rate then has no average below its limit, which is usually to send every
+sample.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from itertools import product
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from taciturn._arrays import Array, instance, symmetrised
-from taciturn._modes import factor
-from taciturn.analyse.reduction import Switched, reduce
-from taciturn.errors import ProblemError
+from taciturn import _scipy
+from taciturn._arrays import Array, instance, pushed, symmetrised
+from taciturn._display import Displayed
+from taciturn._modes import balancing, factor, growth, invariant, normal_moments, radius, unit_columns
+from taciturn._progress import check_time
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
+from taciturn.lqg.followed import CANCELS
 from taciturn.model.coverage import (
     BELLS,
     BURSTS,
@@ -32,15 +62,140 @@ from taciturn.model.coverage import (
     TRACKING,
     uncovered,
 )
+from taciturn.model.losses import stationary
 from taciturn.model.network import Network
-from taciturn.model.policy import ONE, Apply, Condition, Decide, Draw, Evaluate, Policy, Send, Step
-from taciturn.model.steps import read
+from taciturn.model.policy import Policy
+from taciturn.model.steps import ONE, Apply, Condition, Decide, Draw, Evaluate, Send, Step, read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import NORMAL
-from taciturn.program.ir import Builder, Coefficient, Program
-from taciturn.program.lower import TimeStep, Truth
-from taciturn.program.names import Entry, Name, Named, Option, Sent, is_entry
+from taciturn.program.ir import Builder, Coefficient, Program, Truth
+from taciturn.program.lower import TimeStep
+from taciturn.program.ops import Entry, Name, Named, Option, Sent, is_entry
 from taciturn.program.quadratic import as_form, read_polynomials
+
+PATHS, TICKS, DROPPED = 32, 600, 100  # paths, steps and discarded steps of the run that measures the coordinates
+FORCED = 0.2  # share of its steps that take the last action, so that rarely sent signals are measured too
+HUGE = 1e100
+BLUR = 1e-9  # least eigenvalue of the correlation matrix that is used
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Switched(Displayed):
+    """Switched linear map of a closed loop with its cost and trigger, in coordinates z of about unit size.
+
+    Args:
+        labels: names of the actions.
+        F: dynamics matrix of each action, (r, r).
+        G: input matrix of the noise w of a step, (r, q): plant noise, then the next measurement's, unit covariance.
+        M: cost matrix of each action, (r, r): the stage cost of a step is z'M_i z + ``constant``.
+        Psi: trigger matrix of each action, (r, r).
+        c: trigger constant of each action.
+        X: matrix (n, r) such that X z is the plant's state; in the innovations form, X z is the estimate.
+        constant: cost of every step in addition to z'M_i z.
+        hidden: mean square of the part of the plant's state that X z excludes.
+        sends: the action under which every link that the policy decides on sends, or None.
+    """
+
+    labels: tuple[str, ...]
+    F: tuple[Array, ...]
+    G: Array
+    M: tuple[Array, ...]
+    Psi: tuple[Array, ...]
+    c: tuple[float, ...]
+    X: Array
+    constant: float
+    hidden: float
+    sends: int | None
+
+    @property
+    def homogeneous(self) -> bool:
+        """Whether the send decision depends only on the direction of the state z, so that z can converge to zero."""
+        return len(set(self.c)) == 1
+
+    @property
+    def states(self) -> int:
+        """Number of entries of z."""
+        return len(self.G)
+
+    def margins(self, action: int) -> list[tuple[Array, float]]:
+        """Return the conditions z'Dz + d ≥ 0 under which an action is taken: (D, d) for every other action."""
+        own, others = action, [j for j in range(len(self.labels)) if j != action]
+        return [(self.Psi[j] - self.Psi[own], self.c[j] - self.c[own]) for j in others]
+
+    def under(self, action: int) -> Switched:
+        """Return the map of the loop that takes the given action at every step."""
+        label, F, M, nothing = self.labels[action], self.F[action], self.M[action], np.zeros_like(self.Psi[action])
+        return replace(self, labels=(label,), F=(F,), M=(M,), Psi=(nothing,), c=(0.0,), sends=0)
+
+    def changed(self, inverse: Array, T: Array) -> Switched:
+        """Return this map in new coordinates y with z = T y, given the matrix T and its inverse."""
+        return replace(
+            self,
+            F=tuple(inverse @ F @ T for F in self.F),
+            G=inverse @ self.G,
+            M=tuple(symmetrised(T.T @ M @ T) for M in self.M),
+            Psi=tuple(symmetrised(T.T @ Psi @ T) for Psi in self.Psi),
+            X=self.X @ T,
+        )
+
+
+def reduce_states(raw: Switched, starts: Array) -> Switched:
+    """Return an equivalent switched linear map in the fewest coordinates, scaled to about unit variance.
+
+    The result contains the states that are reachable from the initial columns and the noise, and observable in the
+    rows, the cost and the trigger. A certificate does not depend on the scaling; unit size makes the solver more
+    accurate.
+
+    Args:
+        raw: map in the original coordinates.
+        starts: columns that must stay reachable, such as initial states.
+    """
+    found = relevant(raw, starts)
+    T = _sizes(found)
+    return found.changed(np.asarray(np.linalg.inv(T), dtype=np.float64), T)
+
+
+def relevant(raw: Switched, starts: Array) -> Switched:
+    """Return a switched linear map restricted to reachable and observable states, without scaling to unit variance."""
+    sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
+    found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
+    reached = invariant(np.column_stack([unit_columns(found.G), unit_columns(starts / sizes[:, None])]), found.F)
+    found = found.changed(reached.T, reached)
+    differences = [Psi - found.Psi[0] for Psi in found.Psi[1:]]
+    rows = np.vstack([unit_columns(found.X.T).T, *(_normed(each) for each in (*found.M, *differences))])
+    seen = invariant(rows.T, [F.T for F in found.F])
+    return found.changed(seen.T, seen)
+
+
+def _normed(matrix: Array) -> Array:
+    size = np.abs(matrix).max(initial=0.0)
+    return matrix / size if size > 0 else matrix
+
+
+def _sizes(found: Switched) -> Array:
+    """Return T such that T T' is approximately the covariance of the coordinates, measured in a short run."""
+    draws, states = np.random.default_rng(0), len(found.G)
+    z, total, kept = np.zeros((states, PATHS)), np.zeros((states, states)), 0
+    with np.errstate(all="ignore"):
+        for tick in range(TICKS):
+            values = [np.einsum("ip,ij,jp->p", z, Psi, z) + own for Psi, own in zip(found.Psi, found.c, strict=True)]
+            action = np.where(draws.random(PATHS) < FORCED, len(found.c) - 1, np.argmin(values, axis=0))
+            z = np.choose(action, [F @ z for F in found.F]) + found.G @ draws.standard_normal((found.G.shape[1], PATHS))
+            if not np.abs(z).max(initial=0.0) < HUGE:
+                return np.eye(states)
+            if tick >= DROPPED:
+                total, kept = total + z @ z.T, kept + PATHS
+    covariance = total / kept
+    largest = float(np.diag(covariance).max(initial=0.0))
+    if largest == 0:  # no noise
+        return np.eye(states)
+    if not (np.diag(covariance) > 1e-12 * largest).all():  # noise that does not reach all coordinates
+        covariance = covariance + 1e-4 * largest * np.eye(states)
+    size = np.sqrt(np.diag(covariance))
+    correlation = symmetrised(covariance / size / size[:, None])
+    values, vectors = np.linalg.eigh(correlation)
+    return size[:, None] * vectors * np.sqrt(np.maximum(values, BLUR))
+
 
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
@@ -83,7 +238,7 @@ def switched(loop: Loop) -> Switched:
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
-    return reduce(*read_steps(loop, decisions_of(loop)))
+    return reduce_states(*read_steps(loop, decisions_of(loop)))
 
 
 def switched_innovations(loop: Loop) -> Switched:
@@ -108,7 +263,7 @@ def switched_innovations(loop: Loop) -> Switched:
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
             "expected those of the design; for any other loop, use switched()"
         )
-    return reduce(*read_steps(loop, decisions_of(loop), whole=False))
+    return reduce_states(*read_steps(loop, decisions_of(loop), whole=False))
 
 
 def decisions_of(loop: Loop) -> list[Case]:
@@ -310,3 +465,226 @@ def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
 
 def _unserved() -> str:
     return f"which certificates do not support; {SERVED}"
+
+
+MOST_MOMENTS = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
+SOLVED = 1e-9  # relative residual of the equation for the second moments
+NEARLY = 1e-9  # distance to a growth of 1 within which the second moments count as divergent
+MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
+WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Outcomes(Displayed):
+    """Jump linear map of a loop that sends at every step, over links that drop some packets.
+
+    Args:
+        F: dynamics matrix of each outcome, (outcomes, r, r).
+        G: input matrix of the noise, (r, q).
+        M: matrix of the stage cost z'M_o z of each outcome, (outcomes, r, r).
+        constant: cost of every step in addition.
+        turns: transition probabilities T between the states of the links, (states, states).
+        shares: share of the steps in each state of the links, (states,).
+        odds: probability of each outcome in each state of the links, (states, outcomes).
+        decides: whether the policy of the loop may skip a send.
+    """
+
+    F: Array
+    G: Array
+    M: Array
+    constant: float
+    turns: Array
+    shares: Array
+    odds: Array
+    decides: bool
+
+    def growth(self, power: int) -> float:
+        """Return the asymptotic growth factor per step of the second or fourth moments of the loop's state.
+
+        For order 4 the result is 0 if there are too many states.
+        """
+        r, states = self.F.shape[1], len(self.turns)
+        if r == 0 or (power == 4 and states * r**4 * len(self.F) > MOST_MOMENTS):
+            return 0.0
+        if states * r**power <= WHOLE:
+            powers = [reduce(np.kron, [F] * power) for F in self.F]
+            each = [sum(p * F for p, F in zip(row, powers, strict=True)) for row in self.odds]
+            blocks = [[self.turns[s, after] * each[s] for s in range(states)] for after in range(states)]
+            return radius(np.block(blocks))
+        start = np.stack([normal_moments(r, power)] * states)
+        return growth(lambda moments: self._moved(moments, power), start)
+
+    def cost(self) -> float:
+        """Return the cost per step of the loop that sends every packet, by its second moments in the long run.
+
+        Raises:
+            UnstableError: the second moments diverge, or cannot be computed reliably.
+        """
+        if self.F.shape[1] == 0:
+            return self.constant
+        if (growth := self.growth(2)) >= 1 - NEARLY:
+            raise UnstableError(
+                f"with these losses, the mean square of the loop that sends every packet grows by a factor of "
+                f"{growth:.6g} per step; expected fewer losses"
+            )
+        added = np.tensordot(self.turns.T @ self.shares, self.G @ self.G.T, 0)
+        moved = _scipy.fixed_point(lambda entries: self._moved(entries.reshape(added.shape), 2).ravel(), added.ravel())
+        moments = moved.reshape(added.shape)
+        missed = moments - self._moved(moments, 2) - added
+        if not float(np.linalg.norm(missed)) <= SOLVED * float(np.linalg.norm(added)):
+            raise UnstableError(
+                "the second moments of the loop that sends every packet cannot be computed reliably; expected fewer "
+                "losses, or a larger stability margin"
+            )
+        stage = np.tensordot(self.odds, self.M, 1)
+        return self.constant + float(np.sum(stage * moments))
+
+    def _moved(self, moments: Array, power: int) -> Array:
+        """Return the moments after a step without noise, from those before it."""
+        check_time()
+        each = [pushed(F, moments, power) for F in self.F]
+        before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
+        return np.tensordot(self.turns.T, np.stack(before), 1)
+
+
+def outcomes(loop: Loop) -> Outcomes | None:
+    """Return the jump linear map of a loop that sends every packet over lossy links.
+
+    The result is None if no link drops packets, or if the loop is not a jump linear map.
+    """
+    loop = loop.deviations
+    sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
+    links = [link for link in loop.network.links if link in sent and loop.network.loss(link) > 0]
+    if not links:
+        return None
+    try:
+        refuse_loops(loop, LOSSES | BURSTS | ROUNDING | FIRST | EXOSYSTEM)
+        return _read(loop, links)
+    except ProblemError:
+        return None
+
+
+def _read(loop: Loop, links: Sequence[str]) -> Outcomes | None:
+    exact = replace(loop, network=loop.network.delivery)  # rounding does not change the growth
+    always = attempt_of(loop.policy)
+    if always is None or len(links) > MOST_LINKS:
+        return None
+    cases = list(product((False, True), repeat=len(links)))
+    lost = [[link for link, gone in zip(links, dropped, strict=True) if gone] for dropped in cases]
+    raw, starts = read_steps(exact, [always._replace(lost=links) for links in lost])
+    seen = _affecting(raw.M, raw.F)
+    T = np.eye(raw.states)[:, seen]
+    nothing = tuple(np.zeros_like(F) for F in raw.F)
+    found = relevant(replace(raw, Psi=nothing, X=raw.X[:0]).changed(T.T, T), starts[seen, :0])
+    turns, shares, odds = _chance(loop.network, links, cases)
+    decides = any(len(trigger.labels) > 1 for trigger in loop.policy.decisions.values())
+    return Outcomes(np.stack(found.F), found.G, np.stack(found.M), found.constant, turns, shares, odds, decides)
+
+
+def _affecting(costs: Sequence[Array], maps: Sequence[Array]) -> list[int]:
+    """Return the states that affect the cost, now or later, by the zeros of the matrices alone."""
+    pattern, seen = sum(map(np.abs, maps), np.zeros_like(maps[0])), sum(map(np.abs, costs), np.zeros_like(costs[0]))
+    found = set(np.flatnonzero(seen.any(axis=0)).tolist())
+    while more := set(np.flatnonzero(pattern[sorted(found)].any(axis=0)).tolist()) - found:
+        found |= more
+    return sorted(found)
+
+
+def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]]) -> tuple[Array, Array, Array]:
+    """Return the joint transition matrix of the links, their shares, and the probability of each case in each state."""
+    turns: Array = np.ones((1, 1))
+    shares: Array = np.ones(1)
+    losses: list[tuple[float, ...]] = [()]
+    for link in links:
+        own, drops = network.chain(link)
+        turns = np.asarray(np.kron(turns, own), dtype=np.float64)
+        shares = np.asarray(np.kron(shares, stationary(own)), dtype=np.float64)
+        losses = [(*before, drop) for before in losses for drop in drops.tolist()]
+    odds = [
+        [float(np.prod([p if gone else 1 - p for p, gone in zip(state, case, strict=True)])) for case in cases]
+        for state in losses
+    ]
+    return turns, shares, np.array(odds)
+
+
+MOST_ENTRIES = 4000  # entries of Π for which the equations are solved
+RANK = 1e-12  # eigenvalue of a form, or entry of its rows, relative to the largest, that is a rounding error
+
+
+def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:
+    """Return the links whose decisions depend on disturbances or set-points that wander, even if everything is sent.
+
+    Args:
+        loop: the closed loop.
+        noise: covariance of the noise that moves the states of the plant, (n, n).
+    """
+    policy, needs = loop.policy, loop.problem.followed
+    always = attempt_of(policy)
+    if needs is None or always is None or not noise[np.ix_(needs.states, needs.states)].any():
+        return ()
+    try:
+        program = loop.whole_program(supplied=True, begin=partial(_Compared, policy.kind, always))
+        states = len(program.states)
+        nothing: dict[Name, Array] = {name: np.zeros(states + 1) for name in program.inputs}
+        values = read_polynomials(program, states, nothing)
+    except ProblemError:
+        return ()
+    F = np.array([values[op] for op in program.following])[:, :states]
+    d: list[int] = np.flatnonzero(needs.states).tolist()  # the states of the plant come first
+    response = _response(F, d)
+    if response is None:
+        return ()
+    forms = {name: as_form(values[op]) for name, op in program.outputs.items() if isinstance(name, Option)}
+    found = list[str]()
+    for decision, trigger in policy.decisions.items():
+        sent = trigger.labels[always.taken[decision]]
+        rows = [_rows(forms[Option(decision, label)] - forms[Option(decision, sent)]) for label in trigger.labels]
+        compared = np.vstack(rows)[:, :states]
+        seen = np.zeros((len(compared), loop.problem.plant.states))
+        seen[:, d] = compared @ response
+        seen[np.abs(seen) <= CANCELS * (np.abs(compared) @ np.abs(response)).max(axis=1, keepdims=True)] = 0.0
+        if needs.wanders(seen, noise):
+            found += [step.link for step in policy.steps if isinstance(step, Send) and step.on == decision]
+    return tuple(found)
+
+
+def _response(F: Array, d: list[int]) -> Array | None:
+    """Return all states as a response to the states d in the long run, (states, q), or None if there is none."""
+    rest, size = [i for i in range(len(F)) if i not in d], balancing(np.abs(F))
+    F = F / size[:, None] * size  # so that an entry that is a rounding error can be told from a small one
+    q, response = len(d), np.zeros((len(F), len(d)))
+    response[d] = np.eye(q)
+    if len(rest) * q > MOST_ENTRIES:
+        return None
+    S, same = F[np.ix_(d, d)], np.eye(q)
+    matrix = np.kron(same, F[np.ix_(rest, rest)]) - np.kron(S.T, np.eye(len(rest)))
+    right = -F[np.ix_(rest, d)].T.ravel()
+    found: Array = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
+    if np.abs(matrix @ found - right).max() > CANCELS * max(1.0, float(np.abs(found).max())):
+        return None
+    response[rest] = found.reshape(q, len(rest)).T
+    response[np.abs(response) <= CANCELS * np.abs(response).max(axis=0)] = 0.0
+    return response * size[:, None] / size[d]
+
+
+def _rows(form: Array) -> Array:
+    """Return rows η such that the quadratic part of a form depends on ηz alone."""
+    values, vectors = np.linalg.eigh(form)
+    large = np.abs(values) > RANK * np.abs(values).max(initial=0.0)
+    rows = np.sqrt(np.abs(values[large]))[:, None] * vectors[:, large].T
+    return np.where(np.abs(rows) > RANK * np.abs(rows).max(initial=0.0), rows, 0.0)
+
+
+class _Compared(FixedStep):
+    """A fixed decision, of whose trigger only the quadratic terms count: memories and random numbers are bounded."""
+
+    def take(self, step: Step) -> None:
+        """Take a memory of a quadratic form or a random number as zero."""
+        if isinstance(step, Evaluate | Draw):
+            self.signals[step.signal] = [self.builder.constant(0.0)]
+        else:
+            super().take(step)
+
+    def form(self, form: Form) -> int:
+        """Return the quadratic terms of a form."""
+        return super().form(Form(form.signals if form.Psi is not None else (), form.Psi, form.constant))

@@ -15,12 +15,12 @@ Commands import large modules only when they run, and ``words`` completes words 
 shell's completion are fast.
 """
 
-from taciturn._ending import ends_on_signals
+from taciturn._process import ends_on_signals
 
 with ends_on_signals():  # these imports take most of the time of a short command
-    from taciturn.cli import answers, devices, network, new, studies
+    from taciturn.cli import answers, new, studies
     from taciturn.cli.frame import add_commands, app, main
 
     add_commands()
 
-__all__ = ["answers", "app", "devices", "main", "network", "new", "studies"]
+__all__ = ["answers", "app", "main", "new", "studies"]

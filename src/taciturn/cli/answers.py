@@ -56,7 +56,7 @@ def evaluate(
     import taciturn
     from taciturn._progress import answered_within
     from taciturn.simulation.sampling import MOST_OPERATIONS
-    from taciturn.study.lower import choose_confidence
+    from taciturn.study.evaluate import choose_confidence
     from taciturn.study.record import origin
 
     with answered_within(time, early=True):
@@ -130,7 +130,7 @@ def show(
     if wire:
         if plot is not None:
             raise taciturn.ProblemError("--wire and --plot are both given; expected one of them")
-        from taciturn.runtime.description import describe_wire
+        from taciturn.nodes.description import describe_wire
 
         print_json(describe_wire(found.problem.design(), found.problem.network), origin(found.problem))
         return
@@ -168,7 +168,7 @@ def simulate(
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn._progress import answered_within
-    from taciturn._table import check_table, save_table
+    from taciturn.model.result import check_table, save_table
     from taciturn.study.record import origin
 
     if plot is not None:
@@ -233,7 +233,7 @@ def tune(
     import taciturn
     from taciturn._progress import answered_within
     from taciturn.study.record import origin
-    from taciturn.study.tuning.periods import TunedPeriod, tune_period
+    from taciturn.study.tune import TunedPeriod, tune_period
 
     allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
     with answered_within(time):
@@ -279,7 +279,7 @@ def tune(
 def _rates(texts: Sequence[str] | None) -> float | str | dict[str, float | str] | None:
     """Return the budget of --rate, or the budgets by link."""
     from taciturn.errors import ProblemError
-    from taciturn.study.tuning.budget import parse_budget
+    from taciturn.study.goal import parse_budget
 
     if not texts:
         return None
@@ -293,6 +293,6 @@ def _rates(texts: Sequence[str] | None) -> float | str | dict[str, float | str] 
 
 def _budget(name: str, text: str | None) -> float | str | None:
     """Return the budget of --cost or --traffic."""
-    from taciturn.study.tuning.budget import parse_budget
+    from taciturn.study.goal import parse_budget
 
     return None if text is None else parse_budget(name, text)

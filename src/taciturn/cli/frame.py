@@ -1,14 +1,21 @@
-"""The application, the options that commands share, and exit codes."""
+"""The application, the options that commands share, and exit codes.
+
+Mistakes in the command line as one sentence: what is wrong, what was given, what is expected, and a remedy.
+
+Shell completion of files, built-in problems, policy kinds and links, without heavy imports.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 import os
+import re
 import select
 import sys
+import tomllib
 import warnings
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
@@ -16,19 +23,161 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 import typer
 import typer.core
 
-from taciturn._blas import prefer_one_thread
-from taciturn._ending import Interrupted, ends_on_signals, has_ended
+from taciturn._files import read_text
+from taciturn._plugins import problem_folders
+from taciturn._process import Interrupted, ends_on_signals, has_ended, prefer_one_thread
 from taciturn._text import wrapped_text
-from taciturn.cli.usage import EXAMPLE as EXAMPLE
-from taciturn.cli.usage import name_options, usage_text
-from taciturn.cli.words import complete_file, complete_kind, complete_link
-
-if TYPE_CHECKING:
-    from taciturn.problem import Problem
+from taciturn.errors import TaciturnError
 
 if TYPE_CHECKING:
     from taciturn._progress import Progress
     from taciturn.problem import Problem
+
+EXAMPLE = "\b\nExample:\n  "  # start of the last paragraph of the help of a command, which is not wrapped
+ALIKE = 0.65  # least similarity of a suggested command or option, from 0 to 1
+SUBJECT = re.compile(r"(\w+)(?: and (\w+))? (?:is|are|has) ")
+
+
+def usage_text(error: Any) -> str:
+    """Return the sentence for an error of the command line's parser, whose texts have no remedy.
+
+    Args:
+        error: the error; its classes are private, so that it is recognised by its attributes.
+    """
+    context = getattr(error, "ctx", None)
+    if context is None:
+        sentence = error.format_message().removeprefix("Option ").replace(" requires an argument.", " has no value")
+        return f"{sentence.replace(chr(39), '')}; expected a value after it; see taciturn --help"
+    path, see = context.command_path, f"see {context.command_path} --help"
+    options = _options(context.command)
+    if hasattr(error, "possibilities"):
+        return _no_option(path, error.option_name, options)
+    param = getattr(error, "param", None)
+    if hasattr(error, "param_type"):
+        example = (context.command.epilog or "").removeprefix(EXAMPLE)
+        return f"{_shown(param)} is missing; expected, for example, {example}; {see}"
+    if param is not None:
+        from taciturn._arrays import quoted
+        from taciturn.problem.schema import ours
+
+        expected = ours(error.message).partition(",")[0].replace("greater than or equal to", "at least")
+        expected = expected if expected.startswith("expected") else "expected a number of fewer digits"
+        return f"{_shown(param)} is {quoted(_typed(param))}; {expected}; {see}"
+    unknown = re.match(r"No such command '(.*?)'", error.message)
+    if unknown is not None:
+        from taciturn.problem.schema import suggest
+
+        names = list(context.command.commands)
+        return f"there is no command {unknown[1]!r}; {see}, which lists the commands{suggest(unknown[1], names, ALIKE)}"
+    extra = re.search(r"unexpected extra arguments?(?:\(s\))? \((.*)\)", error.message)
+    if extra is not None:
+        usage = " ".join([path, *context.command.collect_usage_pieces(context)])
+        return f"{extra[1]!r} is one argument too many; expected {usage}; {see}"
+    return f"{error.format_message().rstrip('.')}; {see}"
+
+
+def name_options(error: TaciturnError, command: Any) -> TaciturnError:
+    """Return an error of the library with the options that the user typed in place of the names of arguments."""
+    sentence, options = str(error), _options(command)
+    typed = {word.partition("=")[0] for word in sys.argv}  # not the answers to the questions of `new`
+    subject = SUBJECT.match(sentence)
+    if subject is None:
+        return error
+    start, rest = subject[0], sentence[subject.end() :]
+    for name in filter(None, subject.groups()):
+        if options.get(name) in typed:
+            start = re.sub(rf"(?<!-)\b{name}\b", options[name], start)
+            rest = re.sub(rf"(?<=[<≤] ){name}\b|\b{name}(?= [<≤])", options[name], rest)  # of the bounds of a number
+    return type(error)(start + rest)
+
+
+def _options(command: Any) -> dict[str, str]:
+    """Return the options of a command by the names that the library gives to their values."""
+    found = {str(one.name): max(one.opts, key=len) for one in command.params if one.opts[0].startswith("--")}
+    aliases = {"time": "time_limit", "least_period": "least"}
+    return {aliases.get(name, name): option for name, option in found.items()}
+
+
+def _no_option(path: str, typed: str, options: dict[str, str]) -> str:
+    from taciturn.problem.schema import suggest
+
+    names = [*options.values(), "--help"]
+    near = suggest(typed, [name for name in names if name != "--set"], ALIKE)
+    if near or "--set" not in names:
+        return f"{path} has no option {typed}; see {path} --help{near}"
+    values = "; taciturn tradeoff FILE --over NAME=v1,v2,… compares several values" if typed == "--over" else ""
+    return f"{path} has no option {typed}; see {path} --help; --set NAME=VALUE changes a parameter{values}"
+
+
+def _shown(param: Any) -> str:
+    """Return an option, or the name of an argument, as the help shows it."""
+    return max(param.opts, key=len) if param.opts[0].startswith("-") else str(param.metavar or param.name)
+
+
+def _typed(param: Any) -> str:
+    """Return the value that was typed after an option."""
+    words = sys.argv
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        if word in param.opts:
+            return following
+        if word.partition("=")[0] in param.opts:
+            return word.partition("=")[2]
+    return ""
+
+
+LARGEST = 2**24  # bytes of a problem file
+
+
+def complete_file(incomplete: str) -> list[str]:
+    """Return the built-in problems and TOML files with this prefix; if there are none, the shell completes folders."""
+    folder = incomplete[: incomplete.rfind("/") + 1]
+    try:
+        files = sorted(f"{folder}{path.name}" for path in Path(folder or ".").glob("*.toml"))
+    except OSError:
+        files = []
+    names = [*files, *sorted(path.stem for folder in problem_folders() for path in folder.glob("*.toml"))]
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def complete_from(*words: str) -> Callable[[str], list[str]]:
+    """Return a completion function for these words."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [word for word in words if word.startswith(incomplete)]
+
+    return complete
+
+
+def complete_kind(incomplete: str) -> list[str]:
+    """Return the policy kinds with this prefix; no kind is imported."""
+    from taciturn.design.kind import CATALOGUE
+
+    return complete_from(*CATALOGUE)(incomplete)
+
+
+def complete_link(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the links with this prefix of the problem files among the words typed before."""
+    links = [link for word in context.args for link in _links(word)]
+    return complete_from(*dict.fromkeys(links))(incomplete)
+
+
+def _links(name: str) -> Iterable[str]:
+    """Return the links of a problem file: one of each node that is not at the controller's place."""
+    paths = (Path(name), *(folder / f"{name}.toml" for folder in problem_folders()))
+    try:
+        tables: dict[str, Any] = tomllib.loads(next(read_text(path, LARGEST) for path in paths if path.is_file()))
+        nodes = tables.get("nodes", {"sensor": {}, "actuator": {}})
+        (controller,) = (node for node, role in nodes.items() if role.get("controls")) if "nodes" in tables else ("",)
+        return [node for node, role in nodes.items() if controller not in (node, role.get("site"))]
+    except (
+        StopIteration,
+        OSError,
+        ValueError,
+        AttributeError,
+        RecursionError,
+    ):  # a file that is not a problem has no links
+        return ()
+
 
 GROUPS: dict[str, list[str]] = {
     "Design and inspect": ["new", "show", "tune"],
@@ -355,8 +504,8 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
 def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> Problem:
     """Load a problem and change the keys that --set names."""
     from taciturn import load
-    from taciturn._grid import parse_settings
-    from taciturn.problem.passed import passed_problem
+    from taciturn.problem.bare import passed_problem
+    from taciturn.problem.matrices import parse_settings
 
     problem, changes = passed_problem(file) or load(file, functions=not no_functions), parse_settings(settings or [])
     return problem.changed(changes) if changes else problem

@@ -1,21 +1,126 @@
-"""The command ``new``, which writes a problem file from prompts or from matrices in a file."""
+"""The command ``new``, which writes a problem file from prompts or from matrices in a file.
+
+Prompts on a terminal, or answers from a pipe; each answer is checked before the next question.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from taciturn._ending import remark
-from taciturn._grid import parse_number
+from taciturn._process import remark
 from taciturn.cli.frame import EXAMPLE, Kind, app
-from taciturn.cli.questions import Questions
+from taciturn.problem.matrices import parse_number
 
 if TYPE_CHECKING:
     from taciturn.design.kind import Kind as PolicyKind
-    from taciturn.problem.given import Given
+    from taciturn.errors import TaciturnError
+    from taciturn.problem.files import Given
+
+Answer = TypeVar("Answer")
+
+
+class Questions:
+    """Prompts that are repeated until the answer is valid; from a pipe, an invalid answer raises an error.
+
+    Args:
+        yes: use the suggested values without prompts.
+    """
+
+    def __init__(self, yes: bool = False) -> None:
+        """Check whether standard input is a terminal."""
+        self.yes, self.patient = yes, sys.stdin.isatty()
+
+    def ask(self, name: str, text: str, read: Callable[[str], Answer], default: str | None = None) -> Answer:
+        """Ask a question, and return the answer as a value.
+
+        Args:
+            name: name of the value in messages.
+            text: the question.
+            read: function that converts an answer to a value, and raises an error if it is invalid.
+            default: value for an empty answer; if omitted, an answer is required.
+
+        Raises:
+            ProblemError: the input ends, or an answer is invalid and the input is not a terminal.
+        """
+        from taciturn.errors import ProblemError, TaciturnError
+
+        while True:
+            given = self._answer(name, text, default)  # outside try: the end of the input is not asked again
+            try:
+                if not given:
+                    raise ProblemError(f"{name} is missing; expected an answer, because there is no default")
+                return read(given)
+            except TaciturnError as error:
+                self.tell(error)
+
+    def choose(self, name: str, text: str, words: Sequence[str], default: str) -> str:
+        """Ask for one of several words, and return it; the first letters are sufficient.
+
+        Raises:
+            ProblemError: as for ``ask``, or the answer is not one of the words.
+        """
+        from taciturn.errors import ProblemError
+
+        def read(answer: str) -> str:
+            meant = [word for word in words if answer and word.startswith(answer.lower())]
+            if len(meant) != 1:
+                raise ProblemError(f"{name} is {answer!r}; expected one of {', '.join(words)}")
+            return meant[0]
+
+        return self.ask(name, f"{text} ({', '.join(words)})", read, default)
+
+    def tell(self, error: TaciturnError) -> None:
+        """Print an error before the question is repeated; raise it if the input is a pipe or there are no prompts."""
+        from taciturn.errors import ProblemError
+
+        if self.yes:
+            raise error
+        if not self.patient:
+            remedy = "no file was written; in scripts, give matrices with --from, or write the file yourself"
+            raise ProblemError(f"{error}; {remedy}") from error
+        self.say(str(error))
+
+    def say(self, text: str) -> None:
+        """Print an indented message for the user."""
+        if not self.yes:
+            typer.echo(f"  {text}")
+
+    def _answer(self, name: str, text: str, default: str | None) -> str:
+        """Return the answer; a matrix may take several lines until its brackets are closed."""
+        from taciturn.errors import ProblemError
+
+        if self.yes:
+            if default is None:
+                raise ProblemError(f"{name} has no default; expected an answer: run the command without --yes")
+            return default
+        given = self._line(name, f"{text} [{default}]: " if default is not None else f"{text}: ")
+        while given.count("[") > given.count("]"):
+            given += "\n" + self._line(name, "  … ")
+        return given or default or ""
+
+    def _line(self, name: str, prompt: str) -> str:
+        from taciturn.errors import ProblemError
+
+        try:
+            given = input(prompt).strip()
+        except EOFError:
+            typer.echo()
+            raise ProblemError(
+                f"the input ends before {name} is given; expected one more answer; no file was written"
+            ) from None
+        except UnicodeDecodeError as error:
+            raise ProblemError(
+                f"the answer to {name} is not UTF-8 text ({error.reason}); expected UTF-8 text"
+            ) from None
+        if not self.patient:
+            typer.echo(given)  # a terminal shows the answer itself
+        return given
+
 
 GAINS = "kp, or kp ki, or kp ki kd and the time constant of the derivative's filter"
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
@@ -45,7 +150,7 @@ def new(
     from taciturn._figure import check_format
     from taciturn._files import write_whole
     from taciturn.errors import ProblemError
-    from taciturn.problem.given import read_given
+    from taciturn.problem.files import read_given
 
     def refuse_to_overwrite() -> None:
         if out.exists():
@@ -63,7 +168,7 @@ def new(
     refuse_to_overwrite()
     write_whole(out, text.encode())
     if given is not None and "D" in given.arrays:
-        from taciturn.model.display import FED
+        from taciturn.model.plant import FED
 
         typer.echo(f"D in {source} is read as a direct feedthrough: {FED}")
     if given is not None and given.ignored:
@@ -91,8 +196,8 @@ class _Interview:
     def complete(self, dt: float | None, kind: str | None) -> str:
         """Ask for all missing values, and return the text of the problem file."""
         from taciturn.errors import TaciturnError
+        from taciturn.problem.draft import over_losses
         from taciturn.problem.parameters import find_kind
-        from taciturn.problem.suggested import over_losses
 
         questions = self.questions
         chosen = None if kind is None else find_kind(kind, "the kind")
@@ -222,8 +327,8 @@ class _Interview:
 
     def _ask_policy(self, kind: PolicyKind | None) -> dict[str, Any]:
         """Ask for the goal, and for the parameters of its policy."""
+        from taciturn.problem.draft import needed_parameters, over_losses, suggest_value
         from taciturn.problem.parameters import check_parameter
-        from taciturn.problem.suggested import needed_parameters, over_losses, suggest_value
 
         if kind is None and self.draft.network:
             kind = next(kind for kind in over_losses() if self.draft.fits(kind))
@@ -247,8 +352,8 @@ class _Interview:
 
     def _ask_kind(self) -> PolicyKind:
         from taciturn.errors import ProblemError
+        from taciturn.problem.draft import offered_kinds
         from taciturn.problem.parameters import find_kind
-        from taciturn.problem.suggested import offered_kinds
 
         offered, wrong = offered_kinds()
         for sentence in wrong:

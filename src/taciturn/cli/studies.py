@@ -22,6 +22,7 @@ from taciturn.cli.frame import (
     TimeLimit,
     Workers,
     app,
+    complete_file,
     load_all,
     load_changed,
     note_seed,
@@ -29,7 +30,6 @@ from taciturn.cli.frame import (
     progress_bar,
     refuse,
 )
-from taciturn.cli.words import complete_file
 
 if TYPE_CHECKING:
     pass
@@ -56,11 +56,11 @@ def tradeoff(
     """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
     import taciturn
     from taciturn._figure import check_format, save
-    from taciturn._grid import parse_grid
     from taciturn._progress import answered_within
-    from taciturn.study.lower import choose_confidence
+    from taciturn.problem.matrices import parse_grid
+    from taciturn.study.evaluate import choose_confidence
     from taciturn.study.record import origin
-    from taciturn.study.sweeping.workers import processes
+    from taciturn.study.workers import processes
 
     values = parse_grid(over)
     if plot is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from taciturn._arrays import Array, number, quoted, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn._text import ordinal
-from taciturn.design.certainty import CertaintyEquivalentDesign
+from taciturn.base.certainty import CertaintyEquivalentDesign
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.theory import ErrorGain, Guarantee, with_silence

@@ -11,21 +11,21 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn.design.base import Base
+from taciturn.base.filter import ESTIMATE, HELD, SEND
+from taciturn.base.receiver import nonempty
+from taciturn.base.value import Base
 from taciturn.design.bounds import shares_of
-from taciturn.design.contributions import decision
-from taciturn.design.estimation import ESTIMATE, HELD, SEND
-from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.routes import nonempty
+from taciturn.design.several_nodes import decision
+from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.gain import largest_gain
-from taciturn.model.controller import Controller
+from taciturn.model.controller import Controller, Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
-from taciturn.model.kept import Kept
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Received, Send, Step
 from taciturn.model.theory import ErrorGain
 from taciturn.model.trigger import Form, Trigger
 

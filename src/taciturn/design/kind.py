@@ -1,25 +1,45 @@
-"""The record of a policy kind: its design function, and all that the library and its pages say about the kind."""
+"""The record of a policy kind: its design function, and all that the library and its pages say about the kind.
+
+Catalogue of all policy kinds: those of the folder ``kinds``, and those that installed packages register.
+
+A package registers a kind by an entry point of the group ``taciturn.kinds``: its name is the name of the kind, and its
+value is the place of the ``Kind``, ``module:KIND``. A kind is imported at its first use.
+
+Policies of a sensor, a controller and an actuator on a network whose nodes have other names.
+
+A policy is data, so the names of its nodes and links can be replaced. Several sensors at one place act as one sensor of
+all their outputs, and several actuators at one place as one actuator.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import inspect
+import pkgutil
 import re
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_type_hints
 
-from taciturn._arrays import quoted
+import numpy as np
+
+from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn._plugins import find_plugins, load_entry, package_of
+from taciturn.design.several_nodes import JointSets
+from taciturn.errors import PlacementError, ProblemError, TaciturnError
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import TRIANGLE, Network
+from taciturn.model.policy import Policy, with_intervals
+from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
 
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
     from taciturn.model.plant import ContinuousPlant, Plant
-    from taciturn.model.policy import Policy
     from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
@@ -86,7 +106,7 @@ class Kind(Displayed):
         check: function that raises a ``ProblemError`` if the kind does not support a plant and a cost.
         several_nodes: whether the design takes networks of several sensors or actuators.
         joint_links: whether the controller decides on sets of links to several actuators; then the design is that of
-            one actuator, and ``taciturn.model.joint`` derives the decision on sets.
+            one actuator, and ``taciturn.design.several_nodes`` derives the decision on sets.
         ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
         shares: the parameter that divides a threshold among several links, if there is one.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
@@ -254,3 +274,259 @@ def code_digest(module: str) -> str:
     for file in files:
         read.update(file.read_bytes() if file.is_file() else b"")
     return read.hexdigest()
+
+
+GROUP = "taciturn.kinds"
+
+
+class Catalogue(Mapping[str, "Kind"]):
+    """The policy kinds by name; an iteration gives the names, and imports no kind."""
+
+    def __iter__(self) -> Iterator[str]:
+        """Return the names: those of this package, then those of other packages, each in alphabetical order."""
+        own = own_kinds()
+        return iter((*own, *(name for name in find_plugins(GROUP) if name not in own)))
+
+    def __len__(self) -> int:
+        """Return the number of kinds."""
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether there is a kind with this name."""
+        return name in own_kinds() or name in find_plugins(GROUP)
+
+    def __getitem__(self, name: str, /) -> Kind:
+        """Return the record of a kind.
+
+        Raises:
+            KeyError: if there is no such kind.
+            ProblemError: if two packages register this kind, or the record cannot be imported.
+        """
+        return _kind(name)
+
+
+CATALOGUE: Mapping[str, Kind] = Catalogue()
+
+
+@cache
+def own_kinds() -> tuple[str, ...]:
+    """Return the names of the kinds of this package, from the files of the folder ``kinds``."""
+    folder = str(Path(__file__).parent / "kinds")
+    return tuple(sorted(module.name.replace("_", "-") for module in pkgutil.iter_modules([folder])))
+
+
+@cache
+def _kind(name: str) -> Kind:
+    from importlib.metadata import EntryPoint
+
+    entries = find_plugins(GROUP).get(name, ())
+    if name in own_kinds():
+        entries = (EntryPoint(name, f"taciturn.design.kinds.{name.replace('-', '_')}:KIND", GROUP), *entries)
+    if len(entries) > 1:
+        raise ProblemError(
+            f"the policy kind {name} is registered by {' and by '.join(map(package_of, entries))}; expected one kind "
+            "of this name: rename the kind, or remove a package"
+        )
+    if not entries:
+        raise KeyError(name)
+    found = load_entry(entries[0], f"the policy kind {name}")
+    if not isinstance(found, Kind) or found.name != name:
+        got = f"the kind {found.name}" if isinstance(found, Kind) else f"a {type(found).__name__}"
+        raise ProblemError(
+            f"the policy kind {name} needs {entries[0].value} of {package_of(entries[0])}, which is {got}; expected a "
+            f"Kind with the name {name}"
+        )
+    return found
+
+
+Value = TypeVar("Value")
+
+
+def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
+    """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
+
+    The limits on the intervals between sends are left out; ``placed`` adds them to the policy.
+
+    Args:
+        network: the given network.
+        kind: name of the policy kind, for messages.
+        joint: whether the controller may decide on sets of links to several actuators, which must be ideal.
+
+    Raises:
+        PlacementError: sensors or actuators are at several places, or several of them share a place with several links.
+    """
+    if network.triangle:
+        return network.with_intervals(None)
+    links = dict[str, LinkLaw]()
+    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        at = [node for node in nodes if node in network.links]
+        if joint and name == "actuator" and _apart(network):
+            _expect_ideal(network, kind, at)
+        elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
+            raise PlacementError(
+                f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
+                "all of these, or nodes at the controller's place (site)"
+            )
+        if at:
+            links[name] = network.links[at[0]]
+    return Network(delay=network.delay, nodes=TRIANGLE, links=links).with_intervals(None)
+
+
+@contextmanager
+def renamed_keys(network: Network) -> Generator[None]:
+    """Name the keys of a given network in the errors of a design for three nodes."""
+    try:
+        yield
+    except TaciturnError as error:
+        raise type(error)(_with_keys(str(error), network)) from None
+
+
+def _with_keys(text: str, network: Network) -> str:
+    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        for node in [node for node in nodes if node in network.links and not network.triangle][:1]:
+            text = text.replace(f"network.{name}_", f"links.{node}.")
+    return text
+
+
+def _apart(network: Network) -> bool:
+    """Return whether the actuators have several links, or some of them have a link and others have none."""
+    linked = [node for node in network.actuators if node in network.links]
+    return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
+
+
+def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
+    for link in links:
+        if not network.links[link].ideal:
+            law, name = network.links[link], "acknowledged"
+            name = "burst" if law.burst is not None else "loss" if law.loss else name
+            raise PlacementError(
+                f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
+                f"{', '.join(links)}; expected ideal links"
+            )
+
+
+def placed(policy: Policy, network: Network) -> Policy:
+    """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
+
+    The decisions keep the network's limits on the intervals between sends.
+
+    Raises:
+        PlacementError: the network does not correspond to three nodes, or places them elsewhere than the policy.
+    """
+    instance("policy", policy, Policy)
+    instance("network", network, Network)
+    if network.nodes == policy.network.nodes or not policy.network.triangle:
+        return with_intervals(policy, network)
+    joint = _apart(network)
+    three_nodes(network, policy.kind, joint)
+    sets = JointSets(policy, network) if joint else None
+    if sets is not None:
+        sets.check()
+    names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
+    if joint:
+        names["actuator"] = next(node for node in network.actuators if node in network.links)
+    for role in ("sensor", "actuator"):
+        check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
+    links = {
+        names[link]: replace(network.links[names[link]], loss=law.loss, burst=law.burst, acknowledged=law.acknowledged)
+        for link, law in policy.network.links.items()
+        if names[link] in network.links
+    }
+    theory, closed, schedule = policy.theory, policy.theory.closed_form, policy.schedule
+    renamed = replace(
+        theory,
+        fixed_rates=_keys(theory.fixed_rates, names),
+        errors=_keys(theory.errors, names),
+        closed_form=None if closed is None else replace(closed, rates=_keys(closed.rates, names)),
+        guarantee=None if theory.guarantee is None else replace(
+            theory.guarantee,
+            deciders={tuple(names[link] for link in group): d for group, d in theory.guarantee.deciders.items()},
+        ),
+    )  # fmt: skip
+    locations = tuple(
+        replace(one, at=None if one.at is None else names[one.at], on=_condition(one.on, names))
+        for one in policy.locations
+    )
+    return replace(
+        policy,
+        steps=_steps(policy, network, names, sets),
+        theory=renamed if sets is None else sets.theory(renamed),
+        sites=network.sites,
+        locations=locations,
+        schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
+        network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
+        notes=tuple(_with_keys(note, network) for note in policy.notes),
+    )
+
+
+def expect_ideal_links(kind: str, network: Network) -> None:
+    """Raise a ``PlacementError`` if links drop, acknowledge or delay packets, which a kind does not use."""
+    if network.unusual:
+        raise PlacementError(
+            f"{network.unusual[0]} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
+            "network FILE --loss P` drops packets of policies of any kind)"
+        )
+
+
+def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:
+    """Raise an error if a node is at the controller's place in a policy or in the network, but not in both.
+
+    Args:
+        kind: name of the policy kind.
+        network: the given network.
+        role: the role of the node in the policy: ``"sensor"`` or ``"actuator"``.
+        node: the node of the given network.
+        together: whether the node is at the controller's place in the policy.
+
+    Raises:
+        PlacementError: the places differ.
+    """
+    wired = node not in network.links
+    if together and not wired:
+        raise PlacementError(
+            f"the {role} of {kind} is at the controller's place, but {node} has a link; expected "
+            f'nodes.{node}.site = "{network.controller}"'
+        )
+    if wired and not together:
+        raise PlacementError(
+            f"{kind} uses a link between {role} and controller, but {node} is at the controller's place; "
+            f"expected {node} at another place"
+        )
+
+
+def _steps(policy: Policy, network: Network, names: Mapping[str, str], sets: JointSets | None) -> tuple[Step, ...]:
+    """Return the policy steps with other names of nodes and links, between the signals that the nodes share."""
+    plant, found = policy.model, list[Step]()
+    measured, applied = network.measurements(plant.sensed), network.applications(plant.inputs)
+    if "y" not in measured:
+        terms = {signal: np.eye(plant.sensed)[:, [*outputs]] for signal, (_, outputs) in measured.items()}
+        found.append(Assign(names["sensor"], "y", terms))
+    for step in policy.steps:
+        if sets is not None:
+            found += sets.of(_renamed(step, names))
+            continue
+        found.append(_renamed(step, names))
+        if "input" in assigned(step) and "input" not in applied:
+            unit = np.eye(plant.inputs)
+            found += [Assign(node, name, {"input": unit[[*inputs]]}) for name, (node, inputs) in applied.items()]
+    return tuple(found)
+
+
+def _renamed(step: Step, names: Mapping[str, str]) -> Step:
+    at = names[step.at]
+    if isinstance(step, Apply | Draw | Decide):
+        return replace(step, at=at)
+    if isinstance(step, Send):
+        return replace(step, at=at, link=names[step.link])
+    if isinstance(step, Assign):
+        branches = step.branches[0] if step.on is None else step.branches
+        return Assign(at, step.signal, branches, _condition(step.on, names))
+    return replace(step, at=at, on=_condition(step.on, names))
+
+
+def _condition(on: Condition | None, names: Mapping[str, str]) -> Condition | None:
+    return replace(on, link=names[on.link]) if isinstance(on, Received | Acknowledged) else on
+
+
+def _keys(found: Mapping[str, Value], names: Mapping[str, str]) -> dict[str, Value]:
+    return {names.get(link, link): value for link, value in found.items()}

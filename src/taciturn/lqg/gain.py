@@ -6,8 +6,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array
-from taciturn._modes import radius, reach
-from taciturn._subspaces import invariant, unit_columns
+from taciturn._modes import invariant, radius, reach, unit_columns
 from taciturn.errors import UnstableError
 
 EDGE = 1e-13  # distance to the unit circle within which a computed mode may lie on it

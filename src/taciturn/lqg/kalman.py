@@ -9,20 +9,15 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, is_definite, symmetrised
-from taciturn._cycles import closure
 from taciturn._display import Displayed
-from taciturn._exact_modes import NONE, Limit, unmoved, unmoved_and_seen
-from taciturn._modes import mode_text, radius, root
-from taciturn._precision import precision
-from taciturn._rational import rational
+from taciturn._modes import closure, mode_text, radius, root
+from taciturn._rational import NONE, Limit, precision, rational, unmoved, unmoved_and_seen
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg._cache import kept
 from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError
-from taciturn.lqg.intervals import Exact
-from taciturn.lqg.lyapunov import ranked
-from taciturn.lqg.quadratic import Quadratic, price
-from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import unpaid, worth_of
+from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held, ranked
+from taciturn.lqg.quadratic import Quadratic, price, unpaid, worth_of
+from taciturn.lqg.riccati import kept
+from taciturn.lqg.sampling import Exact
 from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding

@@ -11,18 +11,15 @@ import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import mode_text, radius
-from taciturn._precision import precision
 from taciturn._progress import check_time
+from taciturn._rational import Limit, precision, unmoved
 from taciturn.errors import UnstableError
-from taciturn.lqg._critical import Lasting, Link
-from taciturn.lqg._mean_square import Channel, LossyStep, MeanSquare
-from taciturn.lqg._repetition import Repetition, fill_earlier
+from taciturn.lqg.critical_losses import Channel, Lasting, Link, LossyStep, MeanSquare
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, solve
-from taciturn.lqg.lyapunov import sizes
+from taciturn.lqg.equation import sizes
 from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
-from taciturn.lqg.riccati import costs_nothing, regulate, states_with_cost
+from taciturn.lqg.riccati import Repetition, costs_nothing, fill_earlier, regulate, states_with_cost
 
 __all__ = [
     "Channel",

@@ -11,8 +11,8 @@ from taciturn._display import Displayed
 from taciturn._modes import balancing
 from taciturn.errors import ProblemError
 from taciturn.lqg.enclosures import E
-from taciturn.lqg.intervals import Sampled, Step, integrated, sampled
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
+from taciturn.lqg.sampling import Sampled, Step, integrated, sampled
 
 GRID = 400  # intervals at which the cost is evaluated
 FINER, ROUNDS = 42, 3  # of them about the least ratio, in turn

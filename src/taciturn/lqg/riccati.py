@@ -1,26 +1,99 @@
-"""Optimal state-feedback gains u = L x for infinite, discounted and finite horizons, and in continuous time."""
+"""Optimal state-feedback gains u = L x for infinite, discounted and finite horizons, and in continuous time.
+
+A cache of Riccati solutions, keyed by array bytes; the points of a sweep often have the same plant and cost.
+
+Recursions over many steps that return to an earlier state bit for bit, after which they repeat.
+
+A Riccati recursion converges up to rounding, and then stays constant or alternates between a few states. Each state
+determines the next one, so the remaining steps of a long horizon need no further computation.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache, wraps
+from typing import NamedTuple, TypeVar, TypeVarTuple, cast
 
 import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._display import Displayed
-from taciturn._exact_modes import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
+from taciturn._rational import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg._cache import kept
-from taciturn.lqg._followed import Followed, followed
-from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.enclosures import E, UnprovedError
-from taciturn.lqg.intervals import Exact, Source
-from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.stabilising import Equation, Problem, Recipe, exactly, not_held
-from taciturn.lqg.structure import unpaid, worth_of
+from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held
+from taciturn.lqg.followed import Followed, followed
+from taciturn.lqg.quadratic import Quadratic, unpaid, worth_of
+from taciturn.lqg.sampling import Exact, Source
+
+MOST = 16  # most results in the cache of a function
+
+Ts = TypeVarTuple("Ts")
+T = TypeVar("T")
+
+
+class _Bits(NamedTuple):
+    shape: tuple[int, ...]
+    bits: bytes
+
+
+def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
+    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments.
+
+    Args:
+        solve: a function of arrays, numbers and objects that do not change; its results must be read-only, because
+            callers share them.
+    """
+    loose = cast("Callable[..., T]", solve)
+
+    @lru_cache(maxsize=MOST)
+    def of_bits(*given: object) -> T:
+        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
+
+    @wraps(solve)
+    def found(*args: *Ts) -> T:
+        check_time()  # every design and every search for periodic control solves such equations
+        given = cast("tuple[Array | object, ...]", args)
+        return of_bits(*map(_hashable, given))
+
+    return found
+
+
+def _hashable(one: Array | object) -> object:
+    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
+
+
+class Repetition:
+    """Detection that a recursion has returned to an earlier state."""
+
+    def __init__(self) -> None:
+        """Start without states."""
+        # number and state of a step, by the hash of the state
+        self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
+
+    def period(self, step: int, *state: Array) -> int | None:
+        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet.
+
+        Args:
+            step: number of the step, which increases or decreases by one at each call.
+            state: the arrays that determine the next step; they must not change afterwards.
+        """
+        key = hash(b"".join(part.tobytes() for part in state))
+        earlier, same = self._seen.setdefault(key, (step, state))
+        alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
+        return abs(step - earlier) if alike and step != earlier else None
+
+
+def fill_earlier(parts: tuple[Array, ...], step: int, period: int) -> None:
+    """Fill the steps before a step of a backward recursion that repeats after ``period`` steps."""
+    alike = step + (np.arange(step) - step) % period
+    for part in parts:
+        part[:step] = part[alike]
+
 
 __all__ = [
     "FiniteRegulator",

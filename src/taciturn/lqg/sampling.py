@@ -1,18 +1,338 @@
-"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and inter-sample noise cost."""
+"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and inter-sample noise cost.
+
+Exact effect of a time interval on a noisy linear system and on its quadratic cost, in the arithmetic of a proof.
+
+``Ad``, ``Bd``, the weights, the noise and its cost all follow from one extended system ż = Fz + noise of intensity G
+with the cost ∫ z'Mz dt. The vector z contains the state and the data that the actuator stores between two decisions:
+
+    Φ = e^{Fh},  M_h = ∫ e^{F't}Me^{Ft}dt,  G_h = ∫ e^{Ft}Ge^{F't}dt,  c = ∫ tr(M G_t)dt.
+
+Power series over h/2^k, with ‖F‖h/2^k ≤ 1/2, are followed by k doublings, which only add semidefinite terms. (Block
+exponentials with e^{−Fh} in one corner lose digits if ‖F‖h is large.) The terms that are left out are bounded entry by
+entry, and count as radii.
+
+Source: vanloan1978
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import ceil, log2
+from typing import Generic, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike
+from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import balancing, pace
-from taciturn.lqg.enclosures import E, block
-from taciturn.lqg.intervals import Integrated, Sampled, Source, Step, integrated, sampled
+from taciturn._rational import precision
+from taciturn.errors import ProblemError
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner
+from taciturn.lqg.equation import FEW, Equation
 from taciturn.lqg.quadratic import Quadratic
+
+DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
+SMALL = 0.5  # norm of F over the interval of the series
+LATER = 8  # terms after the last one that are bounded entry by entry
+MOST = 1000  # doublings
+
+
+class Step(NamedTuple, Generic[E]):
+    """Enclosures of a linear-quadratic problem of one step, with noise.
+
+    x⁺ = Ax + Bu + w, w of covariance W, and the mean cost x'Qx + u'Ru + 2x'Nu + c, where c is (1, 1).
+    """
+
+    A: E
+    B: E
+    Q: E
+    R: E
+    N: E
+    W: E
+    c: E
+
+
+class Source(NamedTuple):
+    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly.
+
+    dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
+    """
+
+    given: Quadratic
+    W: Array
+    period: float
+
+
+class Builder(Protocol):
+    """A problem of one step in any arithmetic, built anew at each call."""
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Exact(Displayed):
+    """A problem of one step in any arithmetic; enclosures that were computed once are kept.
+
+    Args:
+        build: returns enclosures of the problem.
+        source: the problem before it was sampled; None if it is not the sampled problem of a held input.
+    """
+
+    build: Builder
+    source: Source | None = None
+    _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
+
+    def __reduce__(self) -> tuple[type[Exact], tuple[Builder, Source | None]]:
+        """Pickle how the enclosures are computed, and not the enclosures."""
+        return Exact, (self.build, self.source)
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem, in the present precision."""
+        key = arithmetic, arithmetic.unit()
+        if key not in self._kept:
+            self._kept[key] = self.build(arithmetic)
+        return cast("Step[E]", self._kept[key])
+
+    def beside(self, place: int, S: Array, P: Array, source: Source | None = None) -> Exact:
+        """Return the problem with further states, as :meth:`~taciturn.lqg.quadratic.Quadratic.beside` does."""
+        return Exact(_Beside(self, place, S, P), source)
+
+    def equation(self, arithmetic: type[E], /) -> Equation[E]:
+        """Return enclosures of the matrices of the Riccati equation."""
+        A, B, Q, R, N, _, _ = self(arithmetic)
+        return Equation(A, B, Q, R, N)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Beside(Displayed):
+    """The problem of :meth:`Exact.beside`, whose further states have no noise."""
+
+    exact: Exact
+    place: int
+    S: Array
+    P: Array
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        step, r = self.exact(arithmetic), len(self.S)
+        (n, m), before, after = step.B.shape, slice(self.place), slice(self.place, None)
+
+        def rows(matrix: E, between: Array) -> E:
+            every = slice(None)
+            parts = [matrix.part(before, every), arithmetic.exact(between), matrix.part(after, every)]
+            return block([[part] for part in parts if part.shape[0]])
+
+        def square(matrix: E, corner: Array) -> E:
+            side = np.insert(np.zeros((r, n)), [self.place] * r, corner.T, axis=1)
+            return rows(rows(matrix, np.zeros((r, n))).T, side).T
+
+        none, apart = np.zeros((r, r)), np.zeros((r, m))
+        A, Q, W = square(step.A, self.S), square(step.Q, none), square(step.W, none)
+        return Step(A, rows(step.B, self.P), Q, step.R, rows(step.N, apart), W, step.c)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sampled(Displayed):
+    """A discrete-time LQ problem whose step is equivalent to an interval of continuous time, or to several steps.
+
+    x⁺ = Ax + Bu + w, with w of covariance W. The mean cost of the interval is x'Qx + u'Ru + 2x'Nu + noise_cost. No
+    controller can change ``noise_cost``, but costs of intervals of different length can only be compared with it.
+    ``exact`` encloses the same problem to any precision.
+    """
+
+    A: Array
+    B: Array
+    Q: Array
+    R: Array
+    N: Array
+    W: Array
+    noise_cost: float
+    exact: Exact
+
+    @property
+    def quadratic(self) -> Quadratic:
+        """The problem without its noise."""
+        return Quadratic(self.A, self.B, self.Q, self.R, self.N)
+
+
+def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
+    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.
+
+    For many states, it is eleven digits, or thirteen of the entries next to it.
+
+    Args:
+        build: returns enclosures of the problem.
+        size: number of states and inputs.
+        source: the problem before it was sampled, if the input is held.
+    """
+    exact = Exact(build, source)
+    step: Step[Doubles] | Step[Balls] | None = None
+    if size > FEW:
+        with suppress(UnprovedError):
+            step = exact(Doubles)
+            if not all(_is_sharp(part.middle, part.radius, 1e-11, 1e-13) for part in step):
+                step = None
+    if step is None:
+        for bits in PRECISIONS:
+            with precision(bits), suppress(UnprovedError):
+                step = exact(Balls)
+            if step is not None and all(_is_sharp(part.middle, part.radius, 1e-14, 1e-30) for part in step):
+                break
+    if step is None or not all(np.isfinite(part.middle).all() for part in step):
+        raise ProblemError(
+            "a number of the problem of one period exceeds the range of doubles; expected a shorter period, or states "
+            "and inputs in other units"
+        )
+    A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
+    return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
+
+
+def _is_sharp(middle: Array, radius: Array, own: float, others: float) -> bool:
+    """Return whether radii are small relative to each entry, or to the largest one of its row or column."""
+    size = np.abs(middle)
+    largest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), size.max(axis=0, keepdims=True, initial=0.0))
+    return bool((radius <= np.maximum(own * size, others * largest)).all())
+
+
+class Interval(NamedTuple, Generic[E]):
+    """Enclosures of the transition matrix, the weight at the start, the noise at the end, and its cost, (1, 1)."""
+
+    Phi: E
+    M: E
+    G: E
+    c: E
+
+    def then(self, second: Interval[E]) -> Interval[E]:
+        """Return the effect of this interval followed by another one."""
+        return Interval(
+            second.Phi @ self.Phi,
+            (self.M + self.Phi.T @ second.M @ self.Phi).symmetric(),
+            (second.G + second.Phi @ self.G @ second.Phi.T).symmetric(),
+            self.c + second.c + inner(second.M, self.G),
+        )
+
+    def repeated(self, times: int) -> Interval[E]:
+        """Return the effect of the same interval repeated ``times`` times, by repeated squaring."""
+        result: Interval[E] | None = None
+        once = self
+        while True:
+            if times & 1:
+                result = once if result is None else result.then(once)
+            times >>= 1
+            if not times:
+                assert result is not None, "one repetition at least"
+                return result
+            once = once.then(once)
+
+    def split(self, states: int) -> Step[E]:
+        """Return the problem whose first variables are the state, and the others the input."""
+        x, u = slice(states), slice(states, None)
+        Phi, M = self.Phi, self.M
+        return Step(Phi.part(x, x), Phi.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u), self.G.part(x, x), self.c)
+
+
+def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Array) -> Interval[E]:
+    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt.
+
+    Args:
+        arithmetic: that of the matrices.
+        F, M, G: enclosures of the matrices.
+        period: the time, an exact number.
+        units: powers of two, the units of z in which F is best scaled; the scaling is exact.
+
+    Raises:
+        ProblemError: the state overflows within the period.
+    """
+    to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
+    F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
+    size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
+    doublings = max(0, ceil(log2(max(size, 1e-300) / SMALL))) if np.isfinite(size) else MOST + 1
+    if doublings > MOST:
+        raise overflowing(period, size)
+    found = _series(arithmetic, F, M, G, period / 2.0**doublings)
+    one, moving = arithmetic.exact(np.eye(len(units))), np.flatnonzero(F.middle.any(axis=1))
+    change, (Phi, M, G, c) = found.Phi, found
+    Phi = one + change
+    for _ in range(doublings):
+        found = Interval(Phi, M, G, c).then(Interval(Phi, M, G, c))
+        _, M, G, c = found
+        # Each squaring of Φ doubles the relative error of a slow mode; the same step for Φ − I does not, and is as
+        # accurate for a fast mode. Once all modes have decayed, Φ itself is more accurate.
+        if np.linalg.norm(Phi.middle[np.ix_(moving, moving)], 1) < DECAYED:
+            Phi = found.Phi
+        else:
+            change = change.times(2.0) + change @ change
+            Phi = one + change
+        if not all(np.isfinite(part.middle).all() for part in (Phi, M, G, c)):
+            raise overflowing(period, size)
+    return Interval(back @ Phi @ to, to @ M @ to, back @ G @ back, c)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Integrated(Displayed):
+    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs.
+
+    Args:
+        F, M, G: dynamics, weight and intensity, exact doubles.
+        period: the time.
+        units: powers of two, the units of z.
+        states: number of entries of z that are states.
+    """
+
+    F: Array
+    M: Array
+    G: Array
+    period: float
+    units: Array
+    states: int
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        F, M, G = (arithmetic.exact(part) for part in (self.F, self.M, self.G))
+        return integrated(arithmetic, F, M, G, self.period, self.units).split(self.states)
+
+
+def overflowing(period: float, size: float) -> ProblemError:
+    """Return the error that the state overflows within a period."""
+    most = size if np.isfinite(size) else np.inf
+    return ProblemError(
+        f"period is {period:g}, over which the state overflows (‖A‖·period = {most:.3g}); shorten the period"
+    )
+
+
+def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
+    """Return Φ − I, M_h, G_h and c over a step with ‖F‖·step ≤ 1/2, by power series with bounds on what is left out."""
+    F, least, k, left_out = F.times(step), arithmetic.unit(), 1, 0.5
+    most, power, m, g = F.most, F, M.times(step), G.times(step)
+    change, weight, noise, spread = power, m, g, g.over(2)  # spread: the sum of the covariances of all instants
+    while left_out > least:  # 1/(k + 1)!
+        k += 1
+        left_out /= k + 1
+        m, g, power = m @ F, F @ g, (power @ F).over(k)
+        m, g = (m + m.T).over(k), (g + g.T).over(k)
+        weight, noise, change = weight + m, noise + g, change + power
+        spread = spread + g.over(k + 1)
+    c = inner(M, spread).times(step)
+    change = change.widened(_tail(power.most, k, lambda term: term @ most))
+    weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
+    later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))
+    rest = np.array([[1.01 * step * float((np.where(later > 0, M.most, 0.0) * later).sum())]])
+    return Interval(change, weight, noise.widened(later), c.widened(rest))
+
+
+def _tail(term: Array, k: int, following: Callable[[Array], Array]) -> Array:
+    """Return a bound on the sum of the terms after the k-th one, of which each is at most half of the one before."""
+    found = np.zeros_like(term)
+    for later in range(k + 1, k + LATER + 1):
+        term = following(term) / later
+        found += term
+    return 1.01 * (found + 2 * float(term.sum()))
+
 
 __all__ = ["Sampled", "sample", "sample_prediction"]
 

@@ -13,29 +13,57 @@ P̃ − εX ⪯ P ⪯ P̃ + εX. Then the cost is tr(P̃Ω) ± ε tr(XΩ), whate
 the radius is small. States that the cost does not see, by the zeros of the matrices, are left out, and need not decay.
 
 Source: anderson1990optimal, rump2006
+
+The effect of the rounding of stored gains on the cost of silence, with a proof.
+
+The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so far, holds for the
+optimal gains. Programs hold doubles. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the
+mean of the state given the measurements, from which x̂ differs by d = x̂* − x̂. Completion of squares with K* gives
+
+    J ≤ J* + E|e + (L − L*)x̂ − L*d|²   in the norm of H*,
+
+since x − x̂* is independent of the measurements. J* is at most the cost of the stored gains with every sample. So the
+rounding adds a = |(L − L*)x̂| and b = |L*d|, root mean squares, to s = |e|:  J ≤ J_all + (s + a + b)².
+
+Both are bounded along the stored loop ζ⁺ = Fζ + noise + Me, ζ = (x, x − x̂⁻), with x̂ = Sζ + gv. If X − F'XF ⪰ X/ν, then
+F contracts by √(1 − 1/ν) in the norm of X: |ζ| ≤ √(ν tr(XΩ)) + 2ν|Me|. With the innovation ι* of the exact filter, of
+covariance S*, and the differences ΔA, ΔB between the exact plant and the stored one,
+
+    d = (I − gC)d⁻ + (g* − g)ι*,   d⁻⁺ = A d + (ΔA + ΔB L)x̂ + ΔB e.
+
+Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop.
+
+If several sensors filter apart, programs add contributions ξˢ⁺ = Ωξˢ + g_s y_s with Ω ≈ (I − gC)A, and the estimate
+differs from that of the stored filter by Δ⁺ = (I − gC)AΔ + (roundings of Ω and I − gC)·(ξ, x̂, e). It counts as an error
+LΔ of the input.
+
+A trigger that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights. Its mean is that
+of the true stage cost up to |d| in the norm of Q, and up to the rounding of the weights.
+
+Source: khashooei2017, anderson1990optimal
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from math import sqrt
 from typing import Generic, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from taciturn._arrays import NO_VARIANCE, Array, Bits, block_diagonal, symmetrised
-from taciturn._cycles import closure
 from taciturn._display import Displayed
-from taciturn._modes import summed
-from taciturn._precision import precision
+from taciturn._modes import COST_ERROR, ROUNDOFF, closure, summed
 from taciturn._progress import check_time
+from taciturn._rational import precision
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner
-from taciturn.lqg.intervals import Step
-from taciturn.lqg.kalman import Filter
-from taciturn.lqg.lyapunov import bounded, total
+from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError, block, inner, solve
+from taciturn.lqg.equation import ASKED, FEW, bounded, ranked, total
+from taciturn.lqg.kalman import Filter, forgets_the_start
 from taciturn.lqg.riccati import Regulator
-from taciturn.lqg.stabilising import ASKED, FEW
+from taciturn.lqg.sampling import Step
 from taciturn.model.controller import Controller
 
 SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
@@ -288,3 +316,351 @@ def _guess(F: Array, M: Array, near: Near | None) -> Array:
     n, K = len(near.K), near.K
     across = F[:n, n:]
     return block_diagonal(K, summed(F[n:, n:].T, symmetrised(M[n:, n:] + across.T @ K @ across)))
+
+
+MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
+TRIALS = 40  # doublings of a bound until it is proved
+SQUARINGS = 2  # of a matrix whose norm is sought
+ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
+
+
+class Apart(NamedTuple):
+    """Sensors that filter apart, and the matrices of their filters as programs hold them.
+
+    Args:
+        outputs: the outputs of each sensor that is not at the controller's place.
+        rest: about I − gC, (n, n).
+        moved: Ω, about (I − gC)A, (n, n).
+    """
+
+    outputs: Sequence[Sequence[int]]
+    rest: Array
+    moved: Array
+
+
+class StageError(NamedTuple):
+    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one.
+
+    If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
+    """
+
+    fixed: float
+    slope: float
+    rest: float
+    share: float
+
+
+class Allowance(NamedTuple):
+    """The effect of the rounding of stored gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
+
+    Args:
+        excess: ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one.
+        fixed: root of a cost that rounding adds to silence.
+        slope: the same in units of the root of the cost of silence.
+        stage: the error of the stage cost of a trigger.
+    """
+
+    excess: float
+    fixed: float
+    slope: float
+    stage: StageError
+
+    def within(self, share: float, cost: float) -> bool:
+        """Return whether the rounding adds at most a share of a cost, J_all."""
+        fixed = self.fixed * (self.fixed + sqrt(cost)) <= share * cost
+        return fixed and max(self.slope, self.excess) <= share
+
+    def raised(self, base: float, silence: float) -> tuple[float, float]:
+        """Return a base and a factor of the cost of silence that allow for the rounding.
+
+        Args:
+            base: J_all, at most.
+            silence: S, the most that silence adds, with exact gains.
+
+        Returns:
+            J_b and f with J ≤ J_b + f·S' if silence adds at most S' ≤ S: (s + η)² ≤ (1 + t)s² + (1 + 1/t)η² for any
+            t > 0, here t = η/√S.
+        """
+        s = sqrt(silence)
+        added = (self.fixed + self.slope * s) * MORE
+        factor = (1 + self.excess) * (1 + added / s) * MORE if s > 0 else 1.0
+        return (base + added * (added + s)) * MORE, factor
+
+    def relative(self, base: Proved, theta: float) -> float | None:
+        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None.
+
+        With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
+        at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
+
+        Args:
+            base: J_all.
+            theta: θ.
+        """
+        stage, share = self.stage, theta / (1 + theta)
+        if not base.lower > 0 or share * stage.share >= 1:
+            return None
+        turn = sqrt(1 - share * stage.share) - sqrt(share) * stage.slope
+        along = sqrt(1 + self.excess) + self.slope
+        k = along * sqrt(share) / turn * MORE if turn > 0 else 1.0
+        if not k < 1:
+            return None
+        h = (k * (stage.fixed + stage.rest / sqrt(2 * base.lower)) + self.fixed) * MORE
+        free = (1 - k * k) / MORE
+        return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * MORE
+
+
+def allowance(
+    loop: Stored, regulator: Regulator, steady: Filter, cost: float, apart: Apart | None = None
+) -> Allowance | None:
+    """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small.
+
+    Args:
+        loop: the loop of regulator and filter as stored.
+        regulator: the regulator, whose gain L and weight H are used.
+        steady: the filter, whose gain is used.
+        cost: J_all, relative to which the addition is to be small.
+        apart: the sensors that filter apart, if the estimate is a sum of contributions.
+    """
+    if not forgets_the_start(loop.problem.plant, loop.problem.exact):
+        return None
+    found, given = None, (loop, regulator, steady, cost, apart)
+    for bits, doubles in loop.attempts():
+        if bits > PRECISIONS[1]:
+            break
+        with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
+            found = _allowance(Doubles, *given) if doubles else _allowance(Balls, *given)
+            if not doubles or found.within(ENOUGH, cost):  # what balls leave is the rounding of the gains
+                break
+    return found if found is not None and found.within(COST_ERROR, cost) else None
+
+
+class _Norm(NamedTuple, Generic[E]):
+    """A norm in which a loop contracts: X, 0 outside ``states``, with X − F'XF ⪰ X/ν.
+
+    Args:
+        X: the square of the norm.
+        nu: ν.
+        states: the states that it measures, and which the others do not affect.
+    """
+
+    X: E
+    nu: float
+    states: Bits
+
+    def of(self, T: E, norm: E) -> float:
+        """Return the largest |Tζ| in another norm for |ζ| = 1.
+
+        Raises:
+            UnprovedError: T depends on states that this norm does not measure.
+        """
+        seen, states, X = _squared(T, norm), self.states, self.X
+        if not states.all():
+            if seen.part(~states, slice(None)).most.any():
+                raise UnprovedError("a state that does not decay has a weight")
+            seen, X = seen.part(states, states), X.part(states, states)
+        return sqrt(_ratio(seen, X))
+
+    def noise(self, covariance: E) -> float:
+        """Return a bound on the root mean square of |ζ| that independent noise of a covariance causes."""
+        return sqrt(self.nu * _most(self.X, covariance))
+
+    def driven(self, size: float) -> float:
+        """Return a bound on the root mean square of |ζ| that any inputs of this root mean square cause."""
+        return 2 * self.nu * size  # 1/(1 − √(1 − 1/ν)) is less than 2ν
+
+
+def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
+    """Return a norm for the states of a loop that have an effect on ``seen``.
+
+    Args:
+        arithmetic: that of F.
+        F: the loop, (n, n).
+        variances: sizes of the states, whose squares they are, (n,).
+        seen: bounds on the effects of the states, (rows, n).
+
+    Raises:
+        UnprovedError: the loop is not proved stable.
+    """
+    states = closure(np.asarray((seen > 0).any(axis=0), dtype=np.bool_), np.asarray(F.most > 0, dtype=np.bool_).T)
+    size = np.where(variances > 0, 1 / np.maximum(variances, NO_VARIANCE), 1.0)[states]
+    X, falls = ranked(arithmetic, F.part(states, states), size)
+    place, middle, radius = np.ix_(states, states), np.zeros(F.shape), np.zeros(F.shape)
+    middle[place], radius[place] = X.middle, X.radius
+    return _Norm(arithmetic.exact(middle).widened(radius), _ratio(X, falls), states)
+
+
+def _allowance(
+    arithmetic: type[E],
+    stored: Stored,
+    regulator: Regulator,
+    steady: Filter,
+    cost: float,
+    apart: Apart | None,
+) -> Allowance:
+    """Return the bounds in one arithmetic.
+
+    Raises:
+        UnprovedError: the loop is not proved stable, or H is not proved definite.
+    """
+    problem, plant, exact = stored.problem, stored.problem.plant, arithmetic.exact
+    _, step, loop, states, noise, X, falls = stored(arithmetic)
+    L, H, g, C, V = map(exact, (regulator.L, regulator.H, steady.gain, plant.C, plant.V))
+    worth = exact(regulator.K), exact(regulator.error)
+    weight = (step.R + _between(step.B, worth, step.B)).symmetric()
+    best = solve(weight, _between(step.B, worth, step.A) + step.N.T).times(-1.0)
+    left = exact(np.eye(plant.states)) - g @ C
+    S = block([[exact(np.eye(plant.states)), left.times(-1.0)]])
+    off, drift = L - best, step.B - exact(plant.B)
+    moved = (step.A - exact(plant.A)) + drift @ L  # ΔA + ΔB L
+
+    unlike = _unlike(problem, step, arithmetic)
+    used = block([[exact(np.eye(plant.states))], [L]])  # (x̂, û) without e
+    if states.all():
+        norm = _Norm(X, _ratio(X, falls), states)
+    else:  # other states may affect what is seen
+        seen = np.concatenate([part.most for part in (off @ S, moved @ S, unlike @ used @ S)])
+        noise = (loop.G @ step.W @ loop.G.T + loop.J @ V @ loop.J.T).symmetric()
+        norm = _norm(arithmetic, loop.F, np.diag(summed(loop.F.middle, noise.middle)), seen)
+    fixed, slope = norm.noise(noise), norm.driven(sqrt(_ratio(_squared(loop.M, norm.X), H)))  # of ζ
+    share = norm.of(off @ S, weight)
+    a = np.array([share * fixed + _spread(off @ g, weight, V), share * slope])
+    share = norm.of(used @ S, unlike)
+    far = np.array([share * fixed + _spread(used @ g, unlike, V), share * slope])
+    inputs = unlike.part(slice(plant.states, None), slice(plant.states, None))
+    rest, squares = 4 * far[0] ** 2, 4 * far[1] ** 2 + 2 * _ratio(inputs, H)
+    b = d = np.zeros(2)
+    if not plant.full_state:  # otherwise x̂ = x = x̂*
+        prior = exact(steady.prior), exact(steady.error)
+        innovation = (_between(C.T, prior, C.T) + V).symmetric()
+        wrong = g - solve(innovation, _between(C.T, prior, exact(np.eye(plant.states)))).T
+        errors = _norm(
+            arithmetic, step.A @ left, np.diag(steady.prior), np.concatenate([(best @ left).most, (step.Q @ left).most])
+        )
+        share = norm.of(moved @ S, errors.X)
+        follows = np.array([share * fixed + _spread(moved @ g, errors.X, V), share * slope])
+        follows[1] += sqrt(_ratio(_squared(drift, errors.X), H))
+        before = np.array([errors.driven(one) for one in follows.tolist()])  # d⁻
+        before[0] += _spread(step.A @ wrong, errors.X, innovation) * sqrt(errors.nu)
+        b, d = errors.of(best @ left, weight) * before, errors.of(left, step.Q) * before
+        b[0] += _spread(best @ wrong, weight, innovation)
+        d[0] += _spread(wrong, step.Q, innovation)
+        known = left @ prior[0] @ left.T + g @ V @ g.T  # the exact variance is less by those of the error and of g − g*
+        most = exact(np.array([[float(np.trace(problem.Q @ steady.posterior))]])) - inner(step.Q, known)
+        more = float(most.middle[0, 0] + most.radius[0, 0])
+        more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
+        rest += max(more, 0.0)
+    stage = StageError(float(d[0]) * MORE, float(d[1]) * MORE, float(rest) * MORE, float(squares) * MORE)
+    excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * MORE, float(a[1] + b[1]) * MORE
+    if apart is not None and not plant.full_state:
+        # e + LΔ in place of e: s' ≤ (s + l₀)/(1 − l₁)
+        first, more = _of_contributions(arithmetic, problem, regulator, steady, apart, norm, (fixed, slope))
+        along = (sqrt(1 + excess) + rise) / (1 - more)
+        root, rise = (root + along * first) * MORE, (along - sqrt(1 + excess)) * MORE + ROUNDOFF * 8
+    return Allowance(excess, root, rise, stage)
+
+
+def _of_contributions(
+    arithmetic: type[E],
+    problem: Discrete,
+    regulator: Regulator,
+    steady: Filter,
+    apart: Apart,
+    norm: _Norm[E],
+    size: tuple[float, float],
+) -> tuple[float, float]:
+    """Return l₀ and l₁ of the bound l₀ + l₁·s on the root of E[(LΔ)'H(LΔ)].
+
+    Args:
+        arithmetic: that of the norm.
+        problem, regulator, steady: the stored loop.
+        apart: the sensors that filter apart.
+        norm: the norm of the states ζ of the stored loop.
+        size: fixed part and slope of their root mean square.
+    """
+    plant, exact, every = problem.plant, arithmetic.exact, slice(None)
+    A, B, C, V, L, H, g = map(exact, (plant.A, plant.B, plant.C, plant.V, regulator.L, regulator.H, steady.gain))
+    one = exact(np.eye(plant.states))
+    left, moved = one - g @ C, apart.moved
+    turn = left @ A
+    wrong, product = exact(apart.rest) - left, exact(moved) - turn
+    errors = _norm(  # it contracts along Ω and along the exact product
+        arithmetic, turn.widened(np.abs(moved - turn.middle) * MORE), np.diag(steady.prior), L.most
+    )
+    parts = np.zeros(2)
+    for outputs in apart.outputs:
+        chosen = np.isin(np.arange(plant.outputs), outputs)
+        gain = g.part(every, chosen)
+        measured = block([[gain @ C.part(chosen, every), exact(np.zeros(plant.A.shape))]])
+        seen = norm.of(measured, errors.X) * np.array(size)
+        seen[0] += _spread(gain, errors.X, V.part(chosen, chosen))
+        parts += np.array([errors.driven(part) for part in seen.tolist()])
+    S, closed = block([[one, left.times(-1.0)]]), wrong @ (A + B @ L)
+    pushed = norm.of(closed @ S, errors.X) * np.array(size)
+    pushed += (errors.of(wrong @ A, errors.X) + errors.of(product, errors.X)) * parts
+    pushed += [_spread(closed @ g, errors.X, V), sqrt(_ratio(_squared(wrong @ B, errors.X), H))]
+    kept = 1 - errors.driven(errors.of(wrong @ A, errors.X))
+    if not kept > 0.5:
+        raise UnprovedError("the contributions of sensors are not proved to be accurate")
+    first, more = (errors.of(L, H) * errors.driven(part) / kept * MORE for part in pushed.tolist())
+    if not more < 0.5:
+        raise UnprovedError("the contributions of sensors are not proved to be accurate")
+    return first, more
+
+
+def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
+    """Return a diagonal weight of (x, u) above the difference between the stored weights and the exact ones."""
+    exact, size = arithmetic.exact, sum(problem.plant.B.shape)
+    if problem.exact is None:
+        return exact(np.zeros((size, size)))
+    stored = block([[exact(problem.Q), exact(problem.N)], [exact(problem.N.T), exact(problem.R)]])
+    return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * MORE))
+
+
+def _between(left: E, solution: tuple[E, E], right: E) -> E:
+    """Return left'·X·right for all X between K − error and K + error: |x'ΔKy|² ≤ x'(error)x · y'(error)y."""
+    K, error = solution
+    sizes = [np.sqrt(np.diag(_squared(part, error).most)) for part in (left, right)]
+    return (left.T @ K @ right).widened(np.outer(*sizes) * MORE)
+
+
+def _squared(T: E, norm: E) -> E:
+    return (T.T @ norm @ T).symmetric()
+
+
+def _most(one: E, other: E) -> float:
+    """Return a bound on the trace of the product of two symmetric matrices."""
+    return float(inner(one, other).most[0, 0])
+
+
+def _spread(T: E, norm: E, covariance: E) -> float:
+    """Return a bound on the root mean square of |Tv| for a v of a covariance."""
+    return sqrt(_most(_squared(T, norm), covariance))
+
+
+def _ratio(M: E, D: E) -> float:
+    """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
+
+    It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
+
+    Raises:
+        UnprovedError: the bound is not proved.
+    """
+    if not M.most.any():
+        return 0.0
+    unit = 1 / np.sqrt(np.maximum(np.diag(D.middle), NO_VARIANCE))
+    unit = unit * unit[:, None]
+    try:
+        power = np.linalg.solve(D.middle * unit, M.middle * unit + np.diag((M.radius * unit).sum(axis=1)))
+    except np.linalg.LinAlgError as error:
+        raise UnprovedError("a weight is not definite") from error
+    size = float(np.linalg.norm(power)) + NO_VARIANCE
+    power = power / size
+    for _ in range(SQUARINGS):
+        power = power @ power
+    trace = max(float(np.vdot(power.T, power)), 0.0)
+    ratio = 1.001 * size * trace**2.0 ** -(SQUARINGS + 1) + 1e-200
+    for _ in range(TRIALS):
+        if (D.times(ratio) - M).definite():
+            return ratio
+        ratio *= 2
+    raise UnprovedError("a bound is not proved")

@@ -3,23 +3,32 @@
 The plant applies u + d instead of u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with
 the time constant T and a constant standard deviation, also at the start of a run over a horizon or with a discount. The
 state of the plant becomes (x, d).
+
+Reference trajectories, and the signals of a policy that tracks a reference.
+
+Plants whose outputs are to follow set-points in spite of disturbances.
+
+Step functions of nonlinear plants with their disturbances and set-points.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, block_diagonal, number
+from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, number
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
-from taciturn.model.display import counted_from
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.operating_point import MovedDynamics, OperatingPoint
+from taciturn.model.plant import ContinuousPlant, Plant, counted_from
+from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Timetable
 
 USUAL_STEPS = 1000.0  # default time constant in steps
 MOST_STEPS = 1e6  # longest time constant in steps
@@ -188,3 +197,180 @@ class _Disturbed(Displayed):
         n, d = self.states, x[self.states :]
         moved: Any = self.function.function(x[:n], u + d, w[:n])
         return np.concatenate([np.array(list(moved)), self.kept * d + w[n:]])
+
+
+FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Reference(Displayed):
+    """A reference trajectory of states r_0 … r_N and inputs f_0 … f_{N−1}, stored at both ends of the network.
+
+    Args:
+        states: reference states r_k, (steps + 1, n), in the units of the plant.
+        inputs: feedforward inputs f_k, (steps, m), with r_{k+1} = A r_k + B f_k in deviations from the operating point.
+
+    Raises:
+        ProblemError: if the lengths of states and inputs do not match.
+    """
+
+    states: Array
+    inputs: Array
+
+    def __init__(self, states: ArrayLike, inputs: ArrayLike) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "inputs", array("reference.inputs", inputs, (None, None), "(steps, inputs)"))
+        shape, meaning = (len(self.inputs) + 1, None), "(steps + 1, states)"
+        object.__setattr__(self, "states", array("reference.states", states, shape, meaning))
+
+    def relative_to(self, plant: Plant) -> Reference:
+        """Return the trajectory of the deviations from the operating point of a plant."""
+        point = plant.operating_point
+        fits = (self.states.shape[1], self.inputs.shape[1]) == (plant.states, plant.inputs)  # otherwise check raises
+        return self if point is None or not fits else Reference(self.states - point.x, self.inputs - point.u)
+
+    def check(self, plant: Plant, horizon: int) -> None:
+        """Check that the reference satisfies r_{k+1} = A r_k + B f_k of the plant over ``horizon`` steps.
+
+        Raises:
+            ProblemError: if a size or the length differs, or a state does not follow from the step before.
+        """
+        SIMULATED.check(self)
+        for name, found, wanted in (
+            ("inputs", self.inputs.shape, (horizon, plant.inputs)),
+            ("states", self.states.shape, (horizon + 1, plant.states)),
+        ):
+            if found != wanted:
+                raise ProblemError(
+                    f"reference.{name} has shape {found}; expected {wanted}, from the horizon and the dimensions of "
+                    "the plant"
+                )
+        caused, pushes = self.states[:-1] @ plant.A.T, self.inputs @ plant.B.T
+        miss = np.abs(caused + pushes - self.states[1:]).max(axis=1)
+        allowed = FOLLOWS * max(float(np.abs(part).max()) for part in (self.states, caused, pushes))
+        if (miss > allowed).any():
+            step = int(np.argmax(miss > allowed))
+            raise ProblemError(
+                f"reference.states differs by {miss[step]:.3g} at step {step + 1} from A r + B f of step {step}; "
+                f"expected r⁺ = A r + B f within {allowed:.3g}: compute the states from the inputs with all digits"
+            )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracking(Displayed):
+    """The reference signals of a policy; the cost penalises the deviations of state and input from these signals.
+
+    Args:
+        state: name of the signal with the reference state r_k.
+        input: name of the signal with the feedforward input f_k.
+        final: final reference state r_N, (n,).
+    """
+
+    state: str
+    input: str
+    final: Array
+
+
+AnyPlant = TypeVar("AnyPlant", bound=Plant | ContinuousPlant)
+
+
+def follow(
+    plant: AnyPlant,
+    outputs: ArrayLike | None = None,
+    value: ArrayLike | None = None,
+    disturbances: Sequence[ExternalDisturbance] | ExternalDisturbance = (),
+    changes: Changes | None = None,
+) -> AnyPlant:
+    """Return a plant with disturbances that are to be compensated, and with set-points of some outputs.
+
+    Args:
+        plant: the plant.
+        outputs: C_z of the outputs z = C_z x that are to be at their set-points in spite of the disturbances, (z, n);
+            default: the measured outputs, C x + D u for a plant with a direct feedthrough.
+        value: the set-points, (z,), in the units of the plant; default: z at its operating point. With steps at random
+            times, those at the start.
+        disturbances: the disturbances, or the only one.
+        changes: how the set-points change while the loop runs; None for constant set-points.
+
+    Returns:
+        The plant. A policy for it estimates the disturbances, and its cost weights the deviations from the states and
+        inputs at which z is at the set-points.
+
+    Raises:
+        ProblemError: a size does not fit the plant.
+
+    Source: francis1977
+
+    Example:
+        >>> plant = Plant([[0.9]], [[1.0]], [[0.1]], C=[[1.0]], V=[[0.1]])
+        >>> follow(plant, value=[2.0], disturbances=[ExternalDisturbance([1.0], wander=1e-3)]).exosystem.start
+        array([0., 2.])
+    """
+    instance("plant", plant, Plant, ContinuousPlant)
+    listed = (disturbances,) if isinstance(disturbances, ExternalDisturbance) else disturbances
+    for one in listed:
+        instance("disturbances", one, ExternalDisturbance)
+    if plant.exosystem is not None:
+        raise ProblemError(
+            "the plant already has disturbances or set-points; expected all of them in one call, for the plant without"
+        )
+    fed = plant.D if outputs is None else None
+    target = SetPoint(plant.C if outputs is None else outputs, value, changes, D=fed)
+    return with_target(plant, target, listed, value is not None)
+
+
+def with_target(
+    plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance], valued: bool
+) -> AnyPlant:
+    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or a timetable.
+
+    Raises:
+        ProblemError: a size does not fit the plant.
+    """
+    if target.outputs.shape[1] != len(plant.A):
+        raise ProblemError(
+            f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
+        )
+    point = plant.operating_point
+    if point is not None and (valued or isinstance(target.changes, Timetable)):
+        target = target.relative_to(point.x, point.u)
+    found = copy(plant)
+    object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
+    return found
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DisturbedDynamics(Displayed):
+    """A step function with an exosystem: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d).
+
+    Args:
+        dynamics: f.
+        E: effect of the disturbances on the next state, (n, q).
+        S: dynamics of disturbances and set-points, (q, q).
+    """
+
+    dynamics: Dynamics
+    E: Array
+    S: Array
+
+    def __call__(self, x: Any, u: Any, w: Any) -> Any:
+        """Return the next states of the plant, its disturbances and its set-points."""
+        n = len(self.E)
+        found: Any = self.dynamics.function(x[:n], u, w[:n])
+        return np.array([*(np.array(list(found)) + self.E @ x[n:]), *(self.S @ x[n:] + w[n:])])
+
+    @staticmethod
+    def of(function: Dynamics, E: Array, S: Array, rest: Array) -> Dynamics:
+        """Return the function of a plant with its exosystem, which is moved as the function of the plant alone is.
+
+        Args:
+            function: f, which may be moved to an operating point.
+            E: effect of the disturbances on the next state, (n, q).
+            S: dynamics of disturbances and set-points, (q, q).
+            rest: disturbances and set-points at the operating point, with E d = 0 and S d = d, (q,).
+        """
+        moved = function.function
+        if not isinstance(moved, MovedDynamics):
+            return Dynamics(DisturbedDynamics(function, E, S))
+        x, to = (np.concatenate([one, rest]) for one in (moved.x, moved.rest))
+        return Dynamics(MovedDynamics(Dynamics(DisturbedDynamics(moved.dynamics, E, S)), x, moved.u, to))

@@ -9,11 +9,11 @@ import numpy as np
 
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
-from taciturn.model.coordinates import at_rest
 from taciturn.model.coverage import INTERVALS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes, told_by
-from taciturn.model.policy import (
+from taciturn.model.policy import Policy, at_rest
+from taciturn.model.steps import (
     ONE,
     Acknowledged,
     Apply,
@@ -22,12 +22,12 @@ from taciturn.model.policy import (
     Decide,
     Draw,
     Evaluate,
-    Policy,
     Received,
     Send,
     Step,
+    assigned,
+    read,
 )
-from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
 
 INFORMED = Coverage(STEPS | TRACKING | INTERVALS, "the check of the information pattern does not know")

@@ -1,14 +1,29 @@
-"""Random processes of packet dropouts: a Markov chain whose state sets the loss probability of a link."""
+"""Random processes of packet dropouts: a Markov chain whose state sets the loss probability of a link.
+
+The laws of bursty losses, one per file: a class derived from ``LossLaw`` and, at the end, its name ``LAW``.
+
+A problem file names the law with the key ``law``: the name of the file, with hyphens in place of underscores. A package
+of one's own registers a law by an entry point of the group ``taciturn.bursts``. A new law needs no other entry.
+
+Losses with a good and a bad state of the link.
+
+Losses with any number of states of the link.
+"""
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cache, cached_property
+from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, number
 from taciturn._display import Displayed
+from taciturn._plugins import find_plugins, load_entry
 from taciturn.errors import ProblemError
 
 SUMS = 1e-9  # largest deviation of a sum of probabilities from 1
@@ -110,3 +125,178 @@ def _pick(chances_of_states: Array, chances: Array | float) -> Array:
     last = len(chances_of_states) - 1
     ends = np.cumsum(chances_of_states[::-1])
     return last - np.minimum(np.searchsorted(ends, chances, side="right"), last)
+
+
+GROUP = "taciturn.bursts"
+USUAL = "gilbert-elliott"
+
+
+def law_names() -> list[str]:
+    """Return the names of all laws: those of this file, and those of installed packages."""
+    return [*OWN, *(name for name in find_plugins(GROUP) if name not in OWN)]
+
+
+@cache
+def find_law(name: str) -> type[LossLaw]:
+    """Return the class of a law.
+
+    Raises:
+        ProblemError: there is no such law, or its class cannot be imported.
+    """
+    if name not in law_names():
+        raise ProblemError(f"law is {name!r}; expected one of {', '.join(law_names())}")
+    added = find_plugins(GROUP).get(name)
+    found = load_entry(added[0], f"the law {name} of losses") if added else OWN[name]
+    if not (isinstance(found, type) and issubclass(found, LossLaw)):
+        raise ProblemError(f"the law {name} of losses is {found!r}; expected a class derived from LossLaw")
+    return found
+
+
+def _is_of(law: LossLaw, name: str) -> bool:
+    """Return whether a name is that of a law; that of a broken package is not."""
+    try:
+        return find_law(name) is type(law)
+    except ProblemError:
+        return False
+
+
+def law_text(law: LossLaw) -> str:
+    """Return a law in one word, as the option ``--burst`` of a relay reads it.
+
+    Example:
+        >>> from taciturn import Burst
+        >>> law_text(Burst(0.05, 0.3, 0.01, 0.7))
+        'gilbert-elliott:0.05,0.3,0.01,0.7'
+    """
+    name = next((name for name in law_names() if _is_of(law, name)), None)
+    if name is None:
+        raise ProblemError(
+            f"losses follow {type(law).__name__}, which other processes cannot find; expected a law with a name: "
+            f"register the class by an entry point of the group {GROUP}"
+        )
+    values = [getattr(law, field.name) for field in fields(cast("Any", law))]
+    return f"{name}:{json.dumps(values, separators=(',', ':'))[1:-1]}"
+
+
+def read_law(name: str, text: str) -> LossLaw:
+    """Return the law that a text describes: its values in their order, after the name of a law and a colon, if given.
+
+    Args:
+        name: name of the option, for messages.
+        text: such as ``0.05,0.3,0.01,0.7``.
+
+    Raises:
+        ProblemError: there is no such law, or the values are not those of the law.
+    """
+    stated, colon, values = text.rpartition(":")
+    law_name, known = stated if colon else USUAL, law_names()
+    try:
+        given = cast("list[Any]", json.loads(f"[{values}]") if law_name in known else [])
+    except json.JSONDecodeError:
+        given = []
+    if given and len(given) == len(_keys(law_name)):
+        try:
+            return find_law(law_name)(*given)
+        except ProblemError as error:
+            raise ProblemError(f"{name} is {text!r}; {error}") from None
+    forms = [f"{one}:{','.join(_keys(one))}" for one in ([stated] if stated in known else known)]
+    raise ProblemError(
+        f"{name} is {text!r}; expected {' or '.join(forms)}, with a number or a list of numbers in place of each name"
+    )
+
+
+def _keys(law_name: str) -> list[str]:
+    return [field.name for field in fields(cast("Any", find_law(law_name)))]
+
+
+@dataclass(frozen=True, repr=False)
+class Burst(LossLaw):
+    """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
+
+    Args:
+        to_bad: probability per step of a transition from good to bad, in [0, 1].
+        to_good: probability per step of a transition from bad to good, in [0, 1].
+        loss_good: loss probability in the good state, in [0, 1].
+        loss_bad: loss probability in the bad state, in [0, 1].
+
+    Raises:
+        ProblemError: if a probability is outside [0, 1].
+
+    Source: gilbert1960, elliott1963
+    """
+
+    to_bad: float
+    to_good: float
+    loss_good: float
+    loss_bad: float
+
+    def __post_init__(self) -> None:
+        """Check the ranges of the arguments."""
+        for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
+            object.__setattr__(self, name, number(name, getattr(self, name), 0.0, 1.0, closed=True))
+
+    @property
+    def turns(self) -> Array:
+        """Transition probabilities between good and bad, (2, 2)."""
+        return np.array([[1 - self.to_bad, self.to_bad], [self.to_good, 1 - self.to_good]])
+
+    @property
+    def losses(self) -> Array:
+        """Loss probability in the good and in the bad state, (2,)."""
+        return np.array([self.loss_good, self.loss_bad])
+
+    @cached_property
+    def start(self) -> Array:
+        """Stationary distribution of the state, (2,)."""
+        return np.array([1 - self.share_bad, self.share_bad])
+
+    @property
+    def share_bad(self) -> float:
+        """Stationary probability of the bad state; 0 for a link that remains in its initial good state."""
+        turns = self.to_bad + self.to_good
+        return 0.0 if turns == 0 else self.to_bad / turns
+
+
+@dataclass(frozen=True, repr=False)
+class Chain(LossLaw):
+    """Losses of a link with any states, such as the levels of a fading channel or the phases of a periodic jammer.
+
+    Args:
+        drops: loss probability in each state, in [0, 1].
+        moves: probabilities per step of a transition from each state (row) to each state (column).
+
+    Raises:
+        ProblemError: if a number is not a probability, the sum of a row is not 1, or the stationary distribution is
+            not unique.
+
+    Example:
+        >>> jammer = Chain(drops=(1.0, 0.0, 0.0), moves=((0, 1, 0), (0, 0, 1), (1, 0, 0)))  # every third step
+        >>> round(jammer.loss, 12)
+        0.333333333333
+    """
+
+    drops: Sequence[float]
+    moves: Sequence[Sequence[float]]
+
+    def __post_init__(self) -> None:
+        """Check the arguments."""
+        object.__setattr__(self, "drops", tuple(number("drops", one, 0.0, 1.0, closed=True) for one in self.drops))
+        if any(len(row) != len(self.moves) for row in self.moves):
+            lengths = ", ".join(str(len(row)) for row in self.moves)
+            raise ProblemError(f"moves has rows of {lengths} numbers; expected {len(self.moves)} in each")
+        moves = tuple(tuple(number("moves", one, 0.0, 1.0, closed=True) for one in row) for row in self.moves)
+        object.__setattr__(self, "moves", moves)
+        self.check()
+
+    @property
+    def turns(self) -> Array:
+        """Transition probabilities between the states, (s, s)."""
+        return np.array(self.moves)
+
+    @property
+    def losses(self) -> Array:
+        """Loss probability in each state, (s,)."""
+        return np.array(self.drops)
+
+
+OWN: Mapping[str, type[LossLaw]] = {"chain": Chain, "gilbert-elliott": Burst}  # by the name in problem files

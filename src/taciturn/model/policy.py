@@ -3,30 +3,46 @@
 A policy lists the policy steps of all nodes within one sampling step, in order. A signal that is read before it is
 assigned has its value of the previous sampling step. Memories and delays are expressed by this order. The signal
 ``ONE``, the number 1, is available at every node; its weights are constants.
+
+Limits on the intervals between sends of a link, as part of a policy's decisions.
+
+A link with the limits n = ``min_interval`` and N = ``max_interval`` adds to its sender a count c of the steps since
+the last send. While c < n, the labels that send are excluded from the decision, and while c ≥ N, those that do not.
+The count starts at n, as if the last send had been n steps before the first step. It counts sends: a packet that the
+link drops counts as sent.
+
+The plant, cost and network of a policy that is studied without a problem: those that it was designed for.
+
+Plants and policies in other coordinates: in deviations from another operating point, or in the units of the plant.
+
+A design counts states and inputs from the operating point of its plant. Nodes, packets and trajectories are in the
+units of the plant. ``in_units`` adds the point to the signals of a policy: measurements, inputs, estimates, and the
+signals that are copied from them. A sum of signals gets a constant term. Any other policy step that reads such a signal
+reads its deviation from the point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain, pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn._arrays import Array, array, frozen, number
+from taciturn._arrays import Array, array, frozen, instance, number
 from taciturn._display import Displayed
 from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import uncovered
+from taciturn.model.coverage import INTERVALS, uncovered
 from taciturn.model.diagram import DRAWN, Diagram, Link, Place
-from taciturn.model.disturbance import Disturbance
-from taciturn.model.intervals import keep_intervals
-from taciturn.model.location import Location, joint_cycle
+from taciturn.model.disturbance import Disturbance, Tracking
+from taciturn.model.link import IDEAL_LINK, LONGEST, LinkLaw
 from taciturn.model.network import Network
-from taciturn.model.plant import Plant, Prediction
-from taciturn.model.reference import Tracking
+from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.plant import Plant, Prediction, about
 from taciturn.model.schedule import Schedule
 from taciturn.model.steps import (
     ONE,
@@ -37,18 +53,199 @@ from taciturn.model.steps import (
     Decide,
     Draw,
     Evaluate,
+    Location,
     Send,
     Step,
     assigned,
+    fixed_choices,
+    joint_cycle,
+    read,
     site_of,
 )
 from taciturn.model.steps import Received as Received
 from taciturn.model.steps import Terms as Terms
 from taciturn.model.theory import Guarantee, Theory
-from taciturn.model.trigger import Form, Scheduled, Trigger, shape_of
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+HALF = 0.5  # between two counts of steps
+
+
+def steps_since(link: str) -> str:
+    """Return the name of the signal that counts the steps since the last send on a link."""
+    return f"steps since a packet on {link}"
+
+
+def longest_silence(network: Network, link: str) -> int | None:
+    """Return the number of steps after which a packet of a running sender must have arrived.
+
+    It is ``max_interval`` on a link without losses, and otherwise None, because a link that drops packets may drop this
+    one.
+    """
+    law = network.links[link]
+    return None if law.mean_loss else law.max_interval
+
+
+def keep_intervals(policy: Policy) -> Mapping[str, Any]:
+    """Return the fields of a policy that change so that its decisions keep the limits of its network; often none.
+
+    Raises:
+        ProblemError: packets are sent at fixed steps that break the limits, or the decisions keep other limits already.
+    """
+    steps, network = policy.steps, policy.network
+    sends = {step.link: step for step in steps if isinstance(step, Send)}
+    kept = {step.signal for step in steps if isinstance(step, Assign)}
+    limited = {link: network.links[link] for link in sends if network.links[link].intervals != IDEAL_LINK.intervals}
+    present = [link for link in sends if steps_since(link) in kept]
+    if not limited and not present:
+        return {}
+    deciding = {link: law for link, law in limited.items() if not _fixed(policy, sends[link], law)}
+    if present:
+        _expect_same(policy, present, deciding)
+        return {}
+    found = [one for step in steps for one in _kept(step, {link: sends[link] for link in deciding}, deciding)]
+    theory, withdrawn = _theory(policy, deciding)
+    return {
+        "steps": tuple(found),
+        "initial": {**policy.initial, **_starts(deciding)},
+        "theory": theory,
+        "notes": (*policy.notes, *withdrawn),
+    }
+
+
+def _starts(laws: Mapping[str, LinkLaw]) -> dict[str, Any]:
+    return {steps_since(link): np.array([float(law.min_interval)]) for link, law in laws.items()}
+
+
+def _kept(step: Step, sends: Mapping[str, Send], laws: Mapping[str, LinkLaw]) -> list[Step]:
+    """Return a step; for a decision on limited links, the decision with the labels that it excludes, and the counts."""
+    on = {link: send for link, send in sends.items() if isinstance(step, Decide) and send.on == step.decision}
+    if not on or not isinstance(step, Decide):
+        return [step]
+    labels = step.trigger.labels
+    sending = {link: send.labels or labels[1:] for link, send in on.items()}
+    _expect_sets(step, sending)
+    excluded = {
+        label: tuple(form for link in on for form in _forms(link, laws[link], label in sending[link]))
+        for label in labels
+    }
+    trigger = replace(step.trigger, excluded={label: forms for label, forms in excluded.items() if forms})
+    return [replace(step, trigger=trigger), *(_count(step, link, sending[link]) for link in on)]
+
+
+def _forms(link: str, law: LinkLaw, sends: bool) -> list[Form]:
+    """Return the forms that are positive while a label that sends, or one that does not, breaks the limits."""
+    count = steps_since(link)
+    if sends:
+        return [Form(constant=law.min_interval - HALF, plus={count: -1.0})] if law.min_interval > 1 else []
+    return [] if law.max_interval is None else [Form(constant=HALF - law.max_interval, plus={count: 1.0})]
+
+
+def _count(step: Decide, link: str, sending: Sequence[str]) -> Assign:
+    """Return the step that counts the steps since the last send, for the next step."""
+    count, one = steps_since(link), np.ones((1, 1))
+    return Assign(
+        step.at,
+        count,
+        tuple({ONE: one} if label in sending else {count: one, ONE: one} for label in step.trigger.labels),
+        step.decision,
+    )
+
+
+def _expect_sets(step: Decide, sending: Mapping[str, Sequence[str]]) -> None:
+    """Raise an error if a decision on several links has no label for a set of links that the limits may demand."""
+    labels = {tuple(label in labels for labels in sending.values()) for label in step.trigger.labels}
+    missing = [sets for sets in product((False, True), repeat=len(sending)) if sets not in labels]
+    if missing:
+        named = " and ".join(link for link, sends in zip(sending, missing[0], strict=True) if sends) or "no link"
+        raise ProblemError(
+            f"the decision {step.decision!r} has no label that sends on {named} only, which limits of the intervals "
+            "between sends may demand; expected a label for each set of links, or no min_interval and max_interval"
+        )
+
+
+def _fixed(policy: Policy, send: Send, law: LinkLaw) -> bool:
+    """Return whether packets of a link are sent at fixed steps, after a check that these keep the limits."""
+    triggers = policy.decisions
+    chosen = ["always"] * 2 if send.on is None else fixed_choices(send.on, policy.locations, triggers)
+    if chosen is None:
+        return False
+    horizon = None if policy.theory.cost is None else policy.theory.cost.horizon
+    silent = () if send.on is None else _silent(send, triggers[send.on])
+    ticks = [k for k, label in enumerate(chosen[:horizon]) if label not in silent]
+    gaps = [after - before for before, after in pairwise(ticks)]
+    rest = [] if ticks and horizon is None else [(horizon or LONGEST + 1) - (ticks[-1] if ticks else 0)]
+    found = {
+        "min_interval": min(gaps, default=law.min_interval),
+        "max_interval": max([*gaps, *rest, ticks[0] + 1 if ticks else 0]),
+    }
+    for name, gap in found.items():
+        limit = law.intervals[name]
+        if limit is not None and (gap < limit if name == "min_interval" else gap > limit):
+            every = f"with an interval of {gap} step{'s' * (gap > 1)}" if ticks else "or never"
+            raise ProblemError(
+                f"{policy.network.key(send.link, name)} is {limit}, but {policy.kind} sends at fixed steps on the "
+                f"{send.link} link, {every}; expected a limit that these steps keep, or other parameters of the policy"
+            )
+    return True
+
+
+def _silent(send: Send, trigger: Trigger) -> tuple[str, ...]:
+    sending = send.labels or trigger.labels[1:]
+    return tuple(label for label in trigger.labels if label not in sending)
+
+
+def _expect_same(policy: Policy, present: Sequence[str], laws: Mapping[str, LinkLaw]) -> None:
+    """Raise an error if the decisions of a policy keep other limits than those of its network."""
+    wanted = {link: [_numbers(form) for sends in (True, False) for form in _forms(link, law, sends)]
+              for link, law in laws.items()}  # fmt: skip
+    for link in dict.fromkeys((*present, *laws)):
+        count = steps_since(link)
+        forms = chain.from_iterable(trigger.excluded.values() for trigger in policy.decisions.values())
+        found = {_numbers(form) for form in chain.from_iterable(forms) if count in form.plus}
+        if found != set(wanted.get(link, ())):
+            raise ProblemError(
+                f"the decisions of this {policy.kind} keep other limits of the intervals between sends on the {link} "
+                f"link than the network, {policy.network.links[link].intervals}; expected the limits of the design: "
+                "design the policy again"
+            )
+
+
+def _numbers(form: Form) -> tuple[object, ...]:
+    return (form.constant, *form.plus.items())
+
+
+def _theory(policy: Policy, laws: Mapping[str, LinkLaw]) -> tuple[Theory, tuple[str, ...]]:
+    """Return the theory that holds with limits, and notes on the claims that do not.
+
+    Identities hold for all times of sends. A bound that limits the cost of each silent step holds with further sends;
+    no bound holds if a send is withheld.
+    """
+    theory = policy.theory
+    covers = theory.covers | INTERVALS
+    if not laws:
+        return replace(theory, covers=covers), ()
+    withheld = [policy.network.key(link, "min_interval") for link, law in laws.items() if law.min_interval > 1]
+    forced = [policy.network.key(link, "max_interval") for link, law in laws.items() if law.max_interval is not None]
+    guarantee, notes = theory.guarantee, tuple[str, ...]()
+    if guarantee is not None and (withheld or not guarantee.more_sends):
+        effect = f"{withheld[0]} withholds" if withheld else f"{forced[0]} forces"
+        notes = (f"{effect} packets against the decision of {policy.kind}, so no bound is claimed",)
+        guarantee = None
+    slower = max(law.min_interval for law in laws.values())
+    changed = replace(
+        theory,
+        guarantee=guarantee,
+        errors={} if withheld else theory.errors,
+        closed_form=None,
+        fixed_rates={link: rate for link, rate in theory.fixed_rates.items() if link not in laws},
+        settling=slower * theory.settling,
+        recovery=None if theory.recovery is None else slower * theory.recovery,
+        covers=covers,
+    )
+    return changed, notes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +253,7 @@ class Policy(Displayed):
     """A control policy as data: the policy steps that its nodes execute, in order, within each sampling step.
 
     If the network limits the intervals between sends, the decisions of the policy keep these limits
-    (``taciturn.model.intervals``).
+    (``taciturn.model.policy``).
 
     Args:
         kind: name of the policy kind in the catalogue.
@@ -243,7 +440,6 @@ class Policy(Displayed):
         The steps of a policy compute deviations from the operating point of its model. Here measurements, inputs,
         estimates and their copies, also in packets, include the point.
         """
-        from taciturn.model.coordinates import in_units
 
         return in_units(self)
 
@@ -408,3 +604,178 @@ def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]
         pattern.append(trigger.labels[int(np.argmin(values))] in labels)
         here = {clock.name: int(clock.table[here[clock.name]]) for clock in clocks}
     return tuple(pattern), visited[tuple(here.values())]
+
+
+def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
+    """Return the plant, the cost and the network that a policy was designed for.
+
+    Raises:
+        ProblemError: if the policy has no cost, or it was designed for a continuous plant, of which it holds only the
+            sampled matrices.
+    """
+    if policy.cost is None:
+        raise ProblemError(
+            f"{policy.kind} has no cost; expected the cost that it was designed for: theory=Theory(cost=…)"
+        )
+    if policy.tick != 1.0 or policy.theory.noise_cost or policy.prediction is not None:
+        raise ProblemError(
+            f"{policy.kind} has steps of {policy.tick:g} s, so its cost refers to a continuous plant, which a policy "
+            "does not hold; expected a Problem with this plant and a policy kind"
+        )
+    return policy.model.alone or policy.model, policy.cost, policy.network
+
+
+ESTIMATE, HELD = "estimate", "held"  # names of signals of all designs
+
+
+def in_units(policy: Policy) -> Policy:
+    """Return a policy in the units of the plant, which nodes carry out; without an operating point, it is the same."""
+    point = policy.model.operating_point
+    if point is None:
+        return policy
+    moves, theory = _moves(policy, point), policy.theory
+    sums = {name: _moved_terms(terms, moves.get(name), moves) for name, terms in theory.sums.items()}
+    assigns = {name for step in policy.steps for name in assigned(step)}
+    told = theory.innovations
+    if told is not None:
+        y = policy.model.C @ point.x
+        told = replace(told, predicted=_moved_terms(told.predicted, y, moves)) if told.signal is None else None
+    initial = {name: moves[name] + policy.initial.get(name, 0.0) for name in moves if name in assigns}
+    functions = theory.functions | {_deviation(name) for name in theory.functions}
+    return replace(
+        policy,
+        steps=tuple(found for step in policy.steps for found in _moved(step, moves)),
+        model=about(policy.model, None),
+        theory=Theory(
+            cost=theory.cost,
+            cost_all_time=theory.cost_all_time,
+            cost_all_time_error=theory.cost_all_time_error,
+            settling=theory.settling,
+            recovery=theory.recovery,
+            sums=sums,
+            innovations=told,
+            functions=functions,
+        ),
+        initial={**policy.initial, **initial},
+    )
+
+
+def at_rest(policy: Policy) -> dict[str, Array]:
+    """Return the values of signals at the operating point, of which the steps of a policy compute deviations."""
+    return {} if policy.model.operating_point is None else _moves(policy, policy.model.operating_point)
+
+
+def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
+    """Return what is added to each signal: the point to measurements, inputs and the estimate, and to their copies."""
+    y, sizes = policy.model.C @ point.x, policy.sizes
+    found = {name: point.u[[*inputs]] for name, (_, inputs) in policy.applied.items()}
+    held = {f"{HELD}_{node}": point.u[[*inputs]] for node, inputs in policy.applied.values()} | {HELD: point.u}
+    found |= {name: value for name, value in held.items() if sizes.get(name) == len(value)}
+    found |= {name: y[[*outputs]] for name, (_, outputs) in policy.measured.items()}
+    if sizes.get(ESTIMATE, len(point.x)) == len(point.x):  # it may be a sum of signals of several nodes
+        found[ESTIMATE] = point.x
+    copies = list[tuple[str, str]]()
+    for step in (step for step in policy.steps if isinstance(step, Assign)):
+        alone = [next(iter(terms.items())) for terms in step.branches if len(terms) == 1]
+        copies += [(step.signal, name) for name, matrix in alone if name != ONE and _is_identity(matrix)]
+    waiting = [*found]
+    while waiting:
+        name = waiting.pop(0)
+        for one, other in (*copies, *((other, one) for one, other in copies)):
+            if one == name and other not in found:
+                found[other] = found[name]
+                waiting.append(other)
+    followed = () if policy.tracking is None else (policy.tracking.state, policy.tracking.input)  # deviations
+    return {name: value for name, value in found.items() if value.any() and name not in followed}
+
+
+def _is_identity(matrix: Matrix) -> bool:
+    return isinstance(matrix, np.ndarray) and np.array_equal(matrix, np.eye(len(matrix)))
+
+
+def _moved(step: Step, moves: Mapping[str, Array]) -> tuple[Step, ...]:
+    """Return the steps that compute in the units of the plant what a policy step computes in deviations."""
+    if isinstance(step, Assign):
+        return _moved_sum(step, moves)
+    known = [name for name in dict.fromkeys(read(step)) if name in moves]
+    before = _deviations(step, known, moves)
+    if isinstance(step, Evaluate):
+        return *before, replace(step, forms=tuple(_renamed(form, moves) for form in step.forms))
+    if isinstance(step, Decide):
+        options = {label: _renamed(form, moves) for label, form in step.trigger.options.items()}
+        return *before, replace(step, trigger=replace(step.trigger, options=options))
+    if not isinstance(step, Apply):
+        return (step,)
+    results = [name for name in step.signals if name in moves]
+    signals = {_deviation(name) if name in moves else name: size for name, size in step.signals.items()}
+    reads = tuple(_deviation(name) if name in moves else name for name in step.reads)
+    after = (
+        Assign(step.at, name, {_deviation(name): np.eye(len(moves[name])), ONE: moves[name][:, None]})
+        for name in results
+    )
+    return *before, replace(step, signals=signals, reads=reads), *after
+
+
+def _moved_sum(step: Assign, moves: Mapping[str, Array]) -> tuple[Step, ...]:
+    """Return a sum with the constant by which its signals are moved; a table reads the deviation of a moved signal."""
+    tables = [
+        name
+        for name in dict.fromkeys(read(step))
+        if name in moves and any(isinstance(terms.get(name), Scheduled) for terms in step.branches)
+    ]
+    branches = list[Terms]()
+    for terms in step.branches:
+        renamed = {_deviation(name) if name in tables else name: matrix for name, matrix in terms.items()}
+        branches.append(_moved_terms(renamed, moves.get(step.signal), moves))
+    before = _deviations(step, tables, moves)
+    return *before, Assign(step.at, step.signal, tuple(branches) if step.on else branches[0], step.on)
+
+
+def _moved_terms(terms: Terms, move: Array | None, moves: Mapping[str, Array]) -> Terms:
+    """Return the terms of a sum with the constant by which it and its signals are moved."""
+    constant = np.zeros(shape_of(next(iter(terms.values())))[0]) if move is None else move
+    for name, matrix in terms.items():
+        if name in moves and not isinstance(matrix, Scheduled):
+            constant = constant - matrix @ moves[name]
+    if not constant.any():
+        return terms
+    stated = terms.get(ONE)
+    if isinstance(stated, Scheduled):
+        return {**terms, ONE: Scheduled(stated.by, stated.values + constant[:, None])}
+    return {**terms, ONE: constant[:, None] if stated is None else stated + constant[:, None]}
+
+
+def _deviations(step: Step, names: list[str], moves: Mapping[str, Array]) -> tuple[Step, ...]:
+    """Return the steps that compute the deviations of signals that a policy step reads, also from a packet."""
+    found = list[Step]()
+    for name in names:
+        deviation: Terms = {name: np.eye(len(moves[name])), ONE: -moves[name][:, None]}
+        if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):
+            found.append(Assign(step.at, _deviation(name), deviation))
+            continue
+        listed = step.branches if isinstance(step, Assign) else [form.reads for form in step.forms]
+        none: Terms = {ONE: np.zeros((len(moves[name]), 1))}
+        found.append(
+            Assign(step.at, _deviation(name), tuple(deviation if name in one else none for one in listed), step.on)
+        )
+    return tuple(found)
+
+
+def _renamed(form: Form, moves: Mapping[str, Array]) -> Form:
+    """Return a form of the deviations of moved signals."""
+    signals = tuple(_deviation(name) if name in moves else name for name in form.signals)
+    plus = {_deviation(name) if name in moves else name: weight for name, weight in form.plus.items()}
+    return Form(signals, form.Psi, form.constant, plus, form.bell)
+
+
+def _deviation(name: str) -> str:
+    return f"{name} from the operating point"
+
+
+def with_intervals(policy: Policy, network: Network) -> Policy:
+    """Return a policy whose decisions keep the limits of a network on the intervals between sends."""
+    designed = policy.network
+    instance("network", network, Network)
+    if network.nodes != designed.nodes or network.with_intervals(designed) is network:
+        return policy
+    return replace(policy, network=designed.with_intervals(network))

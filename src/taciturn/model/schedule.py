@@ -12,7 +12,7 @@ import numpy.typing as npt
 from taciturn._arrays import Array
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn.errors import ProblemError
-from taciturn.model.table import Column, Columns, Tabular
+from taciturn.model.result import Column, Columns, Tabular
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -32,59 +32,55 @@ from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._plugins import problem_folders
 from taciturn._progress import OutOfTime
-from taciturn._pydantic import ValidationError, validate
 from taciturn._text import backslash_text
-from taciturn.design.catalogue import CATALOGUE, own_kinds
-from taciturn.design.kind import AnyPolicy, Kind
+from taciturn.design.kind import (
+    CATALOGUE,
+    AnyPolicy,
+    Kind,
+    expect_ideal_links,
+    own_kinds,
+    placed,
+    renamed_keys,
+    three_nodes,
+)
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
+from taciturn.model.controller import Kept
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.disturbance import Reference
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.information import check_network
-from taciturn.model.kept import Kept
 from taciturn.model.limits import Limits
 from taciturn.model.network import Network
-from taciturn.model.placement import expect_ideal_links, placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.plant import Jumps as Jumps
 from taciturn.model.policy import Policy
-from taciturn.model.reference import Reference
-from taciturn.problem.functions import functions_of, locate_functions, refuse_functions
-from taciturn.problem.functions import read_function as read_function
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
-from taciturn.problem.parts import (
+from taciturn.problem.read import (
     actual_of,
     controller_of,
     cost_of,
     expect_argument,
+    functions_of,
+    is_trajectory,
     limits_of,
+    locate_functions,
     network_of,
     plant_of,
+    reference_of,
+    refuse_functions,
     takes_losses,
     used_tables,
+    with_exosystem,
 )
-from taciturn.problem.signals import is_trajectory, reference_of, with_exosystem
-from taciturn.problem.tables import (
-    ControllerTable as ControllerTable,
-)
-from taciturn.problem.tables import (
-    File,
-    first_mistake,
-    suggest,
-)
-from taciturn.problem.tables import (
-    InitialTable as InitialTable,
-)
-from taciturn.problem.tables import (
-    JumpsTable as JumpsTable,
-)
-from taciturn.problem.tables import (
-    NetworkTable as NetworkTable,
-)
-from taciturn.problem.tables import (
-    PlantTable as PlantTable,
-)
+from taciturn.problem.read import read_function as read_function
+from taciturn.problem.schema import ControllerTable as ControllerTable
+from taciturn.problem.schema import File, ValidationError, first_mistake, suggest, validate
+from taciturn.problem.schema import InitialTable as InitialTable
+from taciturn.problem.schema import JumpsTable as JumpsTable
+from taciturn.problem.schema import NetworkTable as NetworkTable
+from taciturn.problem.schema import PlantTable as PlantTable
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again

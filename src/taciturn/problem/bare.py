@@ -2,24 +2,28 @@
 
 A policy is studied on the plant, the cost and the network that it was designed for. Its policy kind is a record that
 returns the given policy; the parameters of the kind are those of the function.
+
+A problem that a process passes to the processes that it starts, if there is no problem file that they could read.
 """
 
 from __future__ import annotations
 
 import inspect
+import os
+import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from taciturn._arrays import quoted
-from taciturn.design.bare import own_problem
 from taciturn.design.kind import AnyPolicy, Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.packets import fingerprint
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Policy
+from taciturn.model.policy import Policy, own_problem
 from taciturn.problem import Problem
 
 Studied: TypeAlias = Problem | Policy | Callable[..., Policy]
@@ -130,3 +134,24 @@ class BareKind(Kind):
     def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
         """Return the policy for some parameters."""
         return self.design(**{name: value for name, value in given.items() if name != "network"})
+
+
+PASSED = "TACITURN_PASSED_PROBLEM"  # environment variable of the started processes: the file with the problem
+
+
+def pass_problem(problem: Problem, folder: Path) -> dict[str, str]:
+    """Write a problem to a private folder, and return the environment variable that makes a process read it."""
+    path = folder / "problem.pickle"
+    path.write_bytes(pickle.dumps(problem))
+    return {PASSED: str(path)}
+
+
+def passed_problem(file: str) -> Problem | None:
+    """Return the problem in a file that the starting process has written, or None for any other file.
+
+    Reading a pickle executes code, so a file is read only if the environment of this process names it.
+    """
+    if os.environ.get(PASSED) != file:
+        return None
+    found: Problem = pickle.loads(Path(file).read_bytes())
+    return found

@@ -1,24 +1,235 @@
-"""A problem under construction: each part is checked against the earlier parts, and the result is written as TOML."""
+"""A problem under construction: each part is checked against the earlier parts, and the result is written as TOML.
+
+The required parameters of a policy kind, and suggested initial values.
+
+The text of problem files: every key below a comment that describes it, and optional keys as comments.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from textwrap import wrap
+from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike
+from taciturn._arrays import Array, ArrayLike, is_definite
 from taciturn._display import Displayed
-from taciturn.design.kind import Kind
-from taciturn.errors import ProblemError
+from taciturn._modes import pace, radius
+from taciturn.design.kind import CATALOGUE, Kind, Setting
+from taciturn.design.kinds.all_time import all_time
+from taciturn.errors import ProblemError, TaciturnError
+from taciturn.lqg.riccati import regulate_continuous
+from taciturn.model.controller import PID
 from taciturn.model.cost import Cost
-from taciturn.model.pid import PID
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.problem import parse
-from taciturn.problem.matrices import parse_matrix, square_matrix
-from taciturn.problem.written import problem_text
+from taciturn.problem import Problem, load, parse
+from taciturn.problem.matrices import exact_number_text, matrix_text, parse_matrix, square_matrix
+from taciturn.problem.parameters import find_kind
+
+LOOKS = 5  # checks per time constant of the fastest mode of the controlled plant
+SHARE = 0.2  # suggested price of a send, relative to the cost of a step with every sample
+
+
+def needed_parameters(kind: Kind, continuous: bool) -> tuple[str, ...]:
+    """Return the required parameters of a policy kind for a discrete or continuous plant.
+
+    Example:
+        >>> from taciturn.design.kind import CATALOGUE
+        >>> needed_parameters(CATALOGUE["lqg"], continuous=True)
+        ('period', 'theta')
+    """
+    required = [name for name, one in kind.parameters.items() if one.default is one.empty]
+    period = ["period"] if "period" in kind.parameters and (continuous or "period" in required) else []
+    needed = (*period, *(name for name in required if name != "period"))
+    tunings = {tuning.name: tuning for tuning in kind.tuning if tuning.continuous in (None, continuous)}
+    met = {tunings[name].link for name in needed if name in tunings}
+    return (*needed, *(name for name in kind.asked if tunings[name].link not in met))
+
+
+def offered_kinds() -> tuple[list[Kind], list[str]]:
+    """Return the kinds that ``taciturn new`` offers by their goals, in order, and why others cannot be offered."""
+    found: list[tuple[int, Kind]] = []
+    wrong: list[str] = []
+    for name in CATALOGUE:
+        try:
+            kind = CATALOGUE[name]
+        except ProblemError as error:
+            wrong.append(str(error))
+        else:
+            found += [] if kind.offered is None else [(kind.offered, kind)]
+    return [kind for _, kind in sorted(found, key=lambda one: (one[0], one[1].name))], wrong
+
+
+def over_losses() -> list[Kind]:
+    """Return the offered kinds for links that drop packets."""
+    return [kind for kind in offered_kinds()[0] if kind.for_dropouts]
+
+
+def suggest_value(
+    kind: Kind, name: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None
+) -> Setting | None:
+    """Return a suggested value: a usual value, or one digit computed from plant and cost; None if there is none.
+
+    Args:
+        kind: the policy kind.
+        name: name of the parameter.
+        plant: the plant.
+        cost: the cost.
+        period: seconds between steps of a continuous plant, if already known.
+    """
+    if name in kind.usual:
+        return kind.usual[name]
+    try:
+        if name == "period" and isinstance(plant, ContinuousPlant):
+            fastest = pace(plant.A)
+            if is_definite(cost.R):  # otherwise the loop is as fast as the period allows
+                L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
+                fastest = radius(plant.A + plant.B @ L)
+            return _digit(1 / (LOOKS * fastest)) if fastest > 0 else None
+        if name in ("price", "zeta"):
+            always = all_time(plant, cost, period=period)
+            return _digit(SHARE * always.cost_all_time * always.tick) if always.cost_all_time > 0 else None
+    except TaciturnError:  # the design reports the error
+        return None
+    return None
+
+
+def _digit(value: float) -> float:
+    """Return a number rounded to one significant digit."""
+    return float(f"{value:.1g}")
+
+
+def example_of(kind: Kind) -> Problem:
+    """Return the example of a policy kind: a built-in problem with this kind and the parameters of the example."""
+    problem = load(kind.built_in)
+    removed: dict[str, Any] = dict.fromkeys(problem.parameters)
+    return problem.changed({**removed, "kind": kind.name, **kind.example})
+
+
+WIDTH = 98  # characters of a comment line
+PER = {True: "per second", False: "per step"}
+
+
+def problem_text(tables: Mapping[str, Any], name: str) -> str:
+    """Return a problem file with its comments.
+
+    Args:
+        tables: the tables plant, cost, policy and, optionally, network and controller of the file.
+        name: name of the file, for the commands in its first lines.
+
+    Returns:
+        The text of the file in TOML, with exactly the given tables.
+    """
+    plant, policy = tables["plant"], tables["policy"]
+    kind = find_kind(policy["kind"], "the kind")
+    continuous = "dt" not in plant
+    per = PER[continuous]
+    rule = f"{'E ' if 'E' in plant else ''}{'dx/dt' if continuous else 'x⁺'} = A x + B u + w"
+    fed = " + D u, u of the step before" if "D" in plant else ""
+    measured = f",  y = C x + v{fed}" if "C" in plant else ",  y = x: the full state is measured"
+    noise = "intensity per second" if continuous else "covariance per step"
+    sizes = (len(plant["A"]), len(plant["B"][0]))
+    states, inputs = (
+        f"{count} {word}{'s' * (count > 1)}" for count, word in zip(sizes, ("state", "input"), strict=True)
+    )
+    lines = [
+        f"# A problem of event-triggered control: {states}, {inputs}. Units of time are seconds.",
+        f"#   taciturn show {name}",
+        f"#   taciturn evaluate {name}",
+        "",
+        f"# {rule}{measured}",
+        "[plant]",
+    ]
+    about = {
+        "dt": "seconds per step; without this key the plant is continuous in time",
+        "A": f"dynamics, {per}",
+        "B": f"effect of the inputs, {per}",
+        "E": "matrix of the derivative of the state" if continuous else "matrix of the next state",
+        "C": "output matrix",
+        "D": "direct feedthrough of the input of the step before, as each sample is taken before the input changes",
+        "W": f"noise w: {noise}, in the units of the states squared",
+        "V": "measurement noise v: covariance per sample, in the units of the outputs squared",
+    }
+    lines += _table(plant, about)
+    lines += _offered(
+        {"input_limit": ("[…]", "largest size of each input, or [low, high]; with a limit, no guarantee is shown")}
+    )
+    lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
+    about = {
+        "Q": "weight of the state",
+        "R": "weight of the input",
+        "N": "cross weight",
+        "weights": "equal weight for the present variances of outputs and inputs; or Q and R",
+    }
+    lines += _table(tables["cost"], about)
+    if "controller" in tables and "Q" in tables["cost"]:
+        lines += _offered(
+            {"weights": ('"as the controller"', "in place of Q and R: equal weight for present variances")}
+        )
+    if "horizon" in kind.costs:
+        lines += _offered({"horizon": ("60", "steps of a finite-horizon run; without this key the cost is an average")})
+    if "network" in tables:
+        lines += ["", "# the links between sensor, controller and actuator", "[network]"]
+        about = {
+            "protocol": '"udp": dropouts without acknowledgement; "tcp": with acknowledgement; "ideal": no dropouts',
+            "actuator_loss": "probability that a packet to the actuator is lost",
+            "sensor_loss": "probability that a measurement is lost",
+            "delay": "steps from a measurement to the input that uses it: 0 or 1",
+        }
+        lines += _table(tables["network"], about)
+    if "controller" in tables:
+        lines += ["", "# the controller to keep: u = −K y", "[controller]"]
+        lines += _table(
+            tables["controller"], {"pid": "gains; ki per second, kd and the filter's time constant in seconds"}
+        )
+        lines += _offered({"disturbance": ('"none"', "slow disturbance at each input, which an integral compensates")})
+    lines += ["", *_comment(kind.about), "[policy]"]
+    lines += _table(policy, kind.notes)
+    lines += _offered(_optional(kind, policy, continuous))
+    return "\n".join(lines) + "\n"
+
+
+def _table(table: Mapping[str, Any], about: Mapping[str, str]) -> list[str]:
+    """Return the lines of a table, with each key below a comment that describes it."""
+    lines: list[str] = []
+    for key, value in table.items():
+        lines += [*_comment(about.get(key, "")), f"{key} = {_value(value)}"]
+    return lines
+
+
+def _offered(keys: Mapping[str, tuple[str, str]]) -> list[str]:
+    """Return optional keys that are not set, as comments."""
+    return [line for key, (value, note) in keys.items() for line in [*_comment(note), f"# {key} = {value}"]]
+
+
+def _optional(kind: Kind, given: Mapping[str, Any], continuous: bool) -> dict[str, tuple[str, str]]:
+    """Return the optional parameters of a policy kind, with placeholders."""
+    found: dict[str, tuple[str, str]] = {}
+    for name, parameter in kind.parameters.items():
+        if name not in given and (name != "period" or continuous):
+            default: Any = parameter.default
+            shown = "…" if default is None or default is parameter.empty else _value(default)
+            found[name] = (shown, kind.notes.get(name, ""))
+    return found
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool | str):
+        return f'"{value}"' if isinstance(value, str) else str(value).lower()
+    if isinstance(value, Mapping):
+        entries = ", ".join(f"{key} = {_value(one)}" for key, one in cast("Mapping[str, object]", value).items())
+        return f"{{{entries}}}"
+    if isinstance(value, int | float):
+        return exact_number_text(value)
+    return matrix_text(np.asarray(value))
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}" for line in wrap(text, WIDTH)]
+
 
 COST = ("Q", "R", "N")
 BY_CONTROLLER = {"weights": "as the controller"}

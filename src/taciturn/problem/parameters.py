@@ -9,11 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, expect_unmasked, quoted
-from taciturn._pydantic import ValidationError, validate
-from taciturn.design.catalogue import CATALOGUE
-from taciturn.design.kind import Kind
+from taciturn.design.kind import CATALOGUE, Kind
 from taciturn.errors import ProblemError
-from taciturn.problem.tables import Rows, ours, suggest
+from taciturn.problem.schema import Rows, ValidationError, ours, suggest, validate
 
 
 def read_policy(table: Mapping[str, Any], name: str, own: Kind | None = None) -> tuple[str, dict[str, Any]]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from taciturn.program.bits import LAYOUTS
+from taciturn.program.functions import LAYOUTS
 from taciturn.program.ir import Program
 from taciturn.program.ops import EIGHT, Op, Precision, needed, tiles
 

@@ -11,14 +11,14 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
-from taciturn.model.policy import ONE, Assign, Policy, Step, Terms
+from taciturn.model.policy import Policy
+from taciturn.model.steps import ONE, Assign, Step, Terms
 from taciturn.model.theory import INNOVATION
 from taciturn.model.trigger import Matrix, Scheduled
 from taciturn.program.ir import Builder, Program, Truth
 from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads, first_input, link_state
-from taciturn.program.names import named
 from taciturn.program.node import NODES
-from taciturn.program.ops import Precision
+from taciturn.program.ops import Precision, named
 
 FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 

@@ -5,6 +5,12 @@ the radius, 30 for the angle from the nearest axis (up to an eighth of the circl
 one for the axis. The largest radius is sqrt(66 ln 2) = 6.76. Logarithm, cosine and sine are polynomials (Chebyshev
 interpolation) with the absolute errors 2.3e-11, 4.8e-11 and 3.4e-12, which are below the resolution of the radius. In
 single precision the same bits give the same normal numbers, to seven digits (`single`).
+
+Control variates for simulations: sums with mean 0 that explain most of the variance of a path's average cost.
+
+A normal number n_i that is drawn in a step is independent of the states s_j at the start of the step. So n_i s_j and
+n_i n_j − [i = j] have the conditional mean 0 given the past: they are martingale differences. Those of a quadratic
+value function are linear combinations of them [henderson2002].
 """
 
 from __future__ import annotations
@@ -19,8 +25,7 @@ import numpy.typing as npt
 from taciturn._arrays import Array
 from taciturn.program import single
 from taciturn.program.ir import Builder, Program, rebuild
-from taciturn.program.names import Entry, Name, is_entry
-from taciturn.program.ops import Op, Precision, State
+from taciturn.program.ops import Control, Entry, Name, Op, Precision, State, is_entry
 
 # −2 log(1+r) = r Σ c_i r^i on [−1/17, 1/17]
 _MINUS_TWO_LOG = (
@@ -181,3 +186,47 @@ def minus_two_log(b: Builder, u: int) -> int:
     r = b.emit("sub", b.emit("mul", b.emit("number", mantissa), b.pick(_INVERSES, eighth)), b.constant(1.0))
     whole = b.emit("add", b.emit("mul", b.constant(-4096 * _LOG_TWO), exponent), b.pick(_LOGARITHMS, eighth))
     return b.emit("add", b.emit("mul", b.polynomial(_MINUS_TWO_LOG, r), r), whole)
+
+
+MOST = 64  # most controls; more would take longer than the rest of a step
+
+
+def with_controls(program: Program) -> Program:
+    """Return a simulation program with control variates as additional sums.
+
+    If there were more than MOST of them, the program is returned unchanged.
+
+    Args:
+        program: one time step, with normal numbers among its inputs.
+    """
+    ops, sums = list(program.ops), dict(program.sums)
+    normals = [
+        i for i, op in enumerate(ops) if op.name == "input" and is_entry(program.inputs[op.arguments[0]], NORMAL)
+    ]
+    states = [i for i, op in enumerate(ops) if op.name == "state" and not program.states[op.arguments[0]].word]
+    if len(normals) * (len(states) + (len(normals) + 1) / 2) > MOST:
+        return program
+    minus_one = len(ops)
+    ops.append(Op("const", (len(program.constants),)))
+    for k, normal in enumerate(normals):
+        for index in states:
+            ops.append(Op("mul", (normal, index)))
+            state = program.states[ops[index].arguments[0]]
+            sums[Control(k, Entry(state.name, state.index))] = len(ops) - 1
+        for m, other in enumerate(normals[k:], start=k):
+            ops.append(Op("mul", (normal, other)))
+            if m == k:
+                ops.append(Op("add", (len(ops) - 1, minus_one)))
+            sums[Control(k, m)] = len(ops) - 1
+    return replace(program, ops=tuple(ops), constants=(*program.constants, -1.0), sums=sums)
+
+
+def controlled(program: Program, lean: Program) -> Program:
+    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``.
+
+    Its states are those of ``lean``, entry by entry, so that a run may go on with it.
+    """
+    remembered = {Entry(state.name, state.index) for state in lean.states}
+    controls = [name for name in program.sums if isinstance(name, Control)]
+    fit = {name for name in controls if isinstance(name.other, int) or name.other in remembered}
+    return program.keep({*lean.sums, *fit})

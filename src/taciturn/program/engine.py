@@ -15,8 +15,8 @@ from taciturn._arrays import Array
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
-from taciturn.program.names import Name
 from taciturn.program.numpy import Run
+from taciturn.program.ops import Name
 
 MANY = 1024  # least number of paths of a program that runs alone, with constants shared by all paths
 Runner: TypeAlias = Callable[[Array, int, int | None], Run]

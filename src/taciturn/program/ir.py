@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 
-from taciturn.program.names import Name, Named
-from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Op, Precision, State, Total, needed, tiles
+from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Name, Named, Op, Precision, State, Total, needed, tiles
 
 BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
 FULL = 4  # least number of nonzero coefficients of a column that takes part in the loop

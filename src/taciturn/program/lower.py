@@ -5,6 +5,8 @@ with the plant) and a single site (with its packets as inputs, ``node``) use thi
 
 * A signal that is read before it is assigned has its value of the previous step. Such a signal becomes a state.
 * A condition becomes selections. Every branch is computed, and a truth value selects one of the results.
+
+Truth values in a program: their combination, selections by them, and the label that a trigger selects.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ from taciturn._arrays import Array
 from taciturn.model.coverage import INTERVALS, NETWORKS, STEPS, TRACKING, Coverage
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
-from taciturn.model.policy import (
+from taciturn.model.policy import Policy
+from taciturn.model.saturation import Saturation
+from taciturn.model.steps import (
     ONE,
     Apply,
     Assign,
@@ -27,22 +31,96 @@ from taciturn.model.policy import (
     Draw,
     Evaluate,
     Location,
-    Policy,
     Received,
     Send,
     Step,
     Terms,
 )
-from taciturn.model.saturation import Saturation
 from taciturn.model.trigger import Form, GaussianTerm, Matrix, Scheduled
 from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
-from taciturn.program.exponential import falling
+from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
-from taciturn.program.names import Entry, Name, Named, Option, Sent
-from taciturn.program.ops import State
-from taciturn.program.trace import trace
-from taciturn.program.truths import Truths
+from taciturn.program.ops import Entry, Name, Named, Option, Sent, State
+from taciturn.program.tracing import trace
+
+
+class Truths:
+    """Operations on truth values; a truth value that is known before the program runs is a ``bool``.
+
+    Args:
+        builder: collects the operations.
+    """
+
+    def __init__(self, builder: Builder) -> None:
+        """Store the builder."""
+        self.builder = builder
+
+    def choose(self, truth: Truth, yes: int, no: int) -> int:
+        """Return the number ``yes`` if the truth value is true, and ``no`` otherwise."""
+        if isinstance(truth, bool):
+            return yes if truth else no
+        return self.builder.choose(truth, yes, no)
+
+    def as_number(self, truth: Truth) -> int:
+        """Return a truth value as a number: 1 for true and 0 for false."""
+        return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
+
+    def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
+        """Return for each value but the last whether it is the first of the least allowed values."""
+        # label i is chosen if V_i ≤ V_j for every later j, and no earlier label is chosen. For an earlier label that is
+        # not chosen there is a later one with a smaller value, so by induction the chosen value is the minimum.
+        truths: list[Truth] = []
+        for i, value in enumerate(values[:-1]):
+            truth = allowed[i]
+            for other, possible in zip(values[i + 1 :], allowed[i + 1 :], strict=True):
+                below = self.builder.emit("less_equal", value, other)
+                truth = self.both(truth, self.either(below, self.negated(possible)))
+            for earlier in truths:
+                truth = self.both(truth, self.negated(earlier))
+            truths.append(truth)
+        return truths
+
+    def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
+        """Return for each value but the last whether it is the first allowed value that is at most the limit.
+
+        If there is none, it is the last allowed value.
+        """
+        within = [self.builder.emit("less_equal", value, self.builder.constant(limit)) for value in values[:-1]]
+        truths: list[Truth] = []
+        for i, low in enumerate(within):
+            last: Truth = True  # no later label is allowed
+            for possible in allowed[i + 1 :]:
+                last = self.both(last, self.negated(possible))
+            truth = self.both(allowed[i], self.either(low, last))
+            for earlier in truths:
+                truth = self.both(truth, self.negated(earlier))
+            truths.append(truth)
+        return truths
+
+    def both(self, one: Truth, other: Truth) -> Truth:
+        """Return whether both are true."""
+        if isinstance(one, bool):
+            return other if one else False
+        if isinstance(other, bool):
+            return one if other else False
+        return self.builder.emit("and", one, other)
+
+    def either(self, one: Truth, other: Truth) -> Truth:
+        """Return whether one of the two is true."""
+        if isinstance(one, bool):
+            return True if one else other
+        if isinstance(other, bool):
+            return True if other else one
+        return self.negated(self.both(self.negated(one), self.negated(other)))
+
+    def negated(self, truth: Truth) -> Truth:
+        """Return whether a truth value is false."""
+        if isinstance(truth, bool):
+            return not truth
+        op = self.builder.ops[truth]
+        return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
+
 
 Operands = list[int]
 APPLIED = "applied"  # the input that the actuators apply

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn.program.ir import Program
-from taciturn.program.names import Name
-from taciturn.program.ops import EIGHT, WINDOW, Op, Tile, tiles
+from taciturn.program.ops import EIGHT, WINDOW, Name, Op, Tile, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
 

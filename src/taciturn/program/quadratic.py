@@ -13,8 +13,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 from taciturn.program.ir import Program
-from taciturn.program.names import Name
-from taciturn.program.ops import needed
+from taciturn.program.ops import Name, needed
 
 
 def read_polynomials(program: Program, coordinates: int, inputs: Mapping[Name, Array]) -> dict[int, Array]:

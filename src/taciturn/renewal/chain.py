@@ -1,4 +1,7 @@
-"""Data of an error that each send resets to 0, and the results of its renewal analysis."""
+"""Data of an error that each send resets to 0, and the results of its renewal analysis.
+
+Reduced coordinates of an error with Gaussian noise, in which the noise is white and the trigger is diagonal.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, count, number
+from taciturn._arrays import Array, ArrayLike, count, number, symmetrised
 from taciturn._display import Displayed
+from taciturn._modes import radius, root
 from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpNoise
 
@@ -119,3 +123,214 @@ class Renewal(Displayed):
     excess_error: float
     intervals: Intervals
     nodes: int
+
+
+CRUMB = 1e-13  # weight relative to the largest, below which it counts as rounding
+RANK = 1e-10  # singular value relative to the largest, below which its direction counts as rounding
+MOST_STATES = 3
+SOFT = np.pi / 2  # exp(−SOFT m x²/2) has the mass of the interval m x² ≤ 1
+SETTLED = 1e-6  # relative change below which a covariance is final
+DOUBLINGS = 12  # 2^12 powers of a map decide which directions it reaches
+AGES = 20_000  # most checks without a send
+
+
+@dataclass(frozen=True, eq=False)
+class White:
+    """Error process x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, the error is not sent and costs x'Γx.
+
+    Args:
+        F: map of the error from one check to the next, (n, n).
+        m: weights of the trigger, ascending, so that the least bounded axes come first, (n,).
+        Gamma: Γ, weight of the cost, (n, n).
+        rows: map to these coordinates, x = rows e for an error e of the original chain, (n, states).
+    """
+
+    F: Array
+    m: Array
+    Gamma: Array
+    rows: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Error process that a send resets, with its trigger scaled to the threshold 1.
+
+    Args:
+        F: map of the error from one check to the next, (n, n).
+        noise: covariance of the noise, (n, n).
+        Psi: Ψ/δ, (n, n).
+        Gamma: Γ, weight of the cost, (n, n).
+        rows: map from the coordinates of the original chain to these, (n, states).
+    """
+
+    F: Array
+    noise: Array
+    Psi: Array
+    Gamma: Array
+    rows: Array
+
+    def seen_in(self, rows: Array, columns: Array) -> Data:
+        """Return the same error process in other coordinates z = rows·e, where e = columns·z."""
+        return Data(
+            rows @ self.F @ columns,
+            symmetrised(rows @ self.noise @ rows.T),
+            symmetrised(columns.T @ self.Psi @ columns),
+            symmetrised(columns.T @ self.Gamma @ columns),
+            rows @ self.rows,
+        )
+
+
+def reduced(chain: Chain) -> Data:
+    """Return an error process without the directions that noise never reaches or that affect neither trigger nor cost.
+
+    Args:
+        chain: chain with Gaussian noise.
+
+    Returns:
+        The chain in the least number of coordinates.
+
+    Raises:
+        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
+
+    Source: khashooei2017
+    """
+    if isinstance(chain.noise, JumpNoise):
+        raise NoQuadratureError("the noise consists of jumps; expected Gaussian noise; use solve_jumps instead")
+    data = _seen(_reached(Data(chain.F, chain.noise, chain.Psi / chain.delta, chain.Gamma, np.eye(len(chain.F)))))
+    if not data.Psi.any():
+        raise NoQuadratureError(
+            "nothing would ever be sent: the noise reaches no direction of the error that Ψ weighs; expected at least "
+            "one such direction; give the plant noise, or weigh the states that the noise reaches"
+        )
+    return data
+
+
+def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
+    """Return an error process in as few coordinates as possible, with white noise and a diagonal trigger weight Ψ.
+
+    Args:
+        chain: chain with Gaussian noise.
+        otherwise: the remedy in an error message.
+
+    Returns:
+        The chain in at most three coordinates.
+
+    Raises:
+        NoQuadratureError: the noise consists of jumps, nothing is ever sent, more than three directions remain, or one
+            of them gets no noise in a check.
+
+    Source: khashooei2017
+    """
+    data = reduced(chain)
+    n = len(data.F)
+    if n > MOST_STATES:
+        raise NoQuadratureError(
+            f"{n} directions of the error are reached by noise and affect trigger or cost, but the quadrature supports "
+            f"at most {MOST_STATES}; {otherwise}"
+        )
+    half = root(data.noise)
+    if half.shape[1] < n:
+        raise NoQuadratureError(
+            f"the noise between two checks excites {half.shape[1]} of the {n} directions of the error that affect "
+            f"trigger or cost, but the quadrature needs noise in all of them; {otherwise}"
+        )
+    m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
+    inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)
+    white = data.seen_in(inverse, half @ turn)
+    return White(white.F, np.where(m > 1e-15 * n * m[-1], m, 0.0), white.Gamma, white.rows)
+
+
+def unsent_covariance(white: White) -> Array:
+    """Return the approximate covariance of unsent errors, computed as if the trigger were random.
+
+    Then the error x is not sent with probability exp(−½ SOFT Σ m_i x_i²).
+
+    Under this random rule, errors are Gaussian at any number of checks since the last send, so that their covariances
+    and probabilities have a closed form.
+
+    Args:
+        white: the chain.
+
+    Returns:
+        The covariance, (n, n), definite; usually too large in directions that the trigger bounds.
+
+    Raises:
+        NoQuadratureError: unsent errors grow without bound.
+
+    Source: khashooei2017
+    """
+    unit = np.eye(len(white.m))
+    before, last, share = unit, np.zeros_like(unit), 1.0
+    total, shares = np.zeros_like(unit), 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(AGES):
+            soft = unit + SOFT * before * white.m
+            kept = symmetrised(np.asarray(np.linalg.solve(soft, before), dtype=np.float64))
+            share /= float(np.sqrt(max(np.linalg.det(soft), 1.0)))
+            total, shares = total + share * kept, shares + share
+            if not np.isfinite(total).all():
+                break
+            if np.abs(kept - last).max() <= SETTLED * np.abs(kept).max():
+                return kept
+            if share <= SETTLED * shares and share * np.abs(kept).max() <= SETTLED * np.abs(total).max():
+                return total / shares
+            last, before = kept, symmetrised(white.F @ kept @ white.F.T) + unit
+        else:
+            return total / shares
+    raise NoQuadratureError(
+        "without sends, the error grows without bound in a direction that Ψ does not weigh; expected a Ψ that weighs "
+        "every growing direction of the error; simulate instead"
+    )
+
+
+def _reached(data: Data) -> Data:
+    """Return the data restricted to the directions that the noise reaches."""
+    reach = _accumulated(data.F, root(data.noise))
+    lengths = np.linalg.norm(reach, axis=1)
+    unit = np.where(lengths > 0, lengths, 1.0)  # the result must not depend on the units of the states
+    left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
+    basis: Array = np.asarray(left[:, values > RANK * values.max(initial=0.0)], dtype=np.float64)
+    weight: Array = np.asarray(values[: basis.shape[1]], dtype=np.float64)
+    # each direction in units of the effect of the noise on it
+    return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
+
+
+def _accumulated(F: Array, start: Array) -> Array:
+    """Return a matrix whose columns span what powers of F make of some columns.
+
+    If the first n powers do not span the whole space, the sum of 2^DOUBLINGS powers decides: with short periods, slow
+    modes differ only after many steps.
+    """
+    size = float(np.linalg.norm(F, 2)) if F.any() else 1.0
+    blocks = [start]
+    for _ in range(len(F) - 1):
+        blocks.append(F @ blocks[-1] / size)
+    found = np.hstack(blocks)
+    lengths = np.linalg.norm(found, axis=1)
+    values = np.linalg.svd(found / np.where(lengths > 0, lengths, 1.0)[:, None], compute_uv=False)
+    if (values > RANK * values.max(initial=0.0)).sum() == len(F) or not F.any():
+        return found
+    power, factor = F / max(radius(F), 1e-3 * size), start
+    for _ in range(DOUBLINGS):
+        wide = np.hstack([factor, power @ factor])
+        factor = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64).T
+        power = power @ power
+    return factor
+
+
+def _half(weight: Array) -> Array:
+    """Return H with H'H = weight up to rounding; coordinates are in units of the effect of the noise on them."""
+    values, vectors = np.linalg.eigh(weight / np.abs(weight).max())
+    kept = values > CRUMB * len(weight)
+    return (vectors[:, kept] * np.sqrt(values[kept])).T
+
+
+def _seen(data: Data) -> Data:
+    """Return the data without directions that affect neither trigger nor cost, now or later (unobservable ones)."""
+    if not data.F.size:
+        return data
+    halves = [_half(weight) for weight in (data.Psi, data.Gamma) if weight.any()]
+    effect = _accumulated(data.F.T, np.vstack([np.zeros((1, len(data.F))), *halves]).T)
+    _, values, right = np.linalg.svd(effect.T, full_matrices=False)
+    rows: Array = np.asarray(right[values > RANK * values.max(initial=0.0)], dtype=np.float64)
+    return data.seen_in(rows, rows.T)

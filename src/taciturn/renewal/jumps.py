@@ -1,19 +1,473 @@
-"""Send rate and excess cost of an error with normally distributed jumps at Poisson times, by quadrature."""
+"""Send rate and excess cost of an error with normally distributed jumps at Poisson times, by quadrature.
+
+Linear renewal equations of an error with jumps, and the distribution of the intervals between sends.
+
+Renewal equations for a two-dimensional error with Poisson jumps, by integration along rays.
+
+The integrals are split at the edges of the set of unsent errors.
+
+Renewal equations for a scalar error with Poisson jumps, by quadrature over the interval of unsent errors.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array, number, symmetrised
 from taciturn._modes import root
 from taciturn._progress import OutOfTime, Progress, Stages
-from taciturn.renewal._jump_density import CompoundPoissonNoise, Fineness
-from taciturn.renewal._jump_line import Line
-from taciturn.renewal._jump_plane import Plane, PlaneGrid
-from taciturn.renewal._jump_sums import Sums
-from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
+from taciturn.model.plant import JumpNoise
+from taciturn.renewal.chain import Chain, Intervals, NoQuadratureError, Renewal
+from taciturn.renewal.jump_density import (
+    TABLES_MEET,
+    CompoundPoissonNoise,
+    Density,
+    Fineness,
+    Rays,
+    eased,
+    jump_reach,
+    legendre_nodes,
+)
+
+GONE = 1e-10  # survival probability below which a single decay factor is used for all later checks
+MOST = 20_000  # checks at which a survival function is computed
+STEADY = 1e-12  # relative change of the decay factor per check below which the factor counts as constant
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Renewal equations of an error with jumps, as integrals over the error increment in a period with a jump.
+
+    Each row starts at one node, the last row at the error 0.
+
+    Let v(x) be the expected sum over the checks from the next jump on, times the probability that a jump occurs in the
+    next period. The error e after a jump is still unsent after j checks without a jump if e, Fe, …, F^j e ∈ E; no jump
+    occurs in these checks with probability e^{−λτj}. So v = Σ_j ∫ p (a + v)(F^j e), with the density p of e, and a = 1
+    to count checks or a = e'Γe for costs. The density of the jumps makes v smooth: few polynomials represent it.
+
+    Args:
+        basis: values of the basis polynomials at the nodes, (nodes, nodes).
+        steps: for each j, the integrals of the polynomials at F^j e, (checks, nodes + 1, nodes).
+        ones: for each j, the integrals of 1, (checks, nodes + 1).
+        costs: for each j, the integrals of the cost, (checks, nodes + 1).
+        quiet: e^{−λτ}, the probability of no jump in a period.
+        far: for each j, the integrals of a high power of the distance, relative to the distance at which the set is
+            truncated, (checks, nodes + 1).
+    """
+
+    basis: Array
+    steps: Array
+    ones: Array
+    costs: Array
+    quiet: float
+    far: Array
+
+    @cached_property
+    def _last(self) -> Array:
+        """Weight of each j; the last weight includes all larger j, as a geometric series."""
+        weights = np.ones(len(self.steps))
+        weights[-1] = 1 / (1 - self.quiet)
+        return weights
+
+    @cached_property
+    def _whole(self) -> tuple[Array, Array]:
+        """Return the integrals, summed over j."""
+        sides = np.stack([self._last @ part for part in (self.ones, self.costs, self.far)], -1)
+        return np.tensordot(self._last, self.steps, 1), sides
+
+    @cached_property
+    def _cycle(self) -> Array:
+        # v at the nodes, then at the error 0; without a jump this error stays 0, which gives the factor 1/(1 − quiet)
+        steps, sides = self._whole
+        after = np.linalg.solve(self.basis - steps[:-1], sides[:-1])
+        return (steps[-1] @ after + sides[-1] + np.array([1.0, 0.0, 0.0])) / (1 - self.quiet)
+
+    def cycle(self) -> tuple[float, float]:
+        """Return the mean number of checks between two sends, and the mean cost between two sends."""
+        return float(self._cycle[0]), float(self._cycle[1])
+
+    def outskirts(self) -> float:
+        """Return a bound on the fraction of checks at which an unsent error is outside the set that the nodes cover."""
+        return float(abs(self._cycle[2] / self._cycle[0]))
+
+    def intervals(self, mean: float) -> Intervals:
+        """Return the distribution of the number of checks between sends, given the mean of this number."""
+        # past[k]: P(no send at the next k + 1 checks, and a jump in the next period), as coefficients of the basis;
+        # origin[k]: the same from the error 0
+        inverse = np.linalg.inv(self.basis)
+        steps, ones = inverse @ self.steps[:, :-1], self.ones[:, :-1] @ inverse.T
+        count = len(self.steps)
+        past, origin, survival = [ones[0]], [self.ones[0, -1]], [1.0]
+        weights = np.power(self.quiet, np.arange(count))
+        decay = before = 0.0
+        while survival[-1] > GONE and len(survival) < MOST:
+            k = len(past)
+            recent = np.array(past[: -count - 1 : -1])
+            stood = np.array(origin[: -count - 1 : -1])
+            survival.append(float(weights[: len(stood)] @ stood) + self.quiet**k)
+            decay, before = survival[-1] / survival[-2], decay
+            if k > count and abs(decay - before) < STEADY * (1 - decay):
+                break
+            here = steps[: len(recent)]
+            fresh = np.einsum("jab,jb->a", here, recent)
+            raised = float(np.einsum("jb,jb->", self.steps[: len(recent), -1], recent))
+            past.append(fresh + (ones[k] if k < count else 0.0))
+            origin.append(raised + (self.ones[k, -1] if k < count else 0.0))
+        rest = max(mean - sum(survival), 0.0)
+        return Intervals(np.array(survival), rest / (survival[-1] + rest))
+
+
+BREAKING = 1  # checks without a jump whose sets split also the integral over the angle
+CROWDED, CROWDING = 0.7, 4.0  # slopes to the longer axis that split the integral over the angle: largest, and ratio
+DISTINCT = 1e-10  # least angle between two splits, radians
+MOST_NODES_OF_PLANE = 1600
+POWER_OF_DISTANCE = 16  # power of the distance (relative to the truncation), whose mean shows how far errors come
+
+
+@dataclass(frozen=True)
+class PlaneGrid:
+    """Numbers of quadrature nodes for a two-dimensional error.
+
+    Args:
+        along: nodes along the longer axis of the set, an even number.
+        across: nodes along the shorter axis.
+        angles: angles between two splits.
+        radii: nodes on a piece of a ray.
+        checks: checks without a jump that are followed one by one.
+        cut: where the longer axis is truncated, in standard deviations of the increment of a period.
+        density: numbers of nodes in the tables of the density.
+    """
+
+    along: int
+    across: int
+    angles: int
+    radii: int
+    checks: int
+    cut: float
+    density: Fineness
+
+
+class Plane:
+    """A two-dimensional error with Poisson jumps, scaled so that its increment over one period has unit covariance.
+
+    Args:
+        shower: the jumps.
+        F: map of the error from one check to the next, without jumps, (2, 2).
+        Psi: Ψ/δ, weight of the trigger over its threshold, (2, 2).
+        Gamma: Γ, weight of the cost, (2, 2).
+    """
+
+    def __init__(self, shower: CompoundPoissonNoise, F: Array, Psi: Array, Gamma: Array) -> None:
+        """Store the coordinates."""
+        root = np.linalg.cholesky(shower.covariance())
+        inverse = np.linalg.inv(root)
+        self.shower = replace(shower, A=inverse @ shower.A @ root, G=inverse @ shower.G)
+        self.F, self.Psi, self.Gamma = inverse @ F @ root, root.T @ Psi @ root, root.T @ Gamma @ root
+        values, self.axes = np.linalg.eigh(self.Psi)
+        self._densities = dict[Fineness, Density]()
+        self.long, self.short = (float(1 / np.sqrt(max(value, 1e-14 * values[1]))) for value in values)
+
+    def density(self, fineness: Fineness) -> Density:
+        """Return the cached probability density of the error increment over a period with at least one jump."""
+        if fineness not in self._densities:
+            self._densities[fineness] = Density(self.shower, fineness)
+        return self._densities[fineness]
+
+    def sums(self, grid: PlaneGrid) -> Sums:
+        """Return the renewal equations of this error on a grid of quadrature nodes.
+
+        Raises:
+            NoQuadratureError: too many nodes, or an increment without a density.
+        """
+        if grid.along * grid.across > 2 * MOST_NODES_OF_PLANE:
+            raise NoQuadratureError(
+                f"between sends, the error spreads over a region that needs {grid.along} × {grid.across} quadrature "
+                "nodes, more than are supported; the threshold is large compared with the noise in one period: check "
+                "less often, or simulate"
+            )
+        return _Operator(self, grid).sums()
+
+
+class _Operator:
+    """Computes the integrals of a chain in the plane on a grid."""
+
+    def __init__(self, plane: Plane, grid: PlaneGrid) -> None:
+        self.plane, self.grid = plane, grid
+        self.density = plane.density(grid.density)
+        self.cut = min(grid.cut, plane.long)
+        self.widest = float(np.arcsin(self.cut / plane.long))
+        powers = [np.eye(2)]
+        for _ in range(grid.checks):
+            powers.append(plane.F @ powers[-1])
+        self.powers = np.array(powers)
+        # set j holds the errors that are unsent after j checks without a jump: (F^j e)'Ψ(F^j e) ≤ 1, truncated
+        edge = plane.axes[:, 0] / self.cut
+        sides = [plane.Psi, np.outer(edge, edge)][: 2 if grid.cut < plane.long else 1]
+        self.sets = np.array([[power.T @ side @ power for side in sides] for power in powers])
+        self.corners = self._corners()
+        self.narrow = [d for matrix in self.sets[: BREAKING + 1, 0] for d in self._narrow(matrix)]
+        orders = np.add.outer(np.arange(grid.along), np.arange(grid.across))
+        self.even = orders % 2 == 0  # expectations are even functions of the error
+
+    def sums(self) -> Sums:
+        """Return the equations."""
+        grid = self.grid
+        along = np.cos(np.pi * (np.arange(grid.along) + 0.5) / grid.along)
+        across = np.cos(np.pi * (np.arange(grid.across) + 0.5) / grid.across)
+        first, second = (part.ravel() for part in np.meshgrid(along[along > 0], across, indexing="ij"))
+        starts = np.concatenate([self._error(first, second) @ self.plane.F.T, np.zeros((1, 2))])
+        rows = [self._row(start) for start in starts]
+        values = chebyshev.chebvander(first, grid.along - 1)[:, :, None]
+        basis = (values * chebyshev.chebvander(second, grid.across - 1)[:, None])[:, self.even]
+        return Sums(
+            basis,
+            np.stack([row[0] for row in rows], 1),
+            np.stack([row[1] for row in rows], 1),
+            np.stack([row[2] for row in rows], 1),
+            self.plane.shower.quiet,
+            np.stack([row[3] for row in rows], 1),
+        )
+
+    def _error(self, along: Array, across: Array) -> Array:
+        """Return the errors at coordinates in [−1, 1]²: an angle and a fraction of the chord, smooth on a disc."""
+        angle = along * self.widest
+        long = self.plane.long * np.sin(angle)[:, None] * self.plane.axes[:, 0]
+        return long + (self.plane.short * np.cos(angle) * across)[:, None] * self.plane.axes[:, 1]
+
+    def _coordinates(self, errors: Array) -> tuple[Array, Array]:
+        sine = np.clip(errors @ self.plane.axes[:, 0] / self.plane.long, -1, 1)
+        chord = np.sqrt(np.maximum(1 - sine * sine, 1e-30)) * self.plane.short
+        along = np.clip(np.arcsin(sine) / self.widest, -1, 1)
+        return along, np.clip(errors @ self.plane.axes[:, 1] / chord, -1, 1)
+
+    def _corners(self) -> list[Array]:
+        """Return the points where the boundaries of two sets meet on the boundary of the intersection of all sets."""
+        found = list[Array]()
+        sides = self.sets.shape[1]
+        matrices = self.sets[: BREAKING + 1].reshape(-1, 2, 2)
+        for i in range(len(matrices)):
+            for k in range(i):
+                for direction in _null_directions(matrices[i] - matrices[k]):
+                    corner = direction / np.sqrt(direction @ matrices[i] @ direction)
+                    if (corner @ matrices[: (i // sides + 1) * sides] @ corner).max() < 1 + 1e-9:
+                        found += [corner, -corner]
+        return found
+
+    def _narrow(self, matrix: Array) -> list[Array]:
+        """Return directions close to the longer axis of a set, where the length of chords changes fast."""
+        values, axes = np.linalg.eigh(matrix)
+        slope = float(1 / np.sqrt(values[1])) / self.density.reach
+        found = [axes[:, 0]] if slope < CROWDED else []
+        while slope < CROWDED:
+            found += [axes[:, 0] + slope * axes[:, 1], axes[:, 0] - slope * axes[:, 1]]
+            slope *= CROWDING
+        return found
+
+    def _breaks(self, start: Array) -> Array:
+        """Return the angles, over half a turn, between which chords through a point depend smoothly on the angle.
+
+        From a point outside a set these are the tangents. From a point inside it is the direction of the chord that the
+        point bisects: this chord becomes short as the point approaches the boundary.
+        """
+        directions = [corner - start for corner in self.corners] + self.narrow
+        for matrix in self.sets[: BREAKING + 1].reshape(-1, 2, 2):
+            normal = matrix @ start
+            outside = float(start @ normal) - 1
+            if outside > 0:
+                directions += _null_directions(np.outer(normal, normal) - outside * matrix)
+            elif outside > -0.95:
+                directions.append(np.array([-normal[1], normal[0]]))
+        low, middle = self.density.sectors[0]
+        angles = low + np.mod([np.arctan2(y, x) - low for x, y in directions], np.pi)
+        angles = np.sort(np.concatenate([angles, [low, middle, low + np.pi]]))
+        kept = angles[np.append(np.diff(angles) > DISTINCT, True)]
+        kept[0] = low
+        return kept
+
+    def _rays(self, start: Array) -> tuple[Array, Array, Rays]:
+        """Return directions and weights of rays from a point, and the density along them."""
+        breaks = self._breaks(start)
+        nodes, weights = legendre_nodes(self.grid.angles)
+        widths = np.diff(breaks)[:, None]
+        angles = (breaks[:-1, None] + widths * eased(nodes)).ravel()
+        # 6x(1 − x) is the derivative of ``eased``
+        weights = (widths * 6 * nodes * (1 - nodes) * weights).ravel()
+        within = angles < self.density.sectors[0][1]
+        parts = [self.density.rays(angles[within], 0), self.density.rays(angles[~within], 1)] * 2
+        both = Rays(
+            np.concatenate([part.tables for part in parts], 1),
+            np.concatenate([part.single for part in parts]),
+            np.concatenate([part.size for part in parts]),
+        )
+        # both directions along each chord: the density is even, so that opposite rays share their tables
+        angles = np.concatenate([angles, angles + np.pi])
+        return np.stack([np.cos(angles), np.sin(angles)], -1), np.tile(weights, 2), both
+
+    def _row(self, start: Array) -> tuple[Array, ...]:
+        """Return the integrals from one starting point, for each number of checks without a jump."""
+        directions, weights, rays = self._rays(start)
+        count = len(self.sets)
+        steps, sides = np.zeros((count, int(self.even.sum()))), np.zeros((3, count))
+        low, high = np.zeros(len(directions)), np.full(len(directions), self.density.reach)
+        for j, edges in enumerate(self.sets):
+            # an error counts at check j if it lies in all sets so far: each ray is clipped to the part [low, high]
+            for side in edges:
+                low, high = _narrowed(low, high, start, directions, side)
+            chosen = high > low
+            if not chosen.any():
+                break
+            low, high, directions, weights, rays = (
+                low[chosen], high[chosen], directions[chosen], weights[chosen], rays.part(chosen),
+            )  # fmt: skip
+            count = self.grid.radii if j == 0 else self.grid.radii * 3 // 5
+            for outer in range(2):  # the two radial tables meet at SPLIT, so each part of a ray is integrated by itself
+                span = TABLES_MEET * outer, TABLES_MEET + TABLES_MEET * outer
+                first, last = (np.clip(np.sqrt(end / self.density.reach), *span) for end in (low, high))
+                met = last > first
+                if met.any():
+                    ends, part = (first[met], last[met]), rays.part(met)
+                    errors, mass = self._piece(start, j, ends, directions[met], part, outer, count)
+                    mass = mass * weights[met, None] * self.plane.shower.quiet**j
+                    steps[j] += self._polynomials(errors, mass.ravel())
+                    sides[:, j] += self._sides(errors, mass.ravel())
+        return steps, *sides
+
+    def _polynomials(self, errors: Array, mass: Array) -> Array:
+        """Return the integrals of the basis polynomials."""
+        along, across = self._coordinates(errors)
+        seen = chebyshev.chebvander(along, self.grid.along - 1) * mass[:, None]
+        return (seen.T @ chebyshev.chebvander(across, self.grid.across - 1))[self.even]
+
+    def _sides(self, errors: Array, mass: Array) -> Array:
+        """Return the integrals of 1, of the cost, and of a high power of the distance."""
+        cost = mass @ np.einsum("qi,qi->q", errors @ self.plane.Gamma, errors)
+        return np.array(
+            [mass.sum(), cost, mass @ (errors @ self.plane.axes[:, 0] / self.grid.cut) ** POWER_OF_DISTANCE]
+        )
+
+    def _piece(
+        self, start: Array, check: int, ends: tuple[Array, Array], directions: Array, rays: Rays, outer: int, count: int
+    ) -> tuple[Array, Array]:
+        """Return errors on a piece of every ray after a number of checks, and their probabilities, (rays, nodes)."""
+        # ρ = reach·root², so that dρ = 2·reach·root d(root)
+        nodes, weights = legendre_nodes(count)
+        width = (ends[1] - ends[0])[:, None]
+        roots = ends[0][:, None] + width * nodes
+        radii = self.density.reach * roots * roots
+        mass = 2 * self.density.reach * roots * width * weights * rays.density(roots, radii, outer)
+        places = start + radii[..., None] * directions[:, None]
+        return places.reshape(-1, 2) @ self.powers[check].T, mass
+
+
+def _null_directions(matrix: Array) -> list[Array]:
+    """Return the directions d with d'Md = 0: none, or two."""
+    a, b, c = float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
+    square = b * b - a * c
+    if square <= 0:
+        return []
+    q = -(b + np.copysign(np.sqrt(square), b))
+    return [np.array([q, a]), np.array([c, q])]
+
+
+def _narrowed(low: Array, high: Array, start: Array, directions: Array, matrix: Array) -> tuple[Array, Array]:
+    """Return the part of each ray that also lies in the set e'Me ≤ 1."""
+    # a ρ² + 2bρ + c ≤ 0; q/a and c/q are the roots without cancellation
+    a = np.maximum(np.einsum("ri,ij,rj->r", directions, matrix, directions), 1e-300)
+    b, c = directions @ matrix @ start, float(start @ matrix @ start) - 1
+    square = b * b - a * c
+    hit = square > 0
+    q = -(b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
+    q = np.where(q == 0, 1e-300, q)
+    ends = np.sort(np.stack([q / a, c / q]), axis=0)
+    return np.where(hit, np.maximum(low, ends[0]), 1.0), np.where(hit, np.minimum(high, ends[1]), 0.0)
+
+
+MOST_NODES_OF_LINE = 1000
+FADED = 9.0  # frequency times the smallest standard deviation at which the characteristic function is negligible
+
+
+@dataclass(frozen=True)
+class Line:
+    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold.
+
+    Args:
+        a: dynamics between jumps, ė = a e, per second.
+        jump: standard deviation of a jump.
+        rate: λ, jumps per second.
+        period: τ, seconds between two checks.
+        F: factor of the error from one check to the next, without jumps.
+        bound: an error e is sent if |e| is above it.
+        Gamma: Γ, weight of the cost of an unsent error.
+    """
+
+    a: float
+    jump: float
+    rate: float
+    period: float
+    F: float
+    bound: float
+    Gamma: float
+
+    def sums(self, fineness: float, checks: int) -> Sums:
+        """Return the renewal equations of this error, discretised on a number of nodes proportional to ``fineness``.
+
+        Given the times of the jumps, the increment of a period is normal. The narrowest of these normal densities sets
+        the scale of all nodes.
+
+        Raises:
+            NoQuadratureError: too many nodes.
+        """
+        # a jump grows by e^{a·left} in the time ``left`` from the jump to the check
+        left, weights = legendre_nodes(60, 0.0, self.period)
+        sizes = self.jump * np.exp(self.a * left)
+        narrow, distance = float(sizes.min()), jump_reach(float(sizes.max()), self.rate * self.period)
+        count = 2 * int(fineness * (6 + 1.5 * min(self.bound, self.bound * abs(self.F) + distance) / narrow))
+        if max(count, fineness * distance / narrow) > MOST_NODES_OF_LINE:
+            raise NoQuadratureError(
+                f"between sends, the error spreads over {self.bound / narrow:.3g} standard deviations of the smallest "
+                "jump, more than this quadrature supports; check less often, or simulate"
+            )
+        # Fourier series on [−distance, distance] of the density of at least one jump: its characteristic function is
+        # e^{−λτ} (exp(λ ∫ e^{−(wave·size)²/2} dt) − 1)
+        waves = np.pi / distance * np.arange(1, int(FADED * distance / narrow / np.pi) + 2)
+        logs = self.rate * np.exp(-np.outer(waves**2 / 2, sizes**2)) @ weights
+        quiet = float(np.exp(-self.rate * self.period))
+        spectrum = quiet * np.concatenate([[np.expm1(self.rate * self.period) / 2], np.expm1(logs)]) / distance
+        # all expectations are even functions of the error: half of the nodes and the even polynomials suffice
+        nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count) * self.bound
+        starts = np.append(nodes[: count // 2] * self.F, 0.0)
+        basis = chebyshev.chebvander(nodes[: count // 2] / self.bound, count - 2)[:, ::2]
+        # the density is replaced by a polynomial, as it is evaluated at far more points than there are waves
+        density = chebyshev.Chebyshev.interpolate(
+            lambda place: np.cos(np.outer(place, np.append(0.0, waves))) @ spectrum,
+            int(40 + 6 * distance / narrow), domain=[0.0, distance],
+        )  # fmt: skip
+        steps, sides = np.zeros((checks + 1, len(starts), count // 2)), np.zeros((2, checks + 1, len(starts)))
+        # an error ``place`` after a jump is unsent after j checks without a jump if |F^i place| ≤ bound, i = 0 … j
+        for j in range(checks + 1):
+            power = self.F**j
+            low = np.maximum(-self.bound / max(1.0, abs(power)), starts - distance)
+            width = np.maximum(np.minimum(self.bound / max(1.0, abs(power)), starts + distance) - low, 0.0)
+            pieces = 1 + int(width.max() / (4 * narrow))
+            local, masses = _pieces(int(fineness * 12), pieces)
+            places = low[:, None] + width[:, None] * local
+            mass = quiet**j * width[:, None] * masses * density(np.abs(places - starts[:, None]))
+            moved = places * power
+            steps[j] = np.einsum("rq,rqb->rb", mass, chebyshev.chebvander(moved / self.bound, count - 2)[..., ::2])
+            sides[:, j] = mass.sum(1), (mass * moved**2).sum(1) * self.Gamma
+        return Sums(np.asarray(basis, dtype=np.float64), steps, sides[0], sides[1], quiet, np.zeros_like(sides[0]))
+
+
+def _pieces(count: int, pieces: int) -> tuple[Array, Array]:
+    nodes, weights = legendre_nodes(count)
+    starts = np.arange(pieces)[:, None] / pieces
+    return (starts + nodes / pieces).ravel(), np.tile(weights / pieces, pieces)
+
 
 RANK = 1e-10  # relative: a smaller singular value is rounding
 SAFETY = 16.0  # claimed error over the change at the last refinement; in the plane the levels share part of it

@@ -1,31 +1,296 @@
-"""Optimal send schedule for a given price per send, by policy iteration on the renewal equations."""
+"""Optimal send schedule for a given price per send, by policy iteration on the renewal equations.
+
+Set of errors for which the optimal scheduler does not send; at its boundary, a send and silence cost the same.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, array, number, semidefinite, square
 from taciturn._progress import Progress, Stages, check_time
-from taciturn.renewal._continuation import ContinuationRegion, holes, improve
-from taciturn.renewal._intervals import intervals
-from taciturn.renewal._quadrature_nodes import Ellipsoid, ErrorRegion, Region, TooManyNodes, place
-from taciturn.renewal._renewal_equations import (
+from taciturn.renewal.chain import AGES, Chain, NoQuadratureError, Renewal, White, unsent_covariance, whiten
+from taciturn.renewal.gaussian import intervals
+from taciturn.renewal.quadrature import (
     COARSE,
     ERROR_SAFETY,
     LOOSEST,
     MOST_STORED_NODES,
+    Ellipsoid,
+    ErrorRegion,
+    QuadratureEffort,
+    Region,
     Solved,
+    TooManyNodes,
     climb,
     find_window,
+    gaussian_factors,
     most_dense,
+    place,
     solve_on_nodes,
     usual_accuracy,
 )
-from taciturn.renewal._trigger_check import QuadratureEffort
-from taciturn.renewal._white_coordinates import AGES, White, unsent_covariance, whiten
-from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
+
+MOST_ENTRIES = 4_000_000  # entries of a table in memory
+BATCH = 256  # neighbouring points that are evaluated together
+NEAR = 9.0  # noise standard deviations beyond which the density of the noise is negligible
+SHARP = 1e-13  # relative accuracy of an end of the region
+FLAT = 1e-10  # accuracy of the position of a minimum, in noise standard deviations; its value has the squared error
+ROUNDS_OF_CONTINUATION = 60
+STRIDE = 1.0  # length of the first step to a minimum, in noise standard deviations
+LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuationRegion:
+    """Set of errors for which the optimal scheduler does not send, because silence costs less than a send.
+
+    The set is U(x) < 0, where U is the cost of silence minus that of a send. For the weights m_i of the trigger and the
+    mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
+
+    The expectation is a sum of Gaussians, Σ_k v_k φ(x_k − F x). So U and its derivatives have a closed form at any x.
+
+    Args:
+        white: the chain, with costs in units of the price of a send.
+        x: nodes, one of each pair ±x, (nodes, n).
+        v: weight of each node times U at the node, (nodes,).
+        deepest: −U at the node where it is lowest, the largest saving of silence.
+        cost: g, the mean cost per check.
+        covariance: approximate covariance of unsent errors, (n, n).
+    """
+
+    white: White
+    x: Array
+    v: Array
+    deepest: float
+    cost: float
+    covariance: Array
+
+    @cached_property
+    def _pairs(self) -> tuple[Array, Array]:
+        """All nodes ±x, sorted along the longest axis, and their coefficients for value, gradient and curvature."""
+        x, v = np.vstack([self.x, -self.x]), np.tile(self.v, 2)[:, None]
+        order = np.argsort(x[:, self._longest])
+        x, v = x[order], v[order]
+        first, second = np.triu_indices(x.shape[1])
+        return x, np.hstack([v, v * x, v * x[:, first] * x[:, second]])
+
+    @cached_property
+    def _longest(self) -> int:
+        return int(np.abs(self.x).max(axis=0).argmax())
+
+    def values(self, x: Array) -> Array:
+        """Return U(x), the cost of silence minus the cost of a send, at each of the points x."""
+        return self._moments(x, 1)[:, 0] + (x * x) @ self.white.m - self.cost
+
+    def slopes(self, x: Array) -> tuple[Array, Array]:
+        """Return the cost difference U(x) and its gradient at each of the points x."""
+        # the gradient of Σ v_k φ(x_k − z) at z = F x is Σ v_k (x_k − z) φ; the chain rule multiplies it by F
+        n, F = x.shape[1], self.white.F
+        sums = self._moments(x, 1 + n)
+        ahead = sums[:, 1:] - (x @ F.T) * sums[:, :1]
+        return sums[:, 0] + (x * x) @ self.white.m - self.cost, ahead @ F + 2 * self.white.m * x
+
+    def curves(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return the cost difference U(x), its gradient and its second derivatives at each of the points x."""
+        n, F = x.shape[1], self.white.F
+        sums, z = self._moments(x, 1 + n + n * (n + 1) // 2), x @ F.T
+        ahead = sums[:, 1 : 1 + n] - z * sums[:, :1]
+        first, second = np.triu_indices(n)
+        square = np.empty((len(x), n, n))
+        square[:, first, second] = square[:, second, first] = sums[:, 1 + n :]
+        across = z[:, :, None] * sums[:, None, 1 : 1 + n]
+        square += z[:, :, None] * z[:, None] * sums[:, :1, None] - across - across.swapaxes(1, 2)
+        square -= sums[:, :1, None] * np.eye(n)
+        value = sums[:, 0] + (x * x) @ self.white.m - self.cost
+        return value, ahead @ F + 2 * self.white.m * x, F.T @ square @ F + 2 * np.diag(self.white.m)
+
+    def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return both ends of the region along the next coordinate axis, for given coordinates on the earlier axes.
+
+        At the ends, the minimum of U over the later axes changes its sign.
+
+        Args:
+            outer: coordinates on the axes so far, (places, outer axes).
+            low: start of the window on the next axis, (places,).
+            high: end of the window, (places,).
+
+        Returns:
+            The ends. An end inside the window is exact to rounding, any other one is some number outside the window.
+            Where U > 0 throughout, both ends are the same number.
+        """
+        axis = outer.shape[1]
+        inside, empty = self._inside(outer)
+        last = self._end(inside, axis, np.maximum(high, inside[:, axis]), high - low)
+        if axis == 0:
+            return -last, last
+        turned = self._end(-inside, axis, np.maximum(-low, -inside[:, axis]), high - low)
+        return np.where(empty, inside[:, axis], -turned), np.where(empty, inside[:, axis], last)
+
+    def _inside(self, outer: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Return for each outer point a full point with U < 0, and whether none exists."""
+        # two cheap candidates, the conditional mean and 0; U is minimised only where both have U ≥ 0
+        axis, covariance = outer.shape[1], self.covariance
+        slope = np.linalg.solve(covariance[:axis, :axis], covariance[:axis, axis:])
+        usual, middle = np.hstack([outer, outer @ slope]), np.hstack([outer, 0 * (outer @ slope)])
+        first, second = self.values(usual), self.values(middle)
+        found, least = np.where((first < second)[:, None], usual, middle), np.minimum(first, second)
+        unsure = np.flatnonzero(least >= 0)
+        if unsure.size:
+            found[unsure], least[unsure], _ = self._lowest(found[unsure], axis)
+        return found, least >= 0
+
+    def _end(self, inside: Array, axis: int, limit: Array, span: Array) -> Array:
+        """Return the upper end of the region on an axis, where the minimum of U over later axes becomes positive."""
+        outer = (inside[:, :axis] ** 2) @ self.white.m[:axis]
+        m, below = float(self.white.m[axis]), inside[:, axis].copy()
+        most = np.maximum(self.cost + self.deepest - outer, 0.0)  # U > 0 if silence costs more than this now
+        natural = np.sqrt(most / m) if m > 0 else np.full(len(most), np.inf)
+        above = np.maximum(np.minimum(limit, natural), below)
+        points = inside.copy()
+        points[:, axis] = above
+        points, value, slope = self._lowest_slope(points, axis)
+        beyond = value <= 0
+        end = np.where(beyond & (limit <= natural), limit + span, above)
+        rows = np.flatnonzero(~beyond)
+        points, value, slope, below, above = points[rows], value[rows], slope[rows], below[rows], above[rows]
+        size = np.maximum(np.abs(below), np.abs(above))
+        for _ in range(
+            ROUNDS_OF_CONTINUATION
+        ):  # Newton's method within the bracket [below, above], bisection where it leaves it
+            check_time()
+            if not rows.size:
+                break
+            here = points[:, axis]
+            above, below = np.where(value > 0, here, above), np.where(value > 0, below, here)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                to = here - value / slope
+            to = np.where((to >= below) & (to <= above), to, (below + above) / 2)
+            going = np.abs(to - here) > SHARP * size
+            end[rows] = to
+            rows, points = rows[going], points[going]
+            below, above, size = below[going], above[going], size[going]
+            points[:, axis] = to[going]
+            if rows.size:
+                points, value, slope = self._lowest_slope(points, axis)
+        return end
+
+    def _lowest_slope(self, points: Array, axis: int) -> tuple[Array, Array, Array]:
+        """Return the points that minimise U over the axes after ``axis``, U there, and its slope along ``axis``."""
+        if axis == points.shape[1] - 1:
+            value, gradient = self.slopes(points)
+        else:
+            points, value, gradient = self._lowest(points, axis + 1)
+        return points, value, gradient[:, axis]
+
+    def _lowest(self, points: Array, axis: int) -> tuple[Array, Array, Array]:
+        """Return the points that minimise U over this axis and all later ones, U there, and its gradient."""
+        points = points.copy()
+        value, gradient, curvature = self.curves(points)
+        # Newton steps of limited length: the limit doubles after a descent, and shrinks when U would increase
+        rows, stride = np.arange(len(points)), np.full(len(points), STRIDE)
+        for _ in range(ROUNDS_OF_CONTINUATION):
+            check_time()
+            step = _downhill(gradient[rows, axis:], curvature[rows, axis:, axis:])
+            length = np.linalg.norm(step, axis=1)
+            going = length > FLAT
+            rows, step, length = rows[going], step[going], length[going]
+            if not rows.size:
+                break
+            step *= np.minimum(1.0, stride[rows] / length)[:, None]
+            there = points[rows]
+            there[:, axis:] += step
+            tried = self.curves(there)
+            lower = tried[0] <= value[rows]
+            stride[rows] = np.where(lower, 2 * stride[rows], np.minimum(stride[rows], length) / 4)
+            better = rows[lower]
+            points[better] = there[lower]
+            value[better], gradient[better], curvature[better] = (part[lower] for part in tried)
+            rows = rows[lower | (stride[rows] > FLAT)]
+        return points, value, gradient
+
+    def _moments(self, x: Array, count: int) -> Array:
+        """Return the first ``count`` noise-weighted sums of v, v x and v x x' over the nodes, (points, count)."""
+        nodes, coefficients = self._pairs
+        z, sums = x @ self.white.F.T, np.empty((len(x), count))
+        # points are sorted, so that a batch needs only the nodes within NEAR along the longest axis
+        along, places = z[:, self._longest], nodes[:, self._longest]
+        order = np.argsort(along)
+        rows = max(min(MOST_ENTRIES // len(nodes), BATCH), 1)
+        for first in range(0, len(x), rows):
+            part = order[first : first + rows]
+            low, high = np.searchsorted(places, (along[part[0]] - NEAR, along[part[-1]] + NEAR))
+            sums[part] = gaussian_factors(z[part], nodes[low:high]) @ coefficients[low:high, :count]
+        return sums
+
+
+def improve(white: White, solved: Solved, window: ErrorRegion) -> ContinuationRegion:
+    """Return the next set of unsent errors, by one policy-iteration step from a solution of the renewal equations.
+
+    Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.
+
+    The errors with U < 0 form a region with a lower cost: this is one step of policy iteration.
+
+    Args:
+        white: the chain, with costs in units of the price of a send.
+        solved: solution of the renewal equations of the region.
+        window: where unsent errors are.
+
+    Returns:
+        The new region.
+
+    Source: khashooei2017
+    """
+    system, dear = solved.system, beyond_a_send(solved)
+    deepest = float(np.maximum(-dear, 0.0).max())
+    return ContinuationRegion(
+        white, system.x, system.share * dear, deepest, solved.excess + solved.rate, window.covariance
+    )
+
+
+def beyond_a_send(solved: Solved) -> Array:
+    """Return, for each node, the cost of silence minus that of a send, in units of the price per send, (nodes,)."""
+    return solved.costs - (solved.excess + solved.rate) * solved.checks
+
+
+def holes(solved: Solved, negligible: float) -> tuple[float, float, float]:
+    """Return by how much rate, excess and cost change if errors are also sent wherever a send costs less than silence.
+
+    A chord through a region that is not convex contains such nodes. Removing a node changes a mean by the number of
+    visits to the node times the change of the expected future by a send there. This is exact if the visits are counted
+    after the removal.
+
+    Args:
+        solved: solution of the renewal equations, in units of the price.
+        negligible: excess of the cost of silence over that of a send that is ignored.
+
+    Returns:
+        Rate, excess, cost.
+
+    Source: khashooei2017
+    """
+    dear = beyond_a_send(solved)
+    inside = dear > negligible
+    if not inside.any():
+        return 0.0, 0.0, 0.0
+    visits = np.maximum(solved.system.check.settled_shares(solved.system.start), 0.0) * inside
+    checks, costs = float(visits @ solved.checks), float(visits @ solved.costs)
+    rate, excess = solved.rate, solved.excess
+    return rate * rate * checks, rate * abs(costs - excess * checks), rate * float(visits @ dear)
+
+
+def _downhill(gradient: Array, curvature: Array) -> Array:
+    """Return Newton steps, with the absolute values of the curvatures so that they always descend."""
+    values, turn = np.linalg.eigh(curvature)
+    values = np.abs(values)
+    values = np.maximum(values, LEAST_CURVED * values.max(axis=1, keepdims=True) + np.finfo(float).tiny)
+    along = (turn * gradient[:, :, None]).sum(axis=1)
+    return -(turn * (along / values)[:, None]).sum(axis=2)
+
 
 ROUGHLY = 1e-4  # relative accuracy to which the policy is iterated on coarse nodes
 ROUNDS = 12  # of policy iteration on one set of nodes; it converges like Newton's method

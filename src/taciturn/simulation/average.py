@@ -12,7 +12,6 @@ from taciturn._arrays import count, instance, number
 from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.simulation.parts import Estimator, Part, sends
 from taciturn.simulation.reliability import (
     doubt_errors,
     doubt_moments,
@@ -26,8 +25,11 @@ from taciturn.simulation.sampling import (
     SHORTEST_BURN_IN,
     SIMULATED_PATHS,
     Averages,
+    Estimator,
+    Part,
     Sampling,
     last_of,
+    sends,
 )
 
 LEAST_STEPS, MOST_STEPS = 1024, 1e13  # the largest number takes hours

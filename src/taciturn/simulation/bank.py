@@ -14,9 +14,8 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, Loop
 from taciturn.program.engine import Stepper, prepare
 from taciturn.program.ir import Program
-from taciturn.program.names import Sent
-from taciturn.simulation.nonfinite import find_loss
-from taciturn.simulation.parts import sends
+from taciturn.program.ops import Sent
+from taciturn.simulation.sampling import find_loss, sends
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,18 +10,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import root
-from taciturn.analyse.drifts import drifting
-from taciturn.analyse.outcomes import outcomes
+from taciturn._rational import Limit, unmoved
+from taciturn.analyse.switched import drifting, outcomes
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
 from taciturn.lqg.riccati import states_with_cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Send
 from taciturn.model.saturation import Saturation
-from taciturn.model.set_points import SampledChanges
+from taciturn.model.signals import SampledChanges
+from taciturn.model.steps import Send
 
 LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
 SAME = 1e-9  # relative distance of two computed modes that are one

@@ -1,4 +1,28 @@
-"""Simulation of many paths of one loop, or of two loops with the same noise, to estimate means with standard errors."""
+"""Simulation of many paths of one loop, or of two loops with the same noise, to estimate means with standard errors.
+
+Loops in a simulation, each with the estimator of its cost.
+
+Search for the state at which the function of a nonlinear plant gives a non-finite number.
+
+When a simulated loop has settled, decided from the sums that its paths have had since their start.
+
+The time constants of a design are those of the loop that always sends. A policy that seldom sends can be much slower:
+while it is silent, a slow mode of the plant or an integrator of the controller moves as in open loop. So the sums
+themselves decide. The steps since the start are divided into windows, and the mean over a range of windows is compared
+with the mean over all later ones, path by path. The last range that differs ends at the step t. Until then, a transient
+of amplitude A has decayed to the resolution r of the comparison, so by the step 2t it has decayed to about r²/A, which
+is far below r. Windows that begin earlier are dropped.
+
+Some slow transients hardly change the sums of one window. With a held input, for example, small and large commands may
+alternate, and it takes hundreds of packets until the pairs of commands have their distribution in the long run, which
+moves the rate by a few percent. So the distribution of each state over the paths is also compared between the ends of
+windows, by the largest distance of the distribution functions (Smirnov). This prolongs the burn-in by a limited factor
+and refuses nothing, because paths that send in phase have other distributions at each step although their sums have
+settled.
+
+A range reaches back to a quarter of its last step at most: it contains two windows whose lengths have doubled, which
+resolves more than one window, and it does not contain the start, whose large transient would be seen at any later time.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +34,308 @@ from math import lcm
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
-from taciturn.errors import ProblemError
-from taciturn.loop import COST
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
-from taciturn.program.draws import GENERATOR
-from taciturn.program.engine import prepare
+from taciturn.program.draws import GENERATOR, controlled
+from taciturn.program.engine import Runner, prepare
 from taciturn.program.ir import Program
-from taciturn.program.names import Control, Name, Sent
-from taciturn.simulation.nonfinite import find_loss
-from taciturn.simulation.parts import Part, sends
+from taciturn.program.ops import Control, Name, Sent
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
-from taciturn.simulation.settled import PROLONGED, History, Snapshots, shared_end
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
+
+RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimator(Displayed):
+    """Estimator of a loop's cost: a simulation program, and the relation cost = offset + scale·(mean of a sum).
+
+    Args:
+        program: program of one step of the loop.
+        whole: the complete program, from which control variates are derived; None for finite-horizon runs.
+        sum: name of the sum.
+        offset: constant term, in the units of the cost.
+        scale: factor of the mean per step.
+    """
+
+    program: Program
+    whole: Program | None
+    sum: str
+    offset: float
+    scale: float
+
+    @cached_property
+    def controlled(self) -> Program | None:
+        """The simulation program with control variates as additional sums; None for finite-horizon runs."""
+        return None if self.whole is None else controlled(self.whole, self.program)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Part(Displayed):
+    """A loop in a simulation, with its cost estimator and the sign with which its cost and rates are added.
+
+    Args:
+        loop: the closed loop.
+        estimator: estimator of its cost.
+        sign: 1, or −1 if cost and rates are subtracted.
+    """
+
+    loop: Loop
+    estimator: Estimator
+    sign: float = 1.0
+
+    @property
+    def names(self) -> list[Name]:
+        """Names of the simulated sums that are read: the sum of the cost estimator, then the sends on each link."""
+        return [self.estimator.sum, *sends(self.loop)]
+
+    @property
+    def controls(self) -> list[Control]:
+        """Names of the control variates of this loop's cost, whose mean is 0."""
+        program = self.estimator.controlled
+        return [] if program is None else [name for name in program.sums if isinstance(name, Control)]
+
+    @property
+    def settling(self) -> float:
+        """Slowest time constant of the loop, in steps."""
+        return self.loop.policy.theory.settling
+
+    @property
+    def distance(self) -> float:
+        """Number of time constants in which a large initial state decays to noise level: ln(1 + |mean|/deviation)."""
+        plant = self.loop.problem.plant
+        deviation = float(np.sqrt(np.diag(plant.W).max()))
+        return float(np.log1p(np.abs(plant.mean).max() / deviation)) if deviation > 0 else 0.0
+
+    def diverges(self, how: str) -> UnstableError:
+        """Return the exception for a diverging loop, with the observation that shows the divergence."""
+        ranges = ", the range of the payload" if self.loop.network.payload != "float64" else ""
+        return UnstableError(
+            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop: send more often, "
+            f"or check [plant.actual]{ranges} and input_limit"
+        )
+
+    def refuse_runaways(self, costs: Array, ticks: int) -> None:
+        """Raise an error if one path has diverged, as is possible for an unstable plant with limited inputs."""
+        size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
+        largest, typical = float(size[-1]), float(size[len(size) // 2])
+        all_time = (self.loop.policy.theory.cost_all_time or 0.0) * self.loop.policy.tick
+        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
+            raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
+
+
+def sends(loop: Loop) -> list[Sent]:
+    """Return the names of a program's sums that count the sends on each link with a send decision."""
+    return [Sent(link) for link in loop.policy.scheduled]
+
+
+def expect_numbers(loop: Loop, states: Array) -> None:
+    """Raise an error if a simulated path contains non-finite states of a nonlinear plant.
+
+    Args:
+        loop: the closed loop.
+        states: x at each step, (steps, n).
+
+    Raises:
+        UnstableError: there is a non-finite value; the message contains the entry and the previous state.
+    """
+    lost = np.flatnonzero(~np.isfinite(states).all(axis=1))
+    if loop.problem.plant.function is None or not lost.size:
+        return
+    tick = int(lost[0])
+    raise _leaves(loop, states[tick], states[tick - 1] if tick else None)
+
+
+def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: int) -> None:
+    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation.
+
+    One path is run again to find the step.
+
+    Args:
+        loop: the closed loop.
+        program: program of the loop, which contains the state ``x``.
+        run: function that runs the program.
+        before: states before the run, (states, paths).
+        ticks: number of steps of the run.
+
+    Raises:
+        UnstableError: there is a non-finite value; the message contains the entry and the previous state.
+    """
+    rows = [i for i, state in enumerate(program.states) if state.name == "x"]
+    if loop.problem.plant.function is None or not rows:
+        return
+    lost = np.flatnonzero(~np.isfinite(run(before, ticks, None).states[rows]).all(axis=0))
+    if not lost.size:
+        return
+    path = before[:, [int(lost[0])]]
+
+    def after(wanted: int) -> Array:
+        return (run(path, wanted, 1).states if wanted else path)[rows, 0]
+
+    good, bad = 0, ticks  # steps after which the state is finite, and is not
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if np.isfinite(after(middle)).all():
+            good = middle
+        else:
+            bad = middle
+    found, last = after(bad), after(good)
+    if not np.isfinite(last).all():  # in the last step before this run
+        found, last = last, None
+    raise _leaves(loop, found, last, [program.states[i].index for i in rows])
+
+
+def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | None = None) -> UnstableError:
+    """Return the error that names the non-finite entry of the state and the previous state."""
+    place = int(np.flatnonzero(~np.isfinite(found))[0])
+    entry = place if entries is None else entries[place]
+    point = loop.problem.plant.operating_point
+    if last is not None and point is not None:
+        last = last + (point.x if entries is None else point.x[entries])
+    whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
+    return UnstableError(
+        f"the plant's function gives no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "
+        "expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
+    )
+
+
+DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
+REACH = 4  # the first step of a range is at least its last step divided by this number
+AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
+ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
+FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
+PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
+GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
+GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
+IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
+
+Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
+
+
+class History:
+    """The windows of steps since the start of all paths.
+
+    Args:
+        counted: which sums are numbers of sends.
+    """
+
+    def __init__(self, counted: Bits) -> None:
+        """Start without windows."""
+        self.counted = counted
+        self.windows: list[Window] = []  # later windows may have more sums, which are not compared
+
+    @property
+    def steps(self) -> int:
+        """Steps of each path since its start."""
+        return sum(length for length, _ in self.windows)
+
+    def add(self, length: int, sums: Array) -> None:
+        """Add a window; earlier windows keep only the paths that are still simulated."""
+        paths = sums.shape[1]
+        self.windows = [(steps, earlier[:, :paths]) for steps, earlier in self.windows] + [(length, sums)]
+
+    def drift(self) -> int:
+        """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
+        ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
+        for j in range(len(self.windows) - 1, 0, -1):
+            later = _joined(self.windows[j:], rows)
+            for i in range(j - 1, -1, -1):
+                begins = int(ends[i - 1]) if i else 0
+                if i < j - 1 and begins * REACH < ends[j - 1]:
+                    break
+                if self._differ(_joined(self.windows[i:j], rows), later):
+                    return int(ends[j - 1])
+        return 0
+
+    def settled(self) -> bool:
+        """Return whether a window begins late enough after the last difference."""
+        return bool(self.kept(0))
+
+    def kept(self, first: int) -> list[Window]:
+        """Return the windows that begin at the given step or later, and late enough after the last difference."""
+        first = max(first, AGAIN * self.drift())
+        begins = np.cumsum([0] + [length for length, _ in self.windows])
+        return [window for begin, window in zip(begins, self.windows, strict=False) if begin >= first]
+
+    def _differ(self, before: Window, after: Window) -> bool:
+        """Return whether the mean of a sum differs between two ranges of windows."""
+        (steps, sums), (others, late) = before, after
+        earlier = sums / steps
+        change = late / others - earlier
+        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        # paths that send at the same steps: a window may end just before a send
+        same = self.counted & (sums.std(axis=1) < IN_PHASE) & (late.std(axis=1) < IN_PHASE)
+        early = same * (1 / steps + 1 / others)
+        least = DIFFERENT * spread + early + ROUNDING_OF_MEANS * np.abs(earlier.mean(axis=1))
+        return bool((np.abs(change.mean(axis=1)) > least).any())
+
+
+class Snapshots:
+    """The states of all paths at the end of the latest window, to compare their distribution with that at the next."""
+
+    def __init__(self) -> None:
+        """Start without states."""
+        self._states: Array | None = None
+        self._largest: Array | float = 0.0
+
+    def changed(self, states: Array) -> bool:
+        """Return whether the distribution of a state has changed since the last call, and keep the states.
+
+        A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
+
+        Args:
+            states: states of the paths, (states, paths); there may be fewer paths than before.
+        """
+        before, self._states = self._states, states
+        spread = states.std(axis=1)
+        self._largest = np.maximum(self._largest, spread)
+        if before is None:
+            return True
+        limit = FAR * np.sqrt(2 / states.shape[1])
+        earlier = before[:, : states.shape[1]].std(axis=1)
+        settles = (spread > GONE * self._largest) & (spread < GROWS * earlier)
+        return any(_distance(before[i], states[i]) > limit for i in np.flatnonzero(settles))
+
+
+def _distance(first: Array, second: Array) -> float:
+    """Return the largest distance between two distribution functions."""
+    values = np.concatenate([first, second])
+    one, two = (np.searchsorted(np.sort(part), values, side="right") / len(part) for part in (first, second))
+    return float(np.abs(one - two).max())
+
+
+def shared_end(windows: Sequence[Window]) -> float:
+    """Return the standard deviation of the error of a rate that all paths share.
+
+    Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or just
+    after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ … 1 − 1/ℓ, all
+    alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have equal rates, and no
+    such error.
+
+    Args:
+        windows: steps and sends of each path, (paths,), of each window.
+    """
+    steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
+    rates = [float(sums.mean()) / length for length, sums in windows]
+    apart = sends.std() >= IN_PHASE or sends.mean() < 1
+    if apart or np.ptp(rates) <= ROUNDING_OF_MEANS:
+        return 0.0
+    rate = min(1.0, float(sends.mean()) / steps)
+    return float(np.sqrt((1 - rate**2) / 12)) / steps
+
+
+def _joined(windows: Sequence[Window], rows: int) -> Window:
+    """Return the steps and the first sums of several windows, which are added in turn: a stack takes much memory."""
+    (_, first), *later = windows
+    total = first[:rows].copy()
+    for _, sums in later:
+        total += sums[:rows]
+    return sum(length for length, _ in windows), total
+
 
 SIMULATED_PATHS = 4096
 USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
@@ -40,7 +351,7 @@ DRIFTING_STEPS = 20_000_000  # of a loop that has no average
 DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
 HUGE = 1e150  # a limit whose square is still finite
 CHUNK = 1 << 24  # steps between two reports of progress
-ROUNDING = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
+ROUNDING_OF_SINGLES = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
 ROOM = 8  # least number of paths per control variate
 PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
 
@@ -356,7 +667,7 @@ class Sampling:
         """Add the rounding error of single precision to a mean; a difference of two precisions already measures it."""
         if len(self.parts) > 1 or self.parts[0].loop.precision == "float64":
             return cost
-        error = float(np.hypot(cost.standard_error, ROUNDING * cost.value))
+        error = float(np.hypot(cost.standard_error, ROUNDING_OF_SINGLES * cost.value))
         return Estimate(cost.value, error, cost.method)
 
     def _is_precise(self, cost: Estimate, target: float) -> bool:

@@ -9,26 +9,23 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._display import Displayed
-from taciturn._exact_modes import Limit, unmoved
 from taciturn._modes import eigenvalues
+from taciturn._rational import Limit, unmoved
 from taciturn._text import Lines, per_unit
 from taciturn.design.kind import AnyPolicy
-from taciturn.model.controller import Controller
+from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
-from taciturn.model.display import matrix_lines, vector_text
-from taciturn.model.exosystem import Exosystem
-from taciturn.model.kept import pids_of
-from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Evaluate, Policy
+from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_text
+from taciturn.model.policy import Policy
 from taciturn.model.saturation import limit_entries
-from taciturn.model.set_points import RandomSteps, SampledChanges, Timetable
+from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges, Timetable
+from taciturn.model.steps import Assign, Evaluate
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
-from taciturn.program.layout import steps_of_a_fault
+from taciturn.program.node import steps_of_a_fault
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.lines import proof_text, rounded
-from taciturn.study.units import cost_unit, time_unit
+from taciturn.study.evaluation import cost_unit, proof_text, rounded, time_unit
 
 SHOWN_OPTIONS = 4  # options of a decision that are printed
 ESTIMATES = ("estimate", "deviation")  # signals that a feedback gain multiplies: the state estimate, or its deviation

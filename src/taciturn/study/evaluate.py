@@ -1,37 +1,225 @@
-"""Evaluation of one problem: cost, rates and bounds of its policy."""
+"""Evaluation of one problem: cost, rates and bounds of its policy.
+
+Notes on values that were given, but have no effect on the result.
+
+Lower bounds on the cost: whether they are computed, and the notes on them and on the certified rate.
+
+Probabilities of the violation of a problem's limits, as part of an evaluation.
+
+The loop of a policy on the plant as written, without the slow disturbance that a default has added.
+
+If a given controller integrates and its file states no disturbance, the plant gets a slow disturbance at each input
+with usual values, since silence costs more under a load than without one. Then cost, rates and guarantee are those of
+the plant with this disturbance. The user has not written it. So the same policy is also simulated on the plant as
+written.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal, get_args
 
 from taciturn._arrays import number
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
-from taciturn.analyse.limits import resets
+from taciturn._text import magnitude
+from taciturn.analyse.limits import LEVEL, LowerBound, bound_below, resets
 from taciturn.analyse.renewal import bound_rate
-from taciturn.errors import ProblemError
+from taciturn.design.silence import send_every_sample
+from taciturn.errors import ProblemError, TaciturnError
+from taciturn.loop import Loop
+from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
+from taciturn.model.disturbance import Disturbance
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import Plant
+from taciturn.model.limits import Limits
+from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
-from taciturn.problem.bare import Studied, as_problem
+from taciturn.problem.bare import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.events import average_events
-from taciturn.study.clock import ClockMix
-from taciturn.study.disturbed import averages_after_step
-from taciturn.study.effects import forgotten_start, without_effect
-from taciturn.study.evaluation import Consistency, Evaluation
-from taciturn.study.fair import periodic_at
-from taciturn.study.limited import compare_without_limits
-from taciturn.study.lower import bounded, contradicted, expect_bound
+from taciturn.simulation.violations import violations
+from taciturn.study.evaluation import (
+    AsWritten,
+    Consistency,
+    Evaluation,
+    TimeUnit,
+    averages_after_step,
+    averages_on,
+    compare_without_limits,
+    cost_unit,
+    precisely,
+    rate_unit,
+)
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
-from taciturn.study.units import cost_unit, rate_unit
-from taciturn.study.violated import with_violations
-from taciturn.study.written import plant_as_written
+from taciturn.study.periodic import ClockMix, periodic_at
+
+
+def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
+    """Return a note on simulation options that were given although another method gave the answer."""
+    given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
+    if not given or method == "simulation":
+        return ()
+    return (f"{' and '.join(given)} had no effect: no loop was simulated",)
+
+
+def forgotten_start(problem: Problem) -> tuple[str, ...]:
+    """Return a note if an initial state is given, which no average cost depends on."""
+    plant = problem.plant if problem.actual is None else problem.actual
+    given = [name for name, value in (("mean", plant.mean), ("covariance", plant.covariance)) if value.any()]
+    if not given or problem.cost.horizon is not None or problem.cost.discount < 1:
+        return ()
+    return (f"{' and '.join(f'initial.{name}' for name in given)} had no effect: the cost is an average over all time",)
+
+
+CONTRADICTION = 3.0  # standard errors by which a rate that is outside its certified bounds deserves a note
+SAME = 1e-9  # relative difference of two rates that is a rounding error
+
+
+def choose_confidence(problem: Problem, asked: float | None) -> float | None:
+    """Return the confidence of a lower bound: as requested, or the default if a bound exists; None: no bound."""
+    if asked is not None:
+        return asked or None
+    try:
+        expect_bound(problem)
+    except ProblemError:
+        return None
+    return LEVEL
+
+
+def expect_bound(problem: Problem) -> None:
+    """Reject a problem without a lower bound on the cost of any scheduling.
+
+    Raises:
+        ProblemError: the problem has no lower bound; the message gives the reason.
+    """
+    policy = problem.designed()
+    if isinstance(policy, EventPolicy):
+        raise ProblemError(
+            f"a lower bound is requested, but none is available for {policy.kind} without a period; expected no "
+            "confidence level"
+        )
+    resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
+
+
+def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
+    """Return the lower bound at a measured rate, evaluated at the upper confidence limit of this rate.
+
+    Raises:
+        ProblemError: nothing is sent, or no bound exists.
+    """
+    if rate.value == 0:
+        raise ProblemError("nothing is sent")
+    from statistics import NormalDist  # which most evaluations do not need
+
+    lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
+    margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
+    return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
+
+
+def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit) -> tuple[str, ...]:
+    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds.
+
+    Args:
+        rate: the simulated rate, per unit of time.
+        certified: its certified bounds.
+        unit: the unit of time.
+    """
+    nearest = min(max(rate.value, certified[0]), certified[1])
+    gap, error = abs(rate.value - nearest), rate.standard_error
+    if rate.method != "simulation" or gap < CONTRADICTION * error or gap <= SAME * nearest:
+        return ()
+    decimals = max(0, 1 - magnitude(gap), 1 - magnitude(error) if error else 0)
+    low, high = (f"{bound:.{decimals}f}" for bound in certified)
+    off = f"{gap / error:.2g} standard errors " if error else ""
+    shown = rate if error else f"{rate.value:.{decimals}f}"
+    return (
+        f"the simulated rate {shown} per {unit} is {off}outside its certified bounds {low} to {high}; the bounds are "
+        "correct: the send intervals are so regular that the initial transient does not decay within the run",
+    )
+
+
+def with_violations(
+    problem: Problem, limits: Limits, request: Request, found: Evaluation, progress: Progress
+) -> Evaluation:
+    """Return an evaluation with the probabilities that limits are violated, or with a note that tells why not.
+
+    Args:
+        problem: the problem.
+        limits: its limits.
+        request: seed and number of steps.
+        found: the evaluation of cost and rates.
+        progress: callback that receives the fraction done.
+    """
+    policy = problem.designed()
+    try:
+        if not isinstance(policy, Policy):
+            raise ProblemError(
+                f"limits are given, and {policy.kind} has no steps that can be simulated; expected a policy with a "
+                "period, such as near-optimal"
+            )
+        seen = violations(problem.close(policy), limits, seed=request.seed, steps=request.steps, progress=progress)
+    except TaciturnError as error:
+        return replace(found, notes=(*found.notes, f"no probability of violation: {error}"))
+    except OutOfTime:
+        late = f"{late_text()}; expected a longer one"
+        return replace(found, notes=(*found.notes, f"no probability of violation: {late}"))
+    return replace(found, violations=seen)
+
+
+def plant_as_written(
+    problem: Problem, policy: object, request: Request, progress: Progress | None = None
+) -> AsWritten | None:
+    """Return cost and rates of a policy on the plant as written, or None if no default has added anything.
+
+    Args:
+        problem: the problem.
+        policy: its policy.
+        request: seed and steps; a standard error applies if it is larger than 0.1 % of the cost of every sample.
+        progress: callback that receives the fraction done.
+
+    Raises:
+        OutOfTime: the time limit passed before any answer was available.
+    """
+    kept = problem.controller
+    if kept is None or not isinstance(policy, Policy) or isinstance(problem.own, BareKind):
+        return None
+    added = policy.disturbance
+    listed = kept.loops if isinstance(kept, PIDLoops) else (kept,)
+    if added is None or any(one.disturbance is not None for one in listed):
+        return None
+    plain = Disturbance(added.time_constant, 0.0 * (0.0 if added.deviation is None else added.deviation))
+    plant = plain.added_to(problem.actual or problem.plant)
+    found = averages_on(plant, problem, policy, precisely(request, policy), progress)
+    return AsWritten(added.text(), found.cost, _every_sample(problem, kept), found.rates, found.settled)
+
+
+def _every_sample(problem: Problem, kept: Kept) -> float | None:
+    """Return the cost of the controller with every sample on the plant as written, or None if it is not known."""
+    if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None:
+        return None
+    period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
+    try:
+        plain = without_disturbance(kept)
+        return send_every_sample("this controller", problem.plant, problem.cost, period, plain).cost_all_time
+    except TaciturnError:  # such as a loop whose cost is infinite
+        return None
+
+
+def without_disturbance(kept: Kept) -> Kept:
+    """Return a controller whose plant gets no slow disturbance."""
+    none = Disturbance(deviation=0.0)
+    if isinstance(kept, PIDLoops):
+        first, *others = kept.loops
+        return PIDLoops((replace(first, disturbance=none), *others))
+    if isinstance(kept, PID | ContinuousController):
+        return replace(kept, disturbance=none)
+    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.rest, kept.start_input)
+
 
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)

@@ -1,36 +1,433 @@
-"""The result of an evaluation, and its text: one table, then details and warnings."""
+"""The result of an evaluation, and its text: one table, then details and warnings.
+
+Units of costs and rates: per step, per second, per second at the sampling instants, or per finite-horizon run.
+
+Parts of results as text: bounds that still hold after rounding, percentages, schedules.
+
+Cost and rate of a policy under a constant disturbance, after a step from zero to one deviation.
+
+A loop whose inputs have limits and the loop without limits: how often a limit binds, and cost and bound.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal, TypeAlias, cast
 
-from taciturn._text import Lines, magnitude, negligible, pairs_text, per_unit, percent, table_text
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn._display import Displayed
+from taciturn._progress import Progress, Stages
+from taciturn._text import LARGE, Lines, magnitude, negligible, number_text, pairs_text, per_unit, percent, table_text
 from taciturn.analyse.limits import LowerBound
+from taciturn.base.filter import SEND
+from taciturn.design.kind import placed
+from taciturn.design.silence import send_every_sample
+from taciturn.loop import Loop, close
+from taciturn.lqg.discrete import has_average
+from taciturn.model.diagram import pattern_text
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Violations
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.saturation import Saturation
 from taciturn.model.schedule import Schedule
-from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.model.steps import Decide
 from taciturn.model.theory import Linearisation
-from taciturn.study.clock import SAME, ClockMix
-from taciturn.study.disturbed import AfterStep
-from taciturn.study.limited import WithoutLimits
-from taciturn.study.lines import (
-    MOST_DECIMALS,
-    AsWritten,
-    bound_text,
-    clock_text,
-    decimals_of,
-    outward,
-    percent_above,
-    proof_text,
-    proved,
-    queries_text,
-    rounded,
-)
-from taciturn.study.measure import CONDITIONAL
-from taciturn.study.units import TimeUnit, Unit, rate_unit
+from taciturn.model.trigger import Form, Trigger
+from taciturn.problem import Problem
+from taciturn.problem.bare import BareKind
+from taciturn.program.engine import prepare
+from taciturn.program.lower import APPLIED, first_input
+from taciturn.program.ops import Entry
+from taciturn.simulation.average import average
+from taciturn.simulation.reliability import escapes, wanders
+from taciturn.simulation.sampling import Averages
+from taciturn.study.measure import CONDITIONAL, Request, measure
+from taciturn.study.periodic import SAME, ClockMix
+
+TimeUnit: TypeAlias = Literal["step", "second"]
+Unit: TypeAlias = Literal["step", "second", "second at the sampling instants", "mission"]
+
+
+def time_unit(problem: Problem) -> TimeUnit:
+    """Return the unit of time of a problem's cost weights and average cost."""
+    return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
+
+
+def cost_unit(problem: Problem) -> Unit:
+    """Return the unit that a problem's cost refers to; the cost of a finite-horizon run is a total.
+
+    If the integral of the cost has no average, the cost is that of the deviations at the sampling instants.
+    """
+    if problem.cost.mission:
+        return "mission"
+    integrated = all(has_average(plant, problem.cost) for plant in (problem.plant, problem.actual) if plant is not None)
+    return time_unit(problem) if integrated else "second at the sampling instants"
+
+
+def rate_unit(unit: Unit) -> TimeUnit:
+    """Return the unit of time of a rate for a given unit of the cost; rates of a finite-horizon run are per step."""
+    return "second" if unit.startswith("second") else "step"
+
+
+MOST_DECIMALS = 2  # largest number of decimals of a percentage in a table
+
+
+def decimals_of(share: float, digits: int) -> int:
+    """Return the number of decimals with which a percentage shows the given number of digits, at most four."""
+    return min(max(digits - 1 - magnitude(100 * share), 0), 4)
+
+
+def outward(value: float, digits: int, up: int) -> float:
+    """Return a bound rounded up (1) or down (−1) to the given number of digits, so that it still holds."""
+    nearest = float(f"{value:.{digits}g}")
+    if up * (nearest - value) < 0:
+        nearest += up * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    return nearest
+
+
+def proved(bound: float | None) -> float | None:
+    """Return an upper bound, rounded up to six digits, or None without a bound."""
+    return None if bound is None else outward(bound, 6, 1)
+
+
+def proof_text(proved: bool, every_sample: bool) -> str:
+    """Return in words which numbers of a guarantee are computed with proved errors.
+
+    Args:
+        proved: whether the whole guarantee is.
+        every_sample: whether the cost of sending every sample is.
+    """
+    if proved:
+        return "J_all and guarantee are proved for the gains as stored"
+    if every_sample:
+        return "J_all is proved for the gains as stored; what silence adds is computed in doubles, for exact gains"
+    return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
+
+
+def rounded(value: float, digits: int, up: int) -> str:
+    """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
+    nearest = outward(value, digits, up)
+    return f"{nearest:.0f}" if 1e4 <= abs(nearest) < LARGE else number_text(nearest, digits)
+
+
+def bound_text(bound: Estimate, up: int) -> str:
+    """Return a bound as text, rounded up (1) or down (−1) to six digits, or to those that its standard error allows."""
+    if bound.standard_error == 0:
+        return rounded(bound.value, 6, up)
+    digits = 2 + magnitude(bound.value) - magnitude(bound.standard_error)
+    return str(replace(bound, value=outward(bound.value, digits, up) if digits > 0 else bound.value))
+
+
+def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = True) -> str:
+    """Return the excess of a cost over the cost of sending every sample, in percent, with at most two decimals.
+
+    The last digit is that of the first digit of the standard error.
+
+    Args:
+        cost: the cost, or a bound on it.
+        base: the cost of sending every sample.
+        up: direction of rounding: 1 for an upper bound, -1 for a lower bound, and 0 for a cost.
+        signed: whether a positive number has a sign.
+    """
+    error, decimals = 100 * cost.standard_error / base, MOST_DECIMALS
+    if error > 0:
+        decimals = min(decimals, max(0, -magnitude(error)))
+    return percent(cost.value / base - 1, decimals, up=up, signed=signed)
+
+
+def shares_text(shares: Mapping[str, float]) -> str:
+    """Return the shares of the links as text."""
+    return ", ".join(f"{link} {share:g}" for link, share in shares.items())
+
+
+def clock_text(clock: ClockMix) -> str:
+    """Return how periodic control actuates (hold or prediction), and when it sends."""
+    named = [f"{list(point.cycle)} steps" if point.cycle else f"{1 / point.rate:.4g} s" for point in clock.points]
+    found = ", the best found" if clock.words == "hold" else ""  # with a model, neighbouring intervals are optimal
+    return f"{clock.words}, every {' or '.join(named)}{found}"
+
+
+def queries_text(schedule: Schedule) -> str:
+    """Return a text that states when the sensor is queried."""
+    ticks = schedule.ticks
+    if schedule.start is not None and schedule.period == 1:
+        found = pattern_text(schedule.queries.tolist(), schedule.start)
+        return f"at {found}" if found == "every step" else found
+    listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
+    if schedule.start is None:
+        return f"{len(ticks)} of {len(schedule.queries)} steps" + (f": {listed}" if ticks else "")
+    once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} steps, periodically"
+    return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"
+
+
+def proved_text(bound: float | None) -> str:
+    """Return a proved bound rounded up, empty if there is none."""
+    return "" if bound is None else rounded(bound, 6, 1)
+
+
+@dataclass(frozen=True, repr=False)
+class AsWritten(Displayed):
+    """The policy on the plant as written, without a slow disturbance that a default has added.
+
+    Args:
+        added: time constant and deviation of this disturbance, as text.
+        cost: cost of the policy on the plant as written.
+        cost_all_time: cost of sending every sample there; None if it is not known.
+        rates: sends per step or per second there, by scheduled link.
+        settled: whether the initial transient has decayed.
+    """
+
+    added: str
+    cost: Estimate
+    cost_all_time: float | None
+    rates: Mapping[str, Estimate] = field(hash=False)
+    settled: bool = True
+
+    def document(self) -> dict[str, Any]:
+        """Return the part of the JSON document of ``taciturn evaluate --json``."""
+        return {
+            "added": self.added,
+            "cost": self.cost.document("value", "standard_error"),
+            "cost_all_time": self.cost_all_time,
+            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
+            "settled": self.settled,
+        }
+
+    def extra(self) -> str:
+        """Return by how much the policy costs more than sending every sample on the plant as written, as text."""
+        if not self.cost_all_time:
+            return "without known cost of every sample"
+        return percent_above(self.cost, self.cost_all_time)
+
+    def text(self, unit: str) -> str:
+        """Return what is added and the numbers without it as one sentence."""
+        every = "" if self.cost_all_time is None else f", every sample {self.cost_all_time:.6g} ({self.extra()})"
+        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
+        late = "" if self.settled else "; the loop has not settled: more steps are required"
+        return (
+            f"a slow disturbance at each input that the problem does not state ({self.added}); on the plant as "
+            f"written, this policy costs {self.cost}{every}, {rates}{late}"
+        )
+
+
+ACCURACY = 1e-3  # standard error relative to the cost of sending every sample
+NEVER = 1e150  # a cost of silence above that of any packet
+
+
+@dataclass(frozen=True, repr=False)
+class AfterStep(Displayed):
+    """Averages of a loop with a constant disturbance, when the transient after the step has decayed.
+
+    Args:
+        size: the disturbance at each input.
+        cost: cost of the policy.
+        cost_all_time: cost of the same control if it sends every sample, under the same disturbance.
+        rates: sends per step or per second, by scheduled link.
+        settled: whether the transient has decayed within the steps.
+    """
+
+    size: tuple[float, ...]
+    cost: Estimate
+    cost_all_time: Estimate
+    rates: Mapping[str, Estimate] = field(hash=False)
+    settled: bool = True
+
+    def document(self) -> dict[str, Any]:
+        """Return the part of the JSON document of ``taciturn evaluate --json``."""
+        costs = {"cost": self.cost, "cost_all_time": self.cost_all_time}
+        found: dict[str, Any] = {name: cost.document("value", "standard_error") for name, cost in costs.items()}
+        rates = {link: rate.document("value", "standard_error") for link, rate in self.rates.items()}
+        return {"size": list(self.size), **found, "rates": rates, "settled": self.settled}
+
+    def text(self, unit: str) -> str:
+        """Return the averages as one sentence."""
+        size = ", ".join(f"{value:.4g}" for value in self.size)
+        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
+        late = "" if self.settled else "; the transient has not decayed: more steps are required"
+        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {rates}{late}"
+
+
+def averages_after_step(
+    problem: Problem, policy: Policy, request: Request, progress: Progress | None = None
+) -> AfterStep | None:
+    """Return the averages after a step of the disturbance that the policy assumes, or None if it assumes none.
+
+    Args:
+        problem: the problem.
+        policy: its policy.
+        request: seed and steps; a standard error applies if it is larger than 0.1 % of the cost of every sample.
+        progress: callback that receives the fraction done.
+    """
+    assumed = policy.disturbance
+    if assumed is None or assumed.deviation is None:
+        return None
+    plant, told = problem.actual or problem.plant, Stages(progress)
+    if isinstance(plant, Plant) and plant.stated == policy.model.stated:  # a policy without a problem: its own model
+        plant = assumed.removed_from(plant)
+    plant = assumed.stepped(plant)
+    precise = precisely(request, policy)
+    found = averages_on(plant, problem, policy, precise, told.stage(0.0, 0.5))
+    always = averages_on(plant, problem, _with_every_sample(problem, policy), precise, told.stage(0.5, 1.0))
+    size = tuple(float(value) for value in np.atleast_1d(assumed.deviation))
+    return AfterStep(size, found.cost, always.cost, found.rates, found.settled and always.settled)
+
+
+def precisely(request: Request, policy: Policy) -> Request:
+    """Return the request with a standard error of 0.1 % of the cost of every sample, unless it wants a larger one."""
+    return replace(request, standard_error=max(ACCURACY * policy.cost_all_time, request.standard_error or 0.0))
+
+
+def averages_on(
+    plant: Plant | ContinuousPlant, problem: Problem, policy: Policy, request: Request, progress: Progress | None
+) -> Averages:
+    """Return the averages of a policy on a plant with another disturbance than that of its design.
+
+    The loop recovers from such a disturbance as slowly as from a fault, so this time constant decides how many steps
+    are dropped.
+    """
+    policy = replace(policy, theory=replace(policy.theory, settling=policy.theory.recovers))
+    network = problem.network if policy.network.nodes == problem.network.nodes else policy.network
+    loop = close(plant, policy, network.with_intervals(policy.network), problem.cost)
+    error = None if request.steps else request.standard_error
+    return average(loop, seed=request.seed, standard_error=error, steps=request.steps, progress=progress)
+
+
+def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
+    """Return the same control with a packet at every sample; some rules, such as levels of the output, have none."""
+    if problem.controller is None:
+        return sends_every_sample(policy)
+    period = policy.tick if isinstance(problem.plant, ContinuousPlant) else None
+    network, links = problem.network, policy.scheduled
+    # over several links, which are ideal, the loop with every sample is that of one link
+    sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
+    link = "sensor" if sensed else "actuator"
+    always = send_every_sample(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
+    return placed(always, network.with_intervals(None)) if len(links) == 1 else always
+
+
+def sends_every_sample(policy: Policy) -> Policy:
+    """Return the policy with triggers that always send, whatever the limits of the intervals between sends."""
+
+    def always(trigger: Trigger) -> Trigger:
+        return Trigger({**trigger.options, "silent": Form(constant=NEVER)})
+
+    steps = tuple(
+        replace(step, trigger=always(step.trigger)) if isinstance(step, Decide) and step.decision == SEND else step
+        for step in policy.steps
+    )
+    return replace(policy, steps=steps, network=policy.network.with_intervals(None))
+
+
+PATHS, TICKS = 512, 512  # over which the share of steps at a limit is counted, after the transient
+FEWEST, NUMBERS = 64, 20_000_000  # paths at least, and most inputs that are recorded with more
+CONSTANTS, LONGEST = 12, 4096  # length of the transient in time constants, and its most steps
+NEAR = 1e-9  # relative distance at which an input is at its limit: the rounding of set-points
+
+
+@dataclass(frozen=True, repr=False)
+class WithoutLimits(Displayed):
+    """The loop without limits of its inputs, compared with the loop that has them.
+
+    Args:
+        share: share of the steps in which a limit binds, in the loop with limits; None if it has no average.
+        cost: cost of the loop without limits; None for a policy that is given without its problem.
+        cost_bound: proven upper bound on this cost, or None.
+        rates: sends per step or per second without limits, by scheduled link.
+    """
+
+    share: Estimate | None
+    cost: Estimate | None
+    cost_bound: float | None
+    rates: Mapping[str, Estimate] = field(hash=False)
+
+    def document(self) -> dict[str, Any]:
+        """Return the parts of the JSON document of ``taciturn evaluate --json``."""
+        rates = {link: rate.document("value", "standard_error") for link, rate in self.rates.items()}
+        cost = None if self.cost is None else self.cost.document("value", "standard_error")
+        free = {"cost": cost, "cost_bound": self.cost_bound, "rates": rates}
+        share = None if self.share is None else self.share.document("value", "standard_error")
+        return {"share_at_limit": share, "without_limits": free}
+
+    def text(self, unit: str) -> str:
+        """Return the comparison as one sentence."""
+        bind = "the share of the steps in which a limit binds has no average"
+        if self.share is not None:
+            bind = f"a limit binds in {self.share.scaled(100)} % of the steps"
+        bound = "" if self.cost_bound is None else f", guarantee {self.cost_bound:.6g}"
+        if self.cost is None:
+            return bind + bound.replace(", ", "; without limits: ", 1)
+        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
+        return f"{bind}; without limits: cost {self.cost}{bound}, {rates}"
+
+
+def compare_without_limits(
+    problem: Problem, loop: Loop, request: Request, pace: float, progress: Progress | None
+) -> WithoutLimits | None:
+    """Return the comparison of a loop with the same loop without limits, or None if no input has a limit.
+
+    Args:
+        problem: the problem.
+        loop: its loop.
+        request: accuracy of the cost.
+        pace: unit of the rates, in steps.
+        progress: callback that receives the fraction done.
+
+    Raises:
+        OutOfTime: the time limit passed before any answer was available.
+    """
+    limits = loop.problem.plant.saturation
+    if limits is None:
+        return None
+    # it would be that of the first steps, before the noise or the disturbances have come near the limits
+    share = None if escapes(loop) or wanders(loop) else share_at_limits(loop, limits, request.seed)
+    if isinstance(problem.own, BareKind):
+        bound = loop.policy.guarantee
+        return WithoutLimits(share, None, None if bound is None else bound.cost, {})
+    actual = None if problem.actual is None else problem.actual.unlimited
+    free = replace(problem, plant=problem.plant.unlimited, actual=actual)
+    policy = free.designed()
+    assert isinstance(policy, Policy)  # the others refuse limits
+    other = replace(free.close(policy), precision=loop.precision)
+    found, proved = measure(other, request, progress).averages, policy.guarantee if other.nominal else None
+    rates = {link: rate.scaled(pace) for link, rate in found.rates.items()}
+    return WithoutLimits(share, found.cost, None if proved is None else proved.cost, rates)
+
+
+def share_at_limits(loop: Loop, limits: Saturation, seed: int) -> Estimate:
+    """Return the share of the steps of a loop in which an input, or its change, is at a limit.
+
+    The paths begin at random steps of a timetable, which may last longer than they do, and end with a cycle of the
+    policy.
+    """
+    inputs, horizon, cycle = loop.problem.plant.inputs, loop.horizon, loop.policy.cycle
+    burn = 0 if horizon is not None else min(int(CONSTANTS * loop.policy.theory.settling) + 1, LONGEST)
+    program = loop.program().keep(outputs={Entry(APPLIED, i) for i in range(inputs)})
+    ticks = burn + -(-TICKS // cycle) * cycle if horizon is None else horizon
+    paths = max(FEWEST, min(PATHS, NUMBERS // (ticks * inputs)))
+    start = loop.start(program, paths, seed, stationary=horizon is None)
+    outputs = prepare(program)(start, ticks, None).outputs
+    applied = np.stack([outputs[Entry(APPLIED, i)] for i in range(inputs)], axis=-1)
+    first = np.broadcast_to(first_input(loop.policy, loop.problem.plant), (1, *applied.shape[1:]))
+    at = _at_limits(limits, applied, np.concatenate([first, applied[:-1]]))[burn:].mean(axis=0)
+    return Estimate(float(at.mean()), float(at.std(ddof=1) / np.sqrt(paths)), "simulation")
+
+
+def _at_limits(limits: Saturation, applied: Array, before: Array) -> Array:
+    """Return whether an input is at a limit, by step and path, given inputs (steps, paths, inputs)."""
+    with np.errstate(invalid="ignore"):
+        found = (applied <= limits.low + NEAR * np.abs(limits.low)) | (
+            applied >= limits.high - NEAR * np.abs(limits.high)
+        )
+    if limits.rate is not None:
+        found |= np.abs(applied - before) >= limits.rate * (1 - NEAR)
+    return np.asarray(found.any(axis=-1), dtype=np.float64)
+
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
 ZERO = 1e-11  # relative difference of two costs that is a rounding error

@@ -17,7 +17,7 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.model.result import Columns, Tabular, columns_of
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.cycles import estimate_cycles
 from taciturn.renewal.events import JumpProcess, LevelTrigger

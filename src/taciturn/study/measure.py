@@ -11,12 +11,7 @@ from functools import cache
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, part_of_time, seconds_left
 from taciturn.analyse.limits import solve_optimum
-from taciturn.analyse.renewal import (
-    ConditionalSampling,
-    RenewalQuadrature,
-    decides_alone,
-    expect_affordable,
-)
+from taciturn.analyse.renewal import ConditionalSampling, RenewalQuadrature, decides_alone, expect_affordable
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate

@@ -16,17 +16,26 @@ from taciturn._progress import Progress, answered_within, in_notebook
 from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.model.result import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
-from taciturn.study.clock import ClockKind, ClockPoint
-from taciturn.study.evaluation import Evaluation, bound_at_rate, least_cost, periodic_cost
-from taciturn.study.fair import clock_of
-from taciturn.study.lines import bound_text, percent_above, proved, proved_text
-from taciturn.study.sweeping.cells import Cell, Effort, check_confidence, check_grid, evaluate_cells, grid_of, label_of
-from taciturn.study.sweeping.store import Store
-from taciturn.study.units import TimeUnit, Unit, rate_unit
+from taciturn.study.evaluation import (
+    Evaluation,
+    TimeUnit,
+    Unit,
+    bound_at_rate,
+    bound_text,
+    least_cost,
+    percent_above,
+    periodic_cost,
+    proved,
+    proved_text,
+    rate_unit,
+)
+from taciturn.study.periodic import ClockKind, ClockPoint, clock_of
+from taciturn.study.points import Cell, Effort, check_confidence, check_grid, evaluate_cells, grid_of, label_of
+from taciturn.study.record import Store
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import ArrayLike, choice, number, semidefinite
+from taciturn.base.certainty import Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.base.filter import DEVIATION, SEND
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence, largest_ratio
-from taciturn.design.certainty import Actuation, certainty_policy, control_steps, design_certainty
-from taciturn.design.estimation import DEVIATION, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from taciturn.design.certainty import design_certainty
-from taciturn.design.clocked import every_tick
+from taciturn.base.certainty import design_certainty
+from taciturn.design.at_fixed_steps import every_tick
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from taciturn._arrays import number
-from taciturn.design.estimation import SEND
+from taciturn.base.filter import SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predict_continuously, predicted_policy, refuse_what_is_not_predicted
 from taciturn.model.cost import Cost

@@ -7,18 +7,17 @@ from functools import lru_cache
 from math import sqrt
 
 from taciturn._arrays import choice, flag, instance
-from taciturn.analyse.outcomes import MOST_LINKS, outcomes
-from taciturn.design.anti_windup import within_limits
+from taciturn.analyse.switched import MOST_LINKS, outcomes
+from taciturn.base.anti_windup import within_limits
+from taciturn.base.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
+from taciturn.base.filter import ESTIMATE
 from taciturn.design.bounds import PULLED, shares_of, threshold_of
-from taciturn.design.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
-from taciturn.design.contributions import ContributionSteps
-from taciturn.design.estimation import ESTIMATE
-from taciturn.design.inputs import InputSteps
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.several_nodes import ContributionSteps, InputSteps
 from taciturn.errors import ProblemError
 from taciturn.loop import close
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.silence import Allowance
+from taciturn.lqg.stored import Allowance
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
 from taciturn.model.network import Network

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number
+from taciturn.base.certainty import Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.base.filter import DEVIATION, SEND
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.certainty import Actuation, certainty_policy, control_steps, design_certainty
-from taciturn.design.estimation import DEVIATION, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Location, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Location
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 WAIT_LABEL = "wait"

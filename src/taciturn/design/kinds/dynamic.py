@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from taciturn._arrays import block_diagonal, number
+from taciturn.base.certainty import Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.base.filter import DEVIATION, ESTIMATE, SEND
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
-from taciturn.design.certainty import Actuation, certainty_policy, control_steps, design_certainty
-from taciturn.design.estimation import DEVIATION, ESTIMATE, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Evaluate, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Evaluate
 from taciturn.model.trigger import Form, Trigger
 
 CREDIT = "credit"

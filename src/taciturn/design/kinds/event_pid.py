@@ -1,14 +1,163 @@
-"""Årzén's event-based PID controller: it computes when a measurement arrives."""
+"""Årzén's event-based PID controller: it computes when a measurement arrives.
+
+PID controllers that compute only when a measurement arrives, with gains that depend on the time since the last one.
+
+The sensor sends when the output has changed by more than Δ since the last packet, and in some variants after a longest
+interval. With the time t since the last packet, the controller then computes
+
+    u = −(kp y + I + D),  D ← T/(T + t) D + kd/(T + t)(y − last y),  I ← I + ki a,
+
+where a is the area under the error that the variant assumes. The derivative is implicit, and so stable for every t. The
+filter of the given controller is explicit: with its time constant Tf and the step h, D⁺ = (1 − h/Tf) D +
+kd/Tf (y⁺ − y). Both are the same at t = h if T = Tf − h. With this T, the rule with a packet at every step is the given
+controller, with whose cost it is compared.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-from taciturn.design.event_based import design_event_pid
+import numpy as np
+
+from taciturn._arrays import Array, number
+from taciturn._display import Displayed
+from taciturn.base.certainty import expect_average
+from taciturn.base.filter import SEND
+from taciturn.base.receiver import sensor_base
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.silence import KeptLoop
+from taciturn.errors import ProblemError
+from taciturn.model.controller import PID, controller_from, pids_of
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
+from taciturn.model.steps import ONE, Apply, Assign, Decide, Evaluate, Received, Send, Step
+from taciturn.model.trigger import Form, Trigger
+
+HEARD, FRESH = "heard", "fresh"
+STATE = ("command", "area", "derivative", "before", "elapsed")
+
+
+@dataclass(frozen=True, repr=False)
+class EventPID(Displayed):
+    """The law of a PID controller that computes at packets.
+
+    Args:
+        pid: the gains.
+        step: seconds per step.
+        area: function of the error, the time since the last packet and the time of a step, all in seconds, that returns
+            the area under the error.
+    """
+
+    pid: PID
+    step: float
+    area: Callable[[Any, Any, float], Any]
+
+    def __call__(
+        self, heard: Any, fresh: Any, command: Any, integral: Any, derivative: Any, before: Any, elapsed: Any
+    ) -> Any:
+        """Return the command and the state of the controller; without a packet, only the elapsed steps change."""
+        pid, time = self.pid, elapsed * self.step
+        T = 0.0 if pid.filter is None else pid.filter - self.step
+        slope = (T * derivative + pid.kd * (heard - before)) / (T + time)
+        value = -(pid.kp * heard + integral + slope)
+        area = integral + pid.ki * self.area(heard, time, self.step)
+        new = fresh > 0.5
+        return (
+            np.where(new, value, command),
+            np.where(new, area, integral),
+            np.where(new, slope, derivative),
+            np.where(new, heard, before),
+            np.where(new, 1.0, elapsed + 1.0),
+        )
+
+
+def design_event_pid(
+    kind: str,
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    controller: object,
+    delta: float,
+    longest: float | None,
+    period: float | None,
+    area: Callable[[Any, Any, float], Any],
+) -> Policy:
+    """Return the policy of a PID controller that computes when a measurement arrives.
+
+    Args:
+        kind: name of the policy kind.
+        plant: the plant, without the slow disturbance that the controller compensates.
+        cost: the average cost.
+        controller: a PID controller of the only output and input of the plant.
+        delta: the sensor sends if the output has changed by more than this since the last packet.
+        longest: seconds after which the sensor sends in any case, or None.
+        period: seconds between steps; only with a continuous plant.
+        area: the area under the error, as for ``EventPID``.
+
+    Raises:
+        ProblemError: the controller is no PID controller, or the plant has several inputs or outputs.
+        UnstableError: the loop that sends every sample is unstable.
+    """
+    delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    loops = pids_of(controller_from(controller))
+    if not loops:
+        raise ProblemError(f"the controller of {kind} is no PID controller; expected pid with kp, ki, kd and filter")
+    kept, *others = loops
+    if others:
+        raise ProblemError(f"the controller has {len(loops)} PID loops; expected one loop with {kind}")
+    if kept.tracking_time is not None:
+        raise ProblemError(
+            f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"
+        )
+    expect_average(kind, cost)
+    loop = KeptLoop.of(plant, cost, period, kept)
+    (own,) = pids_of(loop.kept)
+    plant, step = loop.problem.plant, loop.problem.plant.dt
+    if plant.inputs != 1 or plant.outputs != 1:
+        raise ProblemError(
+            f"the plant has {plant.inputs} inputs and {plant.outputs} outputs; expected one of each with {kind}"
+        )
+    assert step is not None
+    steps = 0.0 if longest is None else number("longest", longest, 0.0) / step
+    one = np.eye(1)
+    late = {} if longest is None else {"late": Form(plus={"age": -1.0}, constant=max(np.ceil(steps - 1e-9), 1.0) - 0.5)}
+    sends = 1 + len(late)
+    counted, restarted = Form(constant=1.0, plus={"age": 1.0}), Form(constant=1.0)
+    moved = Form(("moved",), -one, delta**2)
+    decide: tuple[Step, ...] = (
+        Assign("sensor", "moved", {"y": one, "last": -one}),
+        Decide("sensor", SEND, Trigger({"silent": Form(), "moved": moved, **late})),
+        Send("sensor", "sensor", ("y",), SEND),
+        Assign("sensor", "last", ({"last": one}, *([{"y": one}] * sends)), SEND),
+        *((Evaluate("sensor", "age", (counted, *([restarted] * sends)), SEND),) if late else ()),
+    )
+    compute: tuple[Step, ...] = (
+        Assign("controller", HEARD, ({HEARD: one}, {"y": one}), Received("sensor")),
+        Assign("controller", FRESH, ({ONE: 0.0 * one}, {ONE: one}), Received("sensor")),
+        Apply("controller", dict.fromkeys(STATE, 1), EventPID(own, step, area), (HEARD, FRESH, *STATE)),
+        Assign("actuator", "input", {"command": one}),
+    )
+    initial = {"elapsed": np.ones(1), **_begun(own, loop), **({"age": np.full(1, 1e6)} if late else {})}
+    return loop.policy(
+        kind,
+        sensor_base(loop.problem, loop.controller),
+        (*decide, *compute),
+        (frozenset({"controller", "actuator"}),),
+        initial,
+    )
+
+
+def _begun(pid: PID, loop: KeptLoop) -> dict[str, Array]:
+    """Return the integral part of the command at the start, and the measurement before it, relative to the rest."""
+    plant, steady = loop.problem.plant, loop.point.input
+    before = plant.C @ plant.mean
+    integral = steady + pid.kp * (1 - pid.b) * pid.setpoint
+    if pid.start_input is not None:
+        integral = steady - pid.start_input - pid.kp * before
+    return {"area": integral, "before": before}
 
 
 def event_pid(

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from taciturn.design.event_based import design_event_pid
 from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.kinds.event_pid import design_event_pid
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy

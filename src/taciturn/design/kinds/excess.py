@@ -6,23 +6,20 @@ from collections.abc import Callable
 from typing import Literal
 
 from taciturn._arrays import choice, count, instance
+from taciturn.base.certainty import Actuation as LQGActuation
+from taciturn.base.certainty import certainty_policy, control_steps, design_certainty, gains_for_losses
+from taciturn.base.filter import SEND
+from taciturn.base.given_controller import lqg_observer
+from taciturn.base.receiver import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
-from taciturn.design.certainty import Actuation as LQGActuation
-from taciturn.design.certainty import certainty_policy, control_steps, design_certainty
-from taciturn.design.dropout_gains import gains_for_losses
-from taciturn.design.estimation import SEND
-from taciturn.design.given import drops, keep_controller
-from taciturn.design.kept import lqg_observer
-from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.routes import Actuation
-from taciturn.design.totals import total_excess
+from taciturn.design.kind import Kind, TradeoffParameter, placed, renamed_keys, three_nodes
+from taciturn.design.silence import drops, keep_controller, total_excess
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
-from taciturn.model.kept import controller_from
 from taciturn.model.network import Network
-from taciturn.model.placement import placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Trigger

@@ -10,7 +10,7 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn._progress import check_time
-from taciturn.design.estimation import SEND
+from taciturn.base.filter import SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
@@ -20,13 +20,13 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
-from taciturn.model.policy import Evaluate, Location, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Evaluate, Location
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
-from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
+from taciturn.renewal.cycles import PERIOD_TOLERANCE, CycleEstimate, SampledProcess, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
-from taciturn.renewal.sampled import PERIOD_TOLERANCE, SampledProcess
 
 MARGIN, SINCE = "margin", "since"
 MOST_PLACES = 20_000  # largest number of checks after a send that a node can count

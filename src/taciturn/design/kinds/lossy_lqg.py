@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn.design.anti_windup import within_limits
-from taciturn.design.estimation import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
-from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.base.anti_windup import within_limits
+from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
+from taciturn.design.kind import Kind, TradeoffParameter, placed, renamed_keys, three_nodes
 from taciturn.errors import ProblemError
+from taciturn.lqg.critical_losses import Channel
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.lossy import (
-    Channel,
     LossyRegulator,
     loss_sentence,
     mean_square_rate,
@@ -22,11 +22,11 @@ from taciturn.lqg.lossy import (
 from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
+from taciturn.model.disturbance import Reference, Tracking
 from taciturn.model.network import Network
-from taciturn.model.placement import placed, renamed_keys, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ONE, Acknowledged, Assign, Condition, Decide, Policy, Received, Send, Step, Terms
-from taciturn.model.reference import Reference, Tracking
+from taciturn.model.policy import Policy
+from taciturn.model.steps import ONE, Acknowledged, Assign, Condition, Decide, Received, Send, Step, Terms
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 

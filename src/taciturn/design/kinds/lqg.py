@@ -9,8 +9,7 @@ import numpy as np
 
 from taciturn._arrays import block_diagonal, choice, instance, number, symmetrised
 from taciturn._modes import least_eigenvalue
-from taciturn.design.bounds import less_noise
-from taciturn.design.certainty import (
+from taciturn.base.certainty import (
     Actuation,
     CertaintyEquivalentDesign,
     certainty_policy,
@@ -18,12 +17,12 @@ from taciturn.design.certainty import (
     design_certainty,
     silence_form,
 )
-from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.bounds import less_noise
+from taciturn.design.kind import Kind, TradeoffParameter, expect_ideal_links, placed
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
-from taciturn.model.placement import expect_ideal_links, placed
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from taciturn.design.certainty import Actuation
+from taciturn.base.certainty import Actuation
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.thresholds import relative_to_state
+from taciturn.design.silence import relative_to_state
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy

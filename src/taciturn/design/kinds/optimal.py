@@ -5,7 +5,7 @@ from __future__ import annotations
 from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.modelled import modelled
+from taciturn.design.prediction import modelled
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant

@@ -8,20 +8,18 @@ from typing import cast
 import numpy as np
 
 from taciturn._arrays import choice, count
-from taciturn.design.certainty import (
-    Actuation,
-    design_certainty,
-)
-from taciturn.design.clocked import every_tick, held_in_cycles, predicted_cost, time_triggered
+from taciturn.base.certainty import Actuation, design_certainty
+from taciturn.design.at_fixed_steps import every_tick, held_in_cycles, predicted_cost, time_triggered
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.lyapunov import stationary
+from taciturn.lqg.equation import stationary
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
-from taciturn.model.policy import Assign, Policy, Received, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Received, Send
 from taciturn.model.theory import ClosedForm, Theory
 
 LONGEST = 1_000_000  # largest number of steps of a cycle

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import comb
 
 from taciturn._arrays import count
-from taciturn.design.certainty import design_certainty
-from taciturn.design.clocked import held_in_cycles
+from taciturn.base.certainty import design_certainty
+from taciturn.design.at_fixed_steps import held_in_cycles
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise

@@ -9,18 +9,19 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number, symmetrised
-from taciturn.design.anti_windup import within_limits
-from taciturn.design.bounds import less_noise
-from taciturn.design.certainty import (
+from taciturn.base.anti_windup import within_limits
+from taciturn.base.certainty import (
+    Prices,
     completed_square,
     control_steps,
     expect_constant_set_points,
+    price_control,
     silence_form,
     steps_at_the_actuator,
 )
-from taciturn.design.estimation import CLOCK, COLLOCATED, ESTIMATE, HELD, SEND, FilterSteps, by_clock, count_ticks
+from taciturn.base.filter import CLOCK, COLLOCATED, ESTIMATE, HELD, SEND, FilterSteps, by_clock, count_ticks
+from taciturn.design.bounds import less_noise
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.prices import Prices, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import expect_known_start, forgetting
@@ -28,8 +29,9 @@ from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedul
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
+from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
+from taciturn.model.steps import Assign, Decide, Received, Send, Step
 from taciturn.model.theory import ClosedForm, Guarantee, Innovations, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 

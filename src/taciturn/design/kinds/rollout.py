@@ -9,20 +9,21 @@ import numpy as np
 
 from taciturn._arrays import Array, count, symmetrised
 from taciturn._progress import check_time
-from taciturn.design.certainty import (
+from taciturn.base.certainty import (
     CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     design_certainty,
     measure_excess,
 )
-from taciturn.design.estimation import CLOCK, ESTIMATE, SEND, count_ticks
+from taciturn.base.filter import CLOCK, ESTIMATE, SEND, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Location, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Evaluate, Location
 from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Scheduled, Trigger
 

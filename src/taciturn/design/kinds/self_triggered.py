@@ -6,16 +6,17 @@ import numpy as np
 
 from taciturn._arrays import count, number, symmetrised
 from taciturn._progress import check_time
+from taciturn.base.certainty import certainty_policy, control_steps, design_certainty, measure_excess
+from taciturn.base.filter import ESTIMATE, SEND
 from taciturn.design.bounds import LARGEST_PARAMETER, less_noise
-from taciturn.design.certainty import certainty_policy, control_steps, design_certainty, measure_excess
-from taciturn.design.estimation import ESTIMATE, SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import step_back
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Policy, Step
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Assign, Decide, Evaluate, Step
 from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 

@@ -7,31 +7,31 @@ from collections.abc import Mapping
 import numpy as np
 
 from taciturn._arrays import Array, Bits, instance, number
-from taciturn.design._fixed_point import least_value
-from taciturn.design.anti_windup import within_limits
-from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.certainty import (
+from taciturn.base.anti_windup import within_limits
+from taciturn.base.certainty import (
     CertaintyEquivalentDesign,
     design_certainty,
     expect_average,
     expect_constant_set_points,
 )
+from taciturn.base.filter import SEND
+from taciturn.base.given_controller import lqg_observer
+from taciturn.base.receiver import actuator_base, route_over
+from taciturn.base.value import least_value
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
-from taciturn.design.estimation import SEND
-from taciturn.design.kept import lqg_observer
-from taciturn.design.kept_loop import KeptLoop
-from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.routes import actuator_base, route_over
+from taciturn.design.kind import Kind, TradeoffParameter, expect_ideal_links, placed, three_nodes
+from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import resting_states, steady_filter
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
-from taciturn.model.kept import controller_from
 from taciturn.model.network import Network
-from taciturn.model.placement import expect_ideal_links, placed, three_nodes
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Decide, Evaluate, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Decide, Evaluate
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form, Trigger
 

@@ -7,22 +7,23 @@ import numpy as np
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, number, symmetrised
 from taciturn._modes import root
 from taciturn._progress import check_time
-from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
-from taciturn.design.certainty import (
+from taciturn.base.certainty import (
     Actuation,
     CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     design_certainty,
 )
-from taciturn.design.estimation import DEVIATION, SEND
+from taciturn.base.filter import DEVIATION, SEND
+from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Draw, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Draw
 from taciturn.model.theory import ClosedForm, Guarantee
 from taciturn.model.trigger import Form, Trigger
 

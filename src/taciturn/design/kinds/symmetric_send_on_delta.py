@@ -9,18 +9,19 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._display import Displayed
+from taciturn.base.certainty import expect_average
+from taciturn.base.filter import SEND
+from taciturn.base.receiver import nonempty, sensor_base
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.certainty import expect_average
 from taciturn.design.dead_bands import errors_of_one
-from taciturn.design.estimation import SEND
-from taciturn.design.kept_loop import KeptLoop
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.routes import nonempty, sensor_base
+from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
+from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
-from taciturn.model.kept import controller_from
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Apply, Assign, Decide, Policy, Received, Send
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Apply, Assign, Decide, Received, Send
 from taciturn.model.trigger import Form, Trigger
 
 LEVEL, USED, STATE = "level", "used", "state"

@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taciturn._arrays import Array, instance, number
-from taciturn.design.anti_windup import within_limits
-from taciturn.design.certainty import design_certainty, steps_at_the_actuator
-from taciturn.design.estimation import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
-from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.base.anti_windup import within_limits
+from taciturn.base.certainty import design_certainty, steps_at_the_actuator
+from taciturn.base.filter import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
+from taciturn.design.kind import Kind, TradeoffParameter, check_place, expect_ideal_links
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
-from taciturn.lqg.variances import corrections_of, schedule_by_variance
+from taciturn.lqg.queries import corrections_of, schedule_by_variance
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
 from taciturn.model.network import Network
-from taciturn.model.placement import check_place, expect_ideal_links
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
+from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
+from taciturn.model.steps import Assign, Decide, Received, Send, Step
 from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 

@@ -1,0 +1,647 @@
+"""Certainty-equivalent control over an actuator link: filter, gain, trigger, and an actuator that holds or predicts.
+
+In each step, the sensor measures. The controller, at the sensor's site, estimates the state, computes ``command`` =
+L x̂ and the ``candidate`` that the actuator applies if nothing is sent, and decides on their difference ``error``. The
+packet is transmitted, and the actuator applies ``input``. The controller stores the same input as ``held`` and predicts
+the next state.
+
+Cost weights of input errors and estimation errors, for average, discounted and finite-horizon costs.
+
+Gains of LQG that are optimal for a link that drops packets and acknowledges those that arrive.
+
+A dropout acts as silence: the receiver uses its own value h, the last input or 0. With the estimate x̂ of the state,
+(x̂, h)'P(x̂, h) is the value and p the loss probability:
+
+    Y = S + [A B; M]'P[A B; M],    L = −Y_hh⁻¹Y_hx,    P = p Y + (1 − p)[I 0; L 0]'Y[I 0; L 0].
+
+The acknowledgements separate estimation from control, as without losses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance, symmetrised
+from taciturn._display import Displayed
+from taciturn._modes import COST_ERROR, radius
+from taciturn.base.anti_windup import within_limits
+from taciturn.base.filter import (
+    CLOCK,
+    COLLOCATED,
+    DEVIATION,
+    ESTIMATE,
+    HELD,
+    SEND,
+    FilterSteps,
+    by_clock,
+    estimate_state,
+)
+from taciturn.base.value import Attempts, Base, advantage, repeated_value
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.kalman import Filter, expect_known_start
+from taciturn.lqg.periodic import Held
+from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_finite
+from taciturn.lqg.stored import Allowance, Apart, Proved, Stored, allowance, filter_loop
+from taciturn.model.cost import Cost
+from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
+from taciturn.model.network import IDEAL, Network
+from taciturn.model.plant import Plant
+from taciturn.model.policy import Policy
+from taciturn.model.signals import SampledChanges
+from taciturn.model.steps import Assign, Decide, Location, Received, Send, Step
+from taciturn.model.theory import OPERATIONS, ClosedForm, Guarantee, Identity, Reset, Theory, rounded_up
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
+
+Actuation: TypeAlias = Literal["hold", "model"]
+FASTER = 1e-6  # relative difference of two rates of decay that is no rounding
+AT_INSTANTS = "J and J_all at the sampling instants"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CertaintyEquivalentDesign(Displayed):
+    """Common design data of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter.
+
+    Args:
+        problem: the discrete-time problem.
+        regulator: cost-to-go K, gain L and weight H of the infinite-horizon regulator.
+        filter: covariances and gain of the steady-state Kalman filter.
+        estimation: policy steps of the filter.
+        cost_all_time: cost of sending at every step, per step, without the inter-sample noise cost.
+        proved: an enclosure of this cost for the gains as they are stored; None if its error is only estimated.
+        loop: the loop of these gains.
+        settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
+        pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
+            error e of the input, in the norm of the inverse of H; 0 for other set-points.
+        overlap: what set-points that change at known times cost per step beyond unrelated changes, because one changes
+            before the transient of the change before has ended.
+    """
+
+    problem: Discrete
+    regulator: Regulator
+    filter: Filter
+    estimation: FilterSteps
+    cost_all_time: float
+    settling: float
+    pull: float = 0.0
+    overlap: float = 0.0
+    proved: Proved | None = None
+    loop: Stored | None = None
+
+    @cached_property
+    def allowance(self) -> Allowance | None:
+        """The effect of the rounding of the gains on the cost of silence; None if it is not proved to be small."""
+        return self.allowance_of()
+
+    def allowance_of(self, apart: Apart | None = None) -> Allowance | None:
+        """Return the allowance of an estimate that is a sum of contributions of sensors that filter apart."""
+        if self.proved is None or self.loop is None or self.timed:
+            return None
+        return allowance(self.loop, self.regulator, self.filter, self.cost_all_time, apart)
+
+    def raised(self, silence: float, allowed: Allowance | None) -> tuple[float, float]:
+        """Return J_all and a factor of the cost of silence in a bound, so that it holds for the gains as stored.
+
+        Without a proof, they are J_all as computed, and 1.
+
+        Args:
+            silence: the most that silence adds with exact gains, per step.
+            allowed: the effect of the rounding of the gains, or None.
+        """
+        if self.proved is None or allowed is None:
+            return self.cost_all_time, 1.0
+        return allowed.raised(self.proved.upper, silence)
+
+    def relative(self, theta: float) -> float | None:
+        """Return a bound on the cost per step if silence adds at most θ/(1 + θ) of the stage cost; None if unproved."""
+        return None if self.proved is None or self.allowance is None else self.allowance.relative(self.proved, theta)
+
+    @property
+    def error(self) -> float | None:
+        """Proved bound on the error of ``cost_all_time`` in the user's units, or None."""
+        return None if self.proved is None else error_per_unit(self.problem, self.proved)
+
+    @property
+    def timed(self) -> bool:
+        """True if the set-points change at known times, so that neither identity nor closed form holds."""
+        return self.pull > 0
+
+    @property
+    def recovery(self) -> float | None:
+        """Time constant of regulator and filter without disturbances that decay more slowly; None if there are none.
+
+        A fault of a node does not change the disturbances, which are states of the problem.
+        """
+        p, source = self.problem, self.problem.source
+        if source is None or source.exosystem is None:
+            return None
+        plant = (p.plant.A + p.plant.B @ self.regulator.L)[: source.states, : source.states]
+        slowest = max(radius(plant), self.filter.slowest)
+        return 1 / (1 - slowest) if slowest < 1 - (1 + FASTER) / self.settling else None
+
+    @property
+    def stability(self) -> str:
+        """Whether the mean square of the loop is bounded, as text: a state or an input without cost may wander."""
+        stable = radius(self.problem.plant.A + self.problem.plant.B @ self.regulator.L) < 1
+        return "mean-square stable" if stable else "mean-square stable, except for states and inputs that cost nothing"
+
+    @property
+    def corrections(self) -> Array:
+        """Covariance of the corrections of the state estimate by measurements, prior minus posterior covariance."""
+        return self.filter.gain @ self.filter.innovation @ self.filter.gain.T
+
+    @property
+    def estimation_cost(self) -> float:
+        """Cost tr(QΣ) per step that the estimation error causes."""
+        return float(np.trace(self.problem.Q @ self.filter.posterior))
+
+    @cached_property
+    def held(self) -> Held:
+        """Control problem in which the input is held between sends."""
+        p = self.problem
+        return Held(p.plant.A, p.plant.B, p.Q, p.R, p.N, self.corrections)
+
+    @property
+    def square(self) -> Array:
+        """Weight L'HL of the additional cost e'L'HLe if control uses a state that differs from the estimate by e."""
+        return self.regulator.L.T @ self.regulator.H @ self.regulator.L
+
+    def reset(self, actuation: Actuation) -> Reset | None:
+        """Return the error x̃ − x̂ of the actuator's model if a send resets it to zero, or None otherwise.
+
+        The error is driven by the corrections of the estimate, which are independent between steps if the state is
+        measured or all noise is Gaussian.
+        """
+        problem, L = self.problem, self.regulator.L
+        if actuation != "model" or not (problem.plant.full_state or problem.gaussian):
+            return None
+        return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
+
+    def completed_square(self) -> Identity:
+        """Return the cost identity J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)], where σ is 1 at a send."""
+        problem = self.problem
+        return completed_square(problem.per_unit(self.cost_all_time), self.regulator.H / problem.tick)
+
+
+def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
+    """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ)).
+
+    Raises:
+        ProblemError: if the cost has a horizon or a discount, which the policy kind does not support.
+        UnstableError: if no stabilising gain exists.
+
+    Source: khashooei2017, anderson1990optimal
+    """
+    expect_average(kind, problem.cost)
+    plant = problem.plant
+    regulator = problem.regulator()
+    steady = problem.filter()
+    expect_known_start(plant, regulator.K.diagonal() > 0)
+    prior, posterior = steady.prior, steady.posterior
+    cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
+    loop = None if plant.changes is not None else filter_loop(problem, steady, regulator)
+    proved = None if loop is None else loop.cost()
+    overlap, pull = 0.0, 0.0
+    if isinstance(plant.changes, SampledChanges) and problem.followed is not None:
+        overlap, pull = problem.followed.transients(regulator.L, regulator.K, regulator.H, plant.changes.table)
+        cost += overlap
+    if proved is None:
+        left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
+        square = regulator.L.T @ regulator.H @ regulator.L
+        doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
+        if not doubt <= COST_ERROR * abs(cost) and loop is not None:  # then a proof is worth seconds
+            proved = loop.cost(patient=True)
+        if proved is None:
+            refuse_uncertain(float(cost), float(doubt))
+    if proved is not None:
+        cost = proved.value
+    settling = 1 / (1 - max(regulator.slowest, steady.slowest))
+    return CertaintyEquivalentDesign(
+        problem, regulator, steady, estimate_state(plant, steady), float(cost), settling, pull, overlap, proved, loop
+    )
+
+
+def error_per_unit(problem: Discrete, proved: Proved) -> float:
+    """Return the proved error of a cost in the user's units, with the rounding of its conversion to them."""
+    return rounded_up(proved.radius / problem.unit) + OPERATIONS * abs(problem.per_unit(proved.value))
+
+
+def expect_average(kind: str, cost: Cost) -> None:
+    """Raise an error if the cost has a horizon or a discount, and so is not an average.
+
+    Raises:
+        ProblemError: if the cost has a horizon or a discount, or is not a ``Cost``.
+    """
+    instance("cost", cost, Cost)
+    for name, absent in (("horizon", None), ("discount", 1.0)):
+        got = getattr(cost, name)
+        if got != absent:
+            raise ProblemError(
+                f"cost.{name} is {got:g}, which {kind} does not use; expected an average cost: remove this key"
+            )
+
+
+def expect_constant_set_points(kind: str, plant: Plant) -> None:
+    """Raise a ``ProblemError`` if the set-points of a plant change while the loop runs."""
+    if plant.changes is not None:
+        raise ProblemError(
+            f"the set-points change (reference.steps or file), which {kind} does not use; expected constant "
+            "set-points, or the kind excess or distributed"
+        )
+
+
+def control_steps(
+    plant: Plant,
+    estimation: FilterSteps,
+    L: Matrix,
+    actuation: Actuation,
+    trigger: Trigger | None,
+    *,
+    before: tuple[Step, ...] = (),
+    after: tuple[Step, ...] = (),
+) -> tuple[tuple[Step, ...], dict[str, Array]]:
+    """Return the policy steps of filter, trigger and actuator, and the initial values of their memories.
+
+    Args:
+        plant: the discrete-time plant.
+        estimation: the policy steps of the estimator.
+        L: the feedback gain.
+        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃.
+        trigger: trigger over ``estimate``, ``candidate``, ``error`` and ``deviation``; None to send at every step.
+        before: further policy steps before the decision.
+        after: further policy steps after the decision.
+    """
+    on = None if trigger is None else SEND
+    decide = () if trigger is None else (Decide("controller", SEND, trigger),)
+    part = _STEPS[choice("actuation", actuation, _STEPS)](plant, L, on)
+    deviates = trigger is not None and DEVIATION in trigger.reads
+    steps: tuple[Step, ...] = (
+        *estimation.correct,
+        Assign("controller", "command", {ESTIMATE: L}),
+        part.candidate,
+        Assign("controller", "error", {"candidate": np.eye(plant.inputs), "command": -np.eye(plant.inputs)}),
+        *(part.deviation if deviates else ()),
+        *before,
+        *decide,
+        *part.send,
+        *(part.noted if deviates else ()),
+        *after,
+        *estimation.predict,
+    )
+    return steps, {**estimation.initial, **part.initial}
+
+
+def certainty_policy(
+    kind: str,
+    certainty: CertaintyEquivalentDesign,
+    steps: tuple[Step, ...],
+    initial: Mapping[str, Array],
+    *,
+    identity: Identity | None,
+    locations: tuple[Location, ...] = (),
+    guarantee: Guarantee | None = None,
+    closed_form: ClosedForm | None = None,
+    fixed_rates: Mapping[str, float] | None = None,
+    reset: Reset | None = None,
+    slower: float = 1.0,
+    notes: tuple[str, ...] = (),
+) -> Policy:
+    """Return a policy whose controller is at the sensor's site and sends inputs over the actuator link.
+
+    Args:
+        kind: name of the policy kind in the catalogue.
+        certainty: filter and regulator.
+        steps: policy steps within a sampling step.
+        initial: initial values of the memories.
+        identity: exact identity for the cost by completion of squares.
+        locations: finite discrete states.
+        guarantee: proven bound on the cost.
+        closed_form: exact cost and rates.
+        fixed_rates: rates that the design fixes, in sends per step.
+        reset: the error that a send resets.
+        slower: time constant of the loop relative to that of sending every sample.
+        notes: remarks that a reader of the results should know.
+
+    If set-points change at known times, the error of the input is correlated with the changes. Then no identity holds,
+    and only a bound that allows for this, by ``pull``. If the cost is that at the sampling instants, the statement of
+    the bound says so.
+    """
+    problem, fixed_rates = certainty.problem, fixed_rates or {}
+    if certainty.timed:
+        if closed_form is not None and closed_form.cost != problem.per_unit(certainty.cost_all_time):
+            closed_form, fixed_rates = None, {**closed_form.rates, **fixed_rates}
+        identity, reset = None, None
+        guarantee = guarantee if guarantee is not None and guarantee.pull else None
+    if guarantee is not None and guarantee.proved:
+        guarantee = guarantee.upwards()
+    if problem.instants and guarantee is not None:
+        guarantee = replace(guarantee, statement=f"{guarantee.statement}; {AT_INSTANTS}")
+    policy = Policy(
+        kind=kind,
+        steps=steps,
+        model=problem.plant,
+        theory=Theory(
+            cost=problem.cost,
+            cost_all_time=problem.per_unit(certainty.cost_all_time),
+            cost_all_time_error=certainty.error,
+            noise_cost=problem.noise_cost,
+            settling=slower * certainty.settling,
+            recovery=None if certainty.recovery is None else slower * certainty.recovery,
+            guarantee=guarantee,
+            identity=identity,
+            innovations=certainty.estimation.innovations,
+            closed_form=closed_form,
+            reset=reset,
+            fixed_rates=fixed_rates,
+            covers=_covered(problem, closed_form),
+        ),
+        sites=COLLOCATED,
+        locations=locations,
+        initial=initial,
+        tick=problem.tick,
+        notes=notes,
+    )
+    return within_limits(policy)
+
+
+def steps_at_the_actuator(
+    plant: Plant, estimation: FilterSteps, L: Matrix, network: Network = IDEAL
+) -> tuple[Step, ...]:
+    """Return the policy steps of a controller at the site of all actuators, which needs no actuator link."""
+    unit, applied = np.eye(plant.inputs), network.applications(plant.inputs)
+    parts = [Assign(node, name, {"input": unit[[*rows]]}) for name, (node, rows) in applied.items() if name != "input"]
+    return (
+        *estimation.correct,
+        Assign(network.controller, "command", {ESTIMATE: L}),
+        Assign(network.actuators[0], "input", {"command": unit}),
+        *parts,
+        Assign(network.controller, HELD, {"command": unit}),
+        *estimation.predict,
+    )
+
+
+def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
+    """Return the cost identity J = constant + E[(1−σ)e'He] with e = û − Lx̂, where σ is 1 at a send.
+
+    A silent step costs exactly e'He, and a send costs 0.
+
+    Source: khashooei2017
+    """
+    return Identity(constant, (Form(("error",), H), Form()), SEND)
+
+
+def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity]:
+    """Return a step and an identity for the cost J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of gains other than L.
+
+    The policy step that computes u − Lx̂ is returned too.
+    """
+    problem, regulator = certainty.problem, certainty.regulator
+    step = Assign("controller", "excess", {HELD: np.eye(problem.plant.inputs), ESTIMATE: -regulator.L})
+    form = Form(("excess",), regulator.H / problem.tick)
+    return step, Identity(problem.per_unit(certainty.cost_all_time), (form,))
+
+
+def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
+    """Return the form (1+θ) e'He − θ·(stage cost in silence), by which a trigger limits the cost of silence.
+
+    It is at most θ tr(QΣ) whenever nothing is sent.
+
+    With e = û − Lx̂, the form equals [x̂; e]'Γ[x̂; e] of (2.13) and [x̂; û]'Γ[x̂; û] of (3.10).
+
+    Args:
+        problem: the discrete-time problem with the weights of one step.
+        H: weight of the error of the input û − Lx̂, (m, m), or one for each step of the step counter, (steps, m, m).
+        theta: the share θ.
+
+    Source: khashooei2017
+    """
+    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
+    signals = (ESTIMATE, "candidate", "error")
+    if H.ndim == 2:
+        return Form(signals, block_diagonal(-theta * stage, (1 + theta) * H))
+    return Form(signals, Scheduled(CLOCK, [block_diagonal(-theta * stage, (1 + theta) * price) for price in H]))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ActuationSteps(Displayed):
+    """The policy steps for the actuator's input in silence, and for the controller's copy of this input.
+
+    ``deviation`` is the difference between the actuator's state and the estimate; ``noted`` updates its memory.
+    """
+
+    candidate: Step
+    send: tuple[Step, ...]
+    initial: dict[str, Array]
+    deviation: tuple[Step, ...] = ()
+    noted: tuple[Step, ...] = ()
+
+
+def hold_steps(plant: Plant, L: Matrix | None, on: str | None) -> ActuationSteps:
+    """Return the policy steps of an actuator that keeps the last input, for any gain L."""
+    unit, state = np.eye(plant.inputs), np.eye(plant.states)
+    known = ({"candidate": unit}, {"command": unit})
+    return ActuationSteps(
+        Assign("controller", "candidate", {HELD: unit}),
+        (
+            Send("controller", "actuator", ("command",), on),
+            Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator")),
+            Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
+        ),
+        {},
+        (_off(plant, "sent"),),
+        (Assign("controller", "sent", ({"sent": state}, {ESTIMATE: state}), on),) if on else (),
+    )
+
+
+def _model(plant: Plant, L: Matrix, on: str | None) -> ActuationSteps:
+    unit = np.eye(plant.states)
+    closed = Scheduled(L.by, plant.A + plant.B @ L.values) if isinstance(L, Scheduled) else plant.A + plant.B @ L
+    moved, followed = {"model": closed}, {"copy": closed}
+    if plant.saturation is not None:  # the input that is applied differs from the command
+        moved, followed = {"model": plant.A, "input": plant.B}, {"copy": plant.A, HELD: plant.B}
+    copied = ({"prediction": unit}, {ESTIMATE: unit})
+    known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
+    return ActuationSteps(
+        Assign("controller", "candidate", {"prediction": L}),
+        (
+            Send("controller", "actuator", (ESTIMATE,), on),
+            Assign("actuator", "input", ({"forecast": L}, {ESTIMATE: L}), Received("actuator")),
+            Assign("actuator", "model", ({"forecast": unit}, {ESTIMATE: unit}), Received("actuator")),
+            Assign("actuator", "forecast", moved),
+            Assign("controller", "copy", copied, on) if on else Assign("controller", "copy", copied[1]),
+            Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
+            Assign("controller", "prediction", followed),
+        ),
+        {"prediction": plant.mean, "forecast": plant.mean},
+        (_off(plant, "prediction"),),
+    )
+
+
+def _off(plant: Plant, signal: str) -> Step:
+    return Assign("controller", DEVIATION, {signal: np.eye(plant.states), ESTIMATE: -np.eye(plant.states)})
+
+
+_STEPS: dict[Actuation, Callable[[Plant, Matrix, str | None], ActuationSteps]] = {"hold": hold_steps, "model": _model}
+
+
+def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str]:
+    """Return the properties that the theory covers: jumps, if the state is measured or the cost is in closed form."""
+    return THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Prices(Displayed):
+    """Optimal gains, costs-to-go and weights of input errors: constant, or for each step of a finite horizon.
+
+    Args:
+        problem: the discrete-time problem.
+        K: matrix of the cost-to-go, (n, n), or (N + 1, n, n).
+        L: feedback gain, (m, n), or (N, m, n).
+        H: weight of the difference of the input from Lx̂, (m, m), or (N, m, m).
+        error: bound on the error of K, (n, n); 0 for a finite horizon, whose recursion is exact up to rounding.
+    """
+
+    problem: Discrete
+    K: Array
+    L: Array
+    H: Array
+    error: Array
+
+    @property
+    def P(self) -> Array:
+        """Weight L'HL of the estimation error in the cost, (n, n), or for each step, (N, n, n)."""
+        return np.swapaxes(self.L, -1, -2) @ self.H @ self.L
+
+    @property
+    def average(self) -> bool:
+        """Whether the cost is a long-run average, and not a finite-horizon or discounted total."""
+        return not self.problem.cost.mission
+
+    def square(self) -> Matrix:
+        """Return the weight H of the completed square in the user's units of the cost."""
+        return by_clock(self.H / self.problem.unit)
+
+    def total(self, covariance: Array, start: int | None) -> float:
+        """Return the cost of applying the input Lx̂ at every step: per step for an average cost, otherwise in total.
+
+        The cost is tr(KW) + mean tr(PΣ_k) for an average, E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) for a horizon,
+        and E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k) for a discounted sum.
+
+        Args:
+            covariance: error covariances Σ_k of the estimate, (steps, n, n).
+            start: step from which the covariances repeat, or None with a horizon.
+
+        Raises:
+            UnstableError: if rounding makes the cost uncertain.
+
+        Source: khashooei2017
+        """
+        cost = self._summed(self.K, self.P, covariance, start)
+        A, alpha = self.problem.plant.A, self.problem.cost.discount
+        refuse_uncertain(
+            cost,
+            0.0
+            if self.problem.cost.horizon is not None
+            else self._summed(self.error, self.error + alpha * A.T @ self.error @ A, covariance, start),
+        )
+        return cost
+
+    def _summed(self, K: Array, P: Array, covariance: Array, start: int | None) -> float:
+        plant, alpha = self.problem.plant, self.problem.cost.discount
+        errors = (P * covariance).sum(axis=(1, 2))
+        if self.average:
+            return float(np.sum(K * plant.W) + errors[start:].mean())
+        first = K if start is not None else K[0]
+        begin = plant.mean @ first @ plant.mean + np.sum(first * plant.covariance)
+        if start is None:
+            return float(begin + np.sum(K[1:] * plant.W) + errors.sum())
+        weights = alpha ** np.arange(len(errors))
+        weights[start:] /= 1 - alpha ** (len(errors) - start)  # geometric sum over the discounted repetitions
+        return float(begin + alpha / (1 - alpha) * np.sum(K * plant.W) + weights @ errors)
+
+
+def price_control(problem: Discrete) -> Prices:
+    """Return the optimal gains and the weights of input and estimation errors for a discrete-time control problem.
+
+    Raises:
+        UnstableError: if no stabilising gain exists, or the cost overflows over the horizon.
+
+    Source: khashooei2017
+    """
+    plant, cost = problem.plant, problem.cost
+    if cost.horizon is None:
+        best = problem.regulator()
+        return Prices(problem, best.K, best.L, best.H, best.error)
+    assert problem.terminal is not None
+    finite = regulate_finite(*problem.quadratic, problem.terminal, cost.horizon)
+    return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
+
+
+STEPS, CONVERGED, LARGEST = 1000, 1e-13, 1e100
+HALVINGS = 10  # of the interval that contains the critical loss
+IMPROVEMENTS = 50
+SETTLED = 1e-12  # change of a gain relative to the gain
+
+
+def gains_for_losses(problem: Discrete, loss: float, zero: bool, key: str = "loss") -> Array:
+    """Return the gain L that minimises the cost of an attempt in every step, (m, n).
+
+    Args:
+        problem: the discrete-time problem.
+        loss: mean loss probability.
+        zero: whether the actuator applies 0 in silence; otherwise it keeps the last input.
+        key: the key that states the losses, for messages.
+
+    Raises:
+        UnstableError: the mean square grows for every gain; the message states up to which loss it does not.
+
+    Source: schenato2009, imer2006
+    """
+    plant = problem.plant
+    n, m = plant.B.shape
+    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
+    held = np.hstack([np.zeros((m, n)), np.zeros((m, m)) if zero else np.eye(m)])
+    base = Base(plant.A, plant.B, stage, np.zeros((m, n)), plant.W, held)
+    L = _iterated(base, loss, problem.cost.discount)
+    if L is None:
+        low, high = 0.0, loss
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if _iterated(base, middle, problem.cost.discount) is not None else (low, middle)
+        raise UnstableError(
+            f"{key} is {loss:.4g} on average, and the mean square of the loop grows for every gain; expected a loss "
+            f"below {low:.3g}"
+        )
+    attempts = Attempts(losses=np.full(1, loss), discount=problem.cost.discount)
+    for _ in range(IMPROVEMENTS):
+        found = advantage(replace(base, K=L), "expected a smaller loss", attempts)
+        change: Array = np.asarray(np.linalg.pinv(found.H[0, 0], hermitian=True), dtype=np.float64) @ found.slope[0, 0]
+        L = np.asarray(L - change, dtype=np.float64)
+        if np.abs(change).max(initial=0.0) <= SETTLED * np.abs(L).max(initial=0.0):
+            break
+    return L
+
+
+def _iterated(base: Base, loss: float, discount: float) -> Array | None:
+    """Return the gain after some steps of the value, or None if its own value is infinite."""
+    n, silent = len(base.Phi), base.silent
+    P, L = np.zeros_like(base.stage), base.K
+    for _ in range(STEPS):
+        Y = symmetrised(base.stage + discount * silent.T @ P @ silent)
+        L = np.asarray(-np.linalg.pinv(Y[n:, n:], hermitian=True) @ Y[n:, :n], dtype=np.float64)
+        closed = np.vstack([np.eye(n), L])
+        after = loss * Y
+        after[:n, :n] += (1 - loss) * symmetrised(closed.T @ Y @ closed)
+        size, change = np.abs(after).max(), np.abs(after - P).max()
+        P = after
+        if not size <= LARGEST:
+            return None
+        if change <= CONVERGED * size:
+            break
+    attempts = Attempts(losses=np.full(1, loss), discount=discount)
+    return None if repeated_value(replace(base, K=L), attempts) is None else L

@@ -1,0 +1,376 @@
+"""Controllers that a user has, together with the plant: the slow disturbance, LQG as a controller, usual weights.
+
+Exact cost of a given controller with periodic packets, at every q-th step and by the same means as the policy.
+
+Between packets, the receiver keeps its last value or predicts it, as in the policy. The controller may also be
+discretised for q steps, if its parameters are continuous, and then measures only when it sends. The cheaper of the two
+is the comparison.
+
+Constant set-points and the start of a given controller.
+
+A policy is designed for the deviations from the point at which the loop rests: with the state x* and the input u* for
+which the outputs equal their set-points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn._display import Displayed
+from taciturn._modes import radius
+from taciturn.base.certainty import design_certainty, price_control
+from taciturn.base.filter import HELD
+from taciturn.base.receiver import actuator_base
+from taciturn.base.value import Attempts, Base, advantage, least_value
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before
+from taciturn.lqg.kalman import Filter
+from taciturn.lqg.periodic import Held, lift
+from taciturn.model.controller import ContinuousController, Controller, Kept
+from taciturn.model.cost import Cost
+from taciturn.model.coverage import SIMULATED
+from taciturn.model.disturbance import Disturbance, padded
+from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.plant import ContinuousPlant, Plant, about
+from taciturn.model.policy import Policy
+from taciturn.model.steps import assigned
+
+LASTING = 1e-9  # a mode whose modulus is 1 up to this does not decay
+REMEDY = (
+    "check the sign of the controller (feedback is u = −K y), its gains, its step, and that no two integrals have the "
+    "same output"
+)
+CONSTANT = (
+    "the controller integrates, and the plant has no slow disturbance: a constant disturbance would make silence cost "
+    "more than computed"
+)
+
+
+def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | None = None) -> Cost:
+    """Return the cost for which the present variances of all outputs and inputs count equally, with every sample.
+
+    Args:
+        plant: the plant, without the slow disturbance that the controller compensates.
+        kept: the controller.
+        period: seconds between steps; only with a continuous plant.
+
+    Raises:
+        UnstableError: the loop is unstable, or a variance is infinite.
+        ProblemError: an output or an input does not move.
+    """
+    usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
+    problem, controller, _ = disturbed(plant, usual, period, kept)
+    base = actuator_base(problem, controller)
+    F, n = base.Phi + base.Gamma @ base.K, plant.states
+    seen = np.pad(plant.C, ((0, 0), (0, len(F) - n))) + (0.0 if plant.D is None else plant.D @ base.K)
+    rows = {"output_variance": seen, "input_variance": base.K}
+    found: dict[str, list[float]] = {}
+    for name, signals in rows.items():
+        found[name] = []
+        for number, row in enumerate(signals, 1):
+            P, slowest = least_value(F, row[:, None] * row)
+            variance = float(np.sum(P * base.noise))
+            if slowest >= 1:
+                raise UnstableError(
+                    f"the loop that sends every sample is not stable; expected a stable loop: "
+                    f"{remedy_of(problem, controller)}"
+                )
+            if variance <= 0:
+                raise ProblemError(
+                    f"{name.partition('_')[0]} {number} has no variance in the loop with every sample; expected noise "
+                    "that moves it, or output_variance and input_variance in place of weights"
+                )
+            found[name].append(variance)
+    return Cost.of_variances(plant.C, **found, D=plant.D)
+
+
+def disturbed(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept
+) -> tuple[Discrete, Controller, Disturbance | None]:
+    """Return the discrete-time problem with the slow disturbance, the controller at its step, and the disturbance."""
+    problem = discretise(plant, cost, period)
+    controller = kept.at(problem.plant.dt, problem.plant.inputs, problem.plant.outputs)
+    SIMULATED.check(controller)
+    disturbance = controller.expected
+    if disturbance is not None:
+        disturbance = disturbance.completed(plant, period)
+        problem = discretise(disturbance.added_to(plant, cost.mission), padded(cost, problem.plant.inputs), period)
+    return problem, controller, disturbance
+
+
+def lqg_observer(
+    kind: str, problem: Discrete, every: int = 1, L: Array | None = None, zero: bool = False
+) -> Controller:
+    """Return LQG control as a controller, whose observer uses the input that was applied.
+
+    Its gain is L, or by default optimal for a packet at every q-th step, and an input that is held or ``zero`` between.
+
+    Raises:
+        ProblemError: the cost has a horizon, so that the gains change.
+        UnstableError: no stabilising gain or filter exists.
+    """
+    if problem.cost.horizon is not None:
+        raise ProblemError(
+            f"cost.horizon is {problem.cost.horizon}, so the gains of LQG change with time; {kind} supports this only "
+            "over an actuator link that drops no packets (no loss, no burst), with actuation 'hold' or 'model', "
+            "every = 1, and gains and retry omitted; expected this, an average or discounted cost, or a controller"
+        )
+    plant = problem.plant
+    if L is not None:
+        return observer_controller(plant, problem.filter(), L)
+    if not problem.cost.mission:
+        certainty = design_certainty(kind, problem)
+        steady, gain, moved, shrunk = certainty.filter, certainty.regulator.L, certainty.corrections, 1.0
+    else:
+        steady, gain = problem.filter(), price_control(problem).L
+        moved, shrunk = plant.W, np.sqrt(problem.cost.discount)
+    if every > 1:  # with a discount, in states and inputs that are smaller by its root in each step
+        factor = 0.0 if zero else shrunk
+        between = Held(shrunk * plant.A, shrunk * plant.B, problem.Q, problem.R, problem.N, moved, factor)
+        gain = between.solve((every,)).gains[0]
+    return observer_controller(plant, steady, gain)
+
+
+def observer_controller(plant: Plant, steady: Filter, L: Array) -> Controller:
+    """Return feedback of the filtered estimate as a controller, whose filter uses the input that was applied."""
+    n, m = plant.B.shape
+    none = Disturbance(deviation=0.0)
+    if plant.full_state:
+        return Controller(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), L, None, plant.dt, none)
+    left = np.eye(n) - steady.gain @ plant.C
+    return Controller(plant.A @ left, plant.A @ steady.gain, L @ left, L @ steady.gain, plant.B, plant.dt, none)
+
+
+def remedy_of(problem: Discrete, controller: Controller) -> str:
+    """Return the remedy if a loop of a given controller is unstable: the other sign, if this loop is stable."""
+    c = controller
+    base = actuator_base(problem, Controller(c.A, c.B, -c.C, -c.D, c.E, c.dt))
+    if radius(base.Phi + base.Gamma @ base.K) >= 1:
+        return REMEDY
+    return (
+        "with the other sign of the controller the loop is stable, so change the key controller.sign, the sign of each "
+        "gain, or those of C and D (negative feedback is u = −K y)"
+    )
+
+
+def recovery(base: Base, plant: Plant, disturbance: Disturbance | None, slowest: float = 0.0) -> float | None:
+    """Return the time constant in steps of a base without the slow disturbance of its plant, or None without one.
+
+    ``slowest`` is the modulus of the slowest mode of the filter. A mode that does not decay does not count: the value
+    of the base exists, so neither its cost nor its controller sees this mode, such as an integral that only counts.
+    """
+    if disturbance is None:
+        return None
+    modes, (n, m) = np.abs(np.linalg.eigvals(base.Phi + base.Gamma @ base.K)), (plant.stated, plant.inputs)
+    # nothing moves the disturbances, so the loop has their decay per step as modes, up to rounding
+    slow = np.argsort(np.abs(modes - abs(plant.A[n - m, n - m])))[:m]
+    rest = np.delete(modes, slow)
+    return float(1 / (1 - max(slowest, *rest[rest < 1 - LASTING])))
+
+
+def note_disturbance(controller: Controller, disturbance: Disturbance | None) -> tuple[str, ...]:
+    """Return a note on the slow disturbance of the plant."""
+    if disturbance is None:
+        return (CONSTANT,) if controller.integrates else ()
+    stated = controller.disturbance or Disturbance()
+    missing = [name for name in ("time_constant", "deviation") if getattr(stated, name) is None]
+    source = f" ({' and '.join(missing)} by default, from the step, W and B)" if missing else ""
+    return (f"the plant has a slowly varying disturbance at each input: {disturbance.text()}{source}",)
+
+
+def note_ringing(kept: Kept, step: float) -> tuple[str, ...]:
+    """Return a note on a mode of a continuous controller that the trapezoidal rule makes alternate."""
+    found = kept.ringing(step) if isinstance(kept, ContinuousController) else None
+    if found is None:
+        return ()
+    return (
+        f"the controller has a mode with the time constant {found[0]:.3g} s, such as a filter of its derivative, which "
+        f"is faster than half a step of {step:g} s: the trapezoidal rule makes it an eigenvalue of {found[1]:.3g}, so "
+        "its part of the command alternates from step to step; expected a slower filter, a shorter step, or method "
+        '"zoh"',
+    )
+
+
+UNSTABLE = "expected fewer steps between packets"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SameControl(Displayed):
+    """Function of the steps between packets that returns the exact cost per step, without inter-sample noise cost.
+
+    Args:
+        problem: the discrete-time problem.
+        kept: the controller, which may depend on the step.
+        base: the loop that sends every sample, with the receiver's own value in silence.
+    """
+
+    problem: Discrete
+    kept: Kept
+    base: Base
+
+    def __call__(self, steps: int) -> float:
+        """Return the cost.
+
+        Raises:
+            UnstableError: the loop is unstable, for this controller and as it is discretised for these steps.
+        """
+        found = [cost for cost in (self.at_its_step(steps), self.discretised(steps)) if cost is not None]
+        if not found:
+            raise UnstableError(f"the controller is unstable with a packet every {steps} steps; {UNSTABLE}")
+        return min(found)
+
+    def at_its_step(self, steps: int) -> float | None:
+        """Return the cost of the controller that computes at every step; None if the loop is unstable."""
+        try:
+            return advantage(self.base, UNSTABLE, Attempts(tuple(k == 0 for k in range(steps)))).cost
+        except UnstableError:
+            return None
+
+    def discretised(self, steps: int) -> float | None:
+        """Return the cost of the controller at its discretisation for several steps; None if there is none."""
+        problem, plant = self.problem, self.problem.plant
+        if isinstance(self.kept, Controller) or steps == 1:
+            return None
+        long = lift(plant.A, plant.B, problem.Q, problem.R, problem.N, plant.W, steps)
+        dt = None if plant.dt is None else plant.dt * steps
+        try:
+            slow = replace(
+                problem,
+                plant=Plant(long.A, long.B, long.W, plant.C, plant.V, dt),
+                Q=long.Q,
+                R=long.R,
+                N=long.N,
+                exact=None,
+                deviations=None,
+            )
+            base = actuator_base(slow, self.kept.at(dt, plant.inputs, plant.outputs))
+            return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps
+        except (ProblemError, UnstableError):  # such as a filter that is faster than these steps
+            return None
+
+
+RESTS = 1e-9  # relative residual of an equation of the point
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rest(Displayed):
+    """The point at which the loop of a controller rests, and its start, relative to the plant's own operating point.
+
+    Args:
+        state: state x* of the plant, (n,).
+        input: input u*, (m,).
+        start: state of the controller at the start, relative to its state at rest, (k,).
+        before: the input before the start, relative to u*, (m,).
+    """
+
+    state: Array
+    input: Array
+    start: Array
+    before: Array
+
+    @property
+    def moved(self) -> bool:
+        """True if state or input differ from zero at the point, or the controller does not start at rest."""
+        return any(one.any() for one in (self.state, self.input, self.start, self.before))
+
+    def deviations(self, problem: Discrete) -> Discrete:
+        """Return the problem of the deviations from the point."""
+        plant = problem.plant
+        if self.state.any() or self.input.any():
+            here = plant.operating_point
+            x, u = (0.0, 0.0) if here is None else (here.x, here.u)
+            plant = about(plant, OperatingPoint(x + self.state, u + self.input))
+        if plant.registers and self.before.any():
+            plant = with_inputs_before(plant, registers_from(problem), self.before)
+        return replace(problem, plant=plant)
+
+    def begun(self, policy: Policy) -> Policy:
+        """Return a policy whose memories of the input start with the input before the start."""
+        if not self.before.any():
+            return policy
+        signals = {name for step in policy.steps for name in assigned(step)}
+        names = [name for name in ("command", HELD, "input") if name in signals]  # fingerprints contain their order
+        return replace(policy, initial={**dict.fromkeys(names, self.before), **policy.initial})
+
+
+def rest_of(problem: Discrete, controller: Controller) -> Rest:
+    """Return the point at which a loop rests.
+
+    Raises:
+        ProblemError: the plant cannot rest at the set-point, or the controller does not hold it.
+    """
+    plant, r = problem.plant, controller.setpoint
+    (n, m), p = plant.B.shape, plant.outputs
+    state, steady, rest = np.zeros(n), np.zeros(m), np.zeros(len(controller.A))
+    if problem.cost.mission and (r.any() or controller.start_input is not None):
+        raise ProblemError(
+            "a set-point or start_input is given, and the cost is a total over a horizon or with a discount; expected "
+            "an average cost"
+        )
+    if r.any():
+        moving = np.block([[plant.A - np.eye(n), plant.B], [plant.C, np.zeros((p, m))]])
+        found = _solved(
+            moving, np.concatenate([np.zeros(n), r]), f"the plant cannot rest at the set-point {r.tolist()}"
+        )
+        state, steady = found[:n], found[n:]
+        limit = plant.input_limit
+        if limit is not None and ((steady <= limit[:, 0]) | (steady >= limit[:, 1])).any():
+            raise beyond_limits(plant, steady)
+        k = len(controller.A)
+        holding = np.vstack([np.eye(k) - controller.A, controller.C])
+        caused = np.concatenate([controller.E @ steady, steady])
+        rest = _solved(holding, caused, "the controller does not hold the set-point, as it does not integrate")
+        rest = rest + controller.rest
+    start, before = -rest, -steady
+    if controller.start_input is not None:
+        _expect_within_limits(plant, controller.start_input)
+        before = controller.start_input - steady
+        if plant.registers:
+            plant = with_inputs_before(plant, registers_from(problem), controller.start_input)
+        start = _bumpless(controller, plant.C @ plant.mean - r, before)
+    return Rest(state, steady, start, before)
+
+
+def _expect_within_limits(plant: Plant, start_input: Array) -> None:
+    """Raise a ``ProblemError`` if an actuator cannot have applied the stated input before the start."""
+    limit, point = plant.input_limit, plant.operating_point
+    if limit is None or ((start_input >= limit[:, 0]) & (start_input <= limit[:, 1])).all():
+        return
+    units = np.zeros(len(start_input)) if point is None else point.u
+    raise ProblemError(
+        f"start_input is {(start_input + units).tolist()}, beyond the input_limit {(limit + units[:, None]).tolist()}; "
+        "expected an input within the limits, as the plant had it before the start"
+    )
+
+
+def _bumpless(c: Controller, error: Array, command: Array) -> Array:
+    """Return the state of the controller with a first command, at rest apart from its integrals.
+
+    Args:
+        c: the controller.
+        error: mean measurement at the start minus set-point, (p,).
+        command: deviation of the command, (m,).
+    """
+    left = np.eye(len(c.A)) - c.A - c.E @ c.C
+    state = np.asarray(np.linalg.pinv(left) @ (c.B + c.E @ c.D) @ error, dtype=np.float64)
+    _, sizes, rows = np.linalg.svd(left)
+    integrals = rows[sizes < 1e-9].T
+    state = state + integrals @ np.linalg.pinv(c.C @ integrals) @ (command - c.C @ state - c.D @ error)
+    if np.abs(c.C @ state + c.D @ error - command).max() > RESTS * max(1.0, float(np.abs(command).max())):
+        raise ProblemError("start_input is given, and not every input has an integral; expected an integral for each")
+    return state
+
+
+def _solved(matrix: Array, right: Array, what: str) -> Array:
+    """Return the smallest solution of a linear system.
+
+    Raises:
+        ProblemError: there is none.
+    """
+    found = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
+    if np.abs(matrix @ found - right).max(initial=0.0) > RESTS * np.abs(right).max(initial=0.0):
+        raise ProblemError(f"{what}; expected a set-point that the loop holds, or none")
+    return found

@@ -1,0 +1,384 @@
+"""A base, the loop whose sends the cost of silence refers to, and the value of its states.
+
+In each step of the loop, a packet carries the choice c = K z, where z contains everything that the loop uses. In
+silence, the receiver uses a value h of its own. With the value c or h, the loop moves by z⁺ = Φ z + Γ c + noise at the
+stage cost [z; c]'S[z; c], and the receiver's own value in the next step is M (z, c): the last value, M = (0, I), or the
+prediction of a model.
+
+The base attempts to send at given steps, and the link drops a packet with the probability p_m in channel state m. A
+dropout acts as silence. The value w'P_m w of w = (z, h) is computed backwards, with P' for the next step:
+
+    Y_m = S + [Φ Γ; M]' α Σ_m' T_mm' P'_m' [Φ Γ; M],    P_m = p_m Y_m + (1 − p_m) R'Y_m R,    R = [I 0; K 0],
+
+or P_m = Y_m in a step in which the base is silent. T contains the transition probabilities of the channel, and α is the
+discount. Silence with h = K z + e costs (1 − p_m)[e'He + 2e'(slope) z] more than an attempt, now and later, with the
+blocks H = Y_hh and slope = Y_hz + Y_hh K. For every policy that decides when to be silent, the cost exceeds that of the
+base by the mean of this over its silent steps, where the base attempts. LQG minimises its own value: its slope is zero.
+
+Least fixed points of the backward steps of a value, by doubling the horizon.
+
+A mode that the value does not depend on may be marginally stable, such as an integrator that nothing reads. A solver
+for Lyapunov equations refuses such modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from taciturn._arrays import Array, pushed, symmetrised
+from taciturn._display import Displayed
+from taciturn._modes import growth, normal_moments, radius
+from taciturn._progress import check_time
+from taciturn._rational import Limit
+from taciturn._text import ordinal
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.model.losses import stationary
+
+Fate: TypeAlias = tuple[float, Array, Array]
+"""Probability, dynamics and stage weight of an outcome of a step."""
+Cycle: TypeAlias = Sequence[Sequence[Sequence[Fate]]]
+"""The fates of each step and channel state."""
+
+DOUBLINGS = 64
+CONVERGED = 1e-14  # relative change of the value within a doubling of the horizon
+LARGEST = 1e100  # a larger value has diverged
+SEEN = 1e-9  # share of a mode in the value below which the cost does not depend on it
+MOST_UNKNOWNS = 2500  # entries of all P_m
+MEMORY = 16  # halvings of 1e-14 in the square: steps of a doubled horizon per time constant of the state
+
+
+def least_value(F: Array, M: Array) -> tuple[Array, float]:
+    """Return the least solution of P = M + F'PF, and the modulus of the slowest mode that it depends on, or infinity.
+
+    The horizon is doubled until the value does not change. ``_modes.summed`` also waits until the powers of F are zero,
+    which those of a marginal mode never are.
+    """
+    P, step = M, F
+    size = float(np.abs(P).max(initial=0.0))
+    for _ in range(DOUBLINGS):
+        check_time()
+        added = symmetrised(step.T @ P @ step)
+        P, step, size = P + added, step @ step, float(np.abs(P + added).max(initial=0.0))
+        if size > LARGEST or np.abs(added).max(initial=0.0) <= CONVERGED * size:
+            break
+    if size > LARGEST:
+        return P, np.inf
+    modes, vectors = np.linalg.eig(F)
+    seen = np.abs(np.einsum("ji,jk,ki->i", vectors.conj(), P, vectors)) > SEEN * size
+    return P, float(np.abs(modes)[seen].max(initial=0.0))
+
+
+def expect_few_states(size: int, channels: int) -> None:
+    """Raise an error if the value over a lossy link has too many unknowns.
+
+    Raises:
+        ProblemError: it has.
+    """
+    if channels * size * (size + 1) // 2 > MOST_UNKNOWNS:
+        raise ProblemError(
+            f"plant, controller and link have {size} states together, too many for the value over a lossy link; "
+            "expected fewer states, or a link without losses"
+        )
+
+
+def lossy(cycle: Cycle, turns: Array) -> tuple[Array, float] | None:
+    """Return the least P_m ≥ 0 at the start of a cycle, and its time constant in steps; None if the value is infinite.
+
+    All P_m are unknowns of one linear map, and the horizon is doubled as without losses.
+    """
+    size, s = len(cycle[0][0][0][1]), len(turns)
+    rows, columns = np.triu_indices(size)
+    d = len(rows)
+    spread = np.zeros((size * size, d))  # from the upper triangle to the whole matrix
+    spread[rows * size + columns, np.arange(d)] = 1.0
+    spread[columns * size + rows, np.arange(d)] = 1.0
+    upper = rows * size + columns
+    step, value = np.eye(s * d), np.zeros(s * d)
+    for states in reversed(cycle):
+        before, stage = np.zeros((s * d, s * d)), np.zeros(s * d)
+        for m, fates in enumerate(states):
+            here = slice(m * d, (m + 1) * d)
+            mean = np.zeros((d, d))
+            for p, F, M in fates:
+                mean += p * (np.kron(F.T, F.T) @ spread)[upper]
+                stage[here] += p * M[rows, columns]
+            for other in range(s):
+                before[here, other * d : (other + 1) * d] = turns[m, other] * mean
+        step, value = before @ step, before @ value + stage
+    for doubling in range(DOUBLINGS):
+        check_time()
+        added = step @ value
+        value = value + added
+        largest = float(np.abs(value).max(initial=0.0))
+        if not largest <= LARGEST:
+            return None
+        if np.abs(added).max(initial=0.0) <= CONVERGED * largest:
+            P = (spread @ value.reshape(s, d).T).T.reshape(s, size, size)
+            return P, len(cycle) * 2.0**doubling / MEMORY
+        step = step @ step
+        if not np.isfinite(step).all():
+            return None
+    return None
+
+
+def fourth_moments(P: Array, cycle: Cycle, turns: Array) -> float:
+    """Return the growth per step of the fourth moments of the states on which the value P depends."""
+    size, vectors = np.linalg.eigh(P)
+    seen = vectors[:, size > SEEN * size.max(initial=0.0)]
+    shape = (len(turns), *[seen.shape[1]] * 4)
+    reduced = [[[(p, seen.T @ F @ seen) for p, F, _ in fates] for fates in states] for states in cycle]
+
+    def moved(moments: Array) -> Array:
+        for states in reduced:
+            after = np.zeros(shape)
+            for m, fates in enumerate(states):
+                for p, F in fates:
+                    after[m] += p * pushed(F, moments[m], 4)
+            moments = np.tensordot(turns.T, after, 1)
+        return moments
+
+    return growth(moved, np.stack([normal_moments(seen.shape[1], 4)] * len(turns))) ** (1 / len(cycle))
+
+
+WIDTH = 1e-6  # accuracy of the critical loss
+SCANS = 32  # losses that are tried, up to the largest, before the critical one is bisected
+# Growth per step above which a loop is unstable, although its cost is finite: computed modes of two integrals that
+# the cost does not see lie up to 1e-8 outside the unit circle.
+GROWTH = 1e-6
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Base(Displayed):
+    """A loop whose packets carry a linear choice, as a linear system.
+
+    Args:
+        Phi: dynamics without the choice, (n, n).
+        Gamma: effect of the choice, (n, c).
+        stage: weight of the stage cost, (n + c, n + c).
+        K: the choice of the base, (c, n).
+        noise: covariance of the noise, (n, n).
+        candidate: the receiver's own value in the next step, (c, n + c); default: the value that it uses now.
+        unseen: cost per step that depends on no choice.
+    """
+
+    Phi: Array
+    Gamma: Array
+    stage: Array
+    K: Array
+    noise: Array
+    candidate: Array | None = None
+    unseen: float = 0.0
+
+    @property
+    def silent(self) -> Array:
+        """Dynamics of (z, h) in a silent step, (n + c, n + c)."""
+        n, c = self.Gamma.shape
+        held = np.hstack([np.zeros((c, n)), np.eye(c)]) if self.candidate is None else self.candidate
+        return np.vstack([np.hstack([self.Phi, self.Gamma]), held])
+
+    @property
+    def replaced(self) -> Array:
+        """The map R from (z, h) to (z, K z), as a packet replaces the receiver's value, (n + c, n + c)."""
+        n, c = self.Gamma.shape
+        return np.hstack([np.vstack([np.eye(n), self.K]), np.zeros((n + c, c))])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attempts(Displayed):
+    """The steps at which a base attempts to send, the link that drops its packets, and the sum that its cost is.
+
+    Args:
+        pattern: whether the base attempts in each step of a cycle, or of a finite horizon.
+        turns: transition probabilities of the channel state, (s, s).
+        losses: probability of a dropout in each channel state, (s,).
+        discount: factor α of the cost per step.
+        terminal: weight of z after a finite horizon, (n, n); None if the pattern repeats for ever.
+        key: the key that states the losses, for messages.
+    """
+
+    pattern: tuple[bool, ...] = (True,)
+    turns: Array = field(default_factory=lambda: np.ones((1, 1)))
+    losses: Array = field(default_factory=lambda: np.zeros(1))
+    discount: float = 1.0
+    terminal: Array | None = None
+    key: str = "loss"
+
+    @property
+    def start(self) -> Array:
+        """Stationary distribution of the channel state, (s,)."""
+        return stationary(self.turns)
+
+    @property
+    def often(self) -> str:
+        """How often the base attempts to send, as text."""
+        period = self.pattern[1:].index(True) + 1 if any(self.pattern[1:]) else len(self.pattern)
+        return "every sample" if period == 1 else f"once in {period} steps"
+
+    def scaled(self, factor: float) -> Attempts:
+        """Return the same attempts over a link with ``factor`` times the losses."""
+        return replace(self, losses=factor * self.losses)
+
+
+EVERY_SAMPLE = Attempts()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Advantage(Displayed):
+    """The value of a base, and the cost of silence in each step of its pattern and each channel state.
+
+    Args:
+        P: value w'P w of w = (z, h) at the start of the pattern, the mean over the channel states, (n + c, n + c).
+        H: quadratic weight of the deviation of the choice, (steps, s, c, c).
+        slope: linear weight of this deviation, (steps, s, c, n).
+        cost: cost per step; of a total, the part that the noise causes.
+        settling: time constant in steps of the slowest mode that the cost depends on; 0 for a finite horizon.
+        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them,
+            with a discount α of α² times them; at 1 or more, the variance of the cost is infinite. None without losses,
+            and over a horizon.
+    """
+
+    P: Array
+    H: Array
+    slope: Array
+    cost: float
+    settling: float
+    fourth: float | None = None
+
+
+def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Advantage:
+    """Return the value of a base, and the cost of silence.
+
+    Raises:
+        UnstableError: the cost of the base is infinite; the message ends with ``remedy``, or states the critical loss.
+        ProblemError: the loop has too many states for the value over a lossy link.
+    """
+    n, alpha, losses = len(base.Phi), attempts.discount, attempts.losses
+    value, settling = _last(base, attempts, remedy)
+    closed, silent, start = base.replaced[:, :n], base.silent, attempts.start
+    H, slope, weights = list[Array](), list[Array](), alpha ** np.arange(len(attempts.pattern))
+    cost, seen = base.unseen * float(weights.sum()), np.zeros_like(base.stage)
+    for attempt, weight in zip(reversed(attempts.pattern), reversed(weights), strict=True):
+        ahead = alpha * np.tensordot(attempts.turns, value, 1)
+        cost += weight * float(np.einsum("m,mij,ij", start, ahead[:, :n, :n], base.noise))
+        Y = base.stage + silent.T @ ahead @ silent
+        Y = (Y + Y.swapaxes(1, 2)) / 2
+        reached = (1 - losses)[:, None, None]
+        H.insert(0, reached * Y[:, n:, n:])
+        slope.insert(0, reached * (Y[:, n:] @ closed))
+        value = Y
+        if attempt:
+            value = losses[:, None, None] * Y
+            value[:, :n, :n] += reached * (closed.T @ Y @ closed)
+        seen = seen + value.sum(axis=0)
+        if not np.abs(value).max() <= LARGEST * np.abs(base.stage).max():  # also if it is NaN
+            raise UnstableError(
+                f"the base of the policy, which sends {attempts.often}, is not stable, and its cost exceeds "
+                f"{LARGEST:g} times the weights; expected a stable loop, or a shorter horizon: {remedy}"
+            )
+    total = attempts.terminal is not None or alpha < 1
+    if not total:
+        cost /= len(weights)
+    elif attempts.terminal is None:
+        cost /= 1 - alpha ** len(weights)
+    P = symmetrised(np.tensordot(start, value, 1))
+    fourth = None
+    if attempts.terminal is None and losses.any():
+        fourth = fourth_moments(seen, _cycle(base, attempts), attempts.turns)
+    return Advantage(P, np.array(H), np.array(slope), float(cost), settling, fourth)
+
+
+def note_growth(base: Base, attempts: Attempts, remedy: str) -> tuple[str, ...]:
+    """Return a remark if the base of a total cost is not stable, so that its cost grows with the horizon."""
+    if attempts.terminal is None:
+        return ()
+    grows = radius(base.Phi + base.Gamma @ base.K)
+    if all(attempts.pattern) and grows > 1 + GROWTH:
+        return (
+            f"the loop that sends every sample is not stable, and its deviations grow by a factor of {grows:.4g} per "
+            f"step: its cost, to which the bound refers, grows with the horizon; expected a stable loop: {remedy}",
+        )
+    return ()
+
+
+def critical_scale(base: Base, attempts: Attempts) -> float:
+    """Return the largest factor of the losses up to which the mean square of the base does not grow; 0 for none.
+
+    The growth need not be monotone: with losses above a range that is too high, it may decay again, for example where
+    the gain moves the plant faster than zero input. So the losses are raised step by step from zero.
+    """
+    most = 1 / float(attempts.losses.max())
+    low = 0.0
+    for high in np.linspace(0.0, most, SCANS + 1).tolist():
+        if repeated_value(base, attempts.scaled(high)) is None:
+            break
+        low = high
+    else:
+        return most
+    while high - low > WIDTH * max(high, WIDTH * most):
+        check_time()
+        middle = (low + high) / 2
+        low, high = (middle, high) if repeated_value(base, attempts.scaled(middle)) is not None else (low, middle)
+    return low
+
+
+def _last(base: Base, attempts: Attempts, remedy: str) -> tuple[Array, float]:
+    """Return the value after the pattern in each channel state, (s, n + c, n + c), and the time constant in steps."""
+    c, states = len(base.K), len(attempts.losses)
+    if attempts.terminal is not None:
+        return np.array([np.pad(attempts.terminal, (0, c))] * states), 0.0
+    if attempts.losses.any():
+        expect_few_states(len(base.Phi) + c, states)
+    found = repeated_value(base, attempts)
+    if found is not None:
+        return found
+    if attempts.losses.any():
+        scale = critical_scale(base, attempts)
+        stated = " and ".join(f"{p:.4g}" for p in attempts.losses) + " in its states" * (states > 1)
+        limit = f"below {scale * attempts.losses[0]:.4g}" if states == 1 else f"below {scale:.4g} times as much"
+        reason = f"a loss {limit}" if scale else f"a stable loop: {remedy}"
+        raise UnstableError(
+            f"{attempts.key} is {stated}, and the mean square of the loop that attempts to send {attempts.often} "
+            f"grows; expected {reason}"
+        )
+    if len(attempts.pattern) > 1:
+        raise UnstableError(
+            f"the loop that sends at every {ordinal(len(attempts.pattern))} step is not stable; expected a smaller "
+            f"every: {remedy}"
+        )
+    modes = np.linalg.eigvals(base.Phi + base.Gamma @ base.K)
+    worst = complex(modes[np.argmax(np.abs(modes))])
+    raise UnstableError(
+        f"the loop that sends every sample is not stable: it has the eigenvalue {Limit(False).named(worst)}; expected "
+        f"eigenvalues inside the unit circle: {remedy}"
+    )
+
+
+def repeated_value(base: Base, attempts: Attempts) -> tuple[Array, float] | None:
+    """Return the least value of a repeated pattern, and its time constant in steps; None if the loop is unstable."""
+    cycle = _cycle(base, attempts)
+    if attempts.losses.any():
+        # the receiver's own value may settle a loop that every packet destabilises; such a loop is no base
+        apart = repeated_value(base, attempts.scaled(0.0)) is None
+        return None if apart else lossy(cycle, attempts.turns)
+    F, M = np.eye(len(base.silent)), np.zeros_like(base.stage)
+    for fates in cycle:
+        _, step, stage = fates[0][0]
+        M, F = M + F.T @ stage @ F, step @ F
+    if not np.isfinite(F).all() or radius(F) > 1 + GROWTH:  # also a mode that the cost does not depend on
+        return None
+    P, slowest = least_value(F, symmetrised(M))
+    return None if slowest >= 1 else (np.array([P] * len(attempts.losses)), len(cycle) / (1 - slowest))
+
+
+def _cycle(base: Base, attempts: Attempts) -> Cycle:
+    """Return the fates of each step and channel state: probability, dynamics of (z, h), and stage weight."""
+    R, silent = base.replaced, np.sqrt(attempts.discount) * base.silent
+    quiet, heard = (silent, base.stage), (silent @ R, symmetrised(R.T @ base.stage @ R))
+    return [
+        [[(1 - p, *heard), *([(p, *quiet)] if p else [])] if attempt else [(1.0, *quiet)] for p in attempts.losses]
+        for attempt in attempts.pattern
+    ]

@@ -1,0 +1,580 @@
+"""The Kalman filter of several sensors as a sum of contributions, one from each sensor and one from the inputs.
+
+With Ω = (I − GC)A, the estimate is x̂ = ξ⁰ + Σ ξˢ, ξˢ⁺ = Ωξˢ + G_s y_s at sensor s, and ξ⁰⁺ = Ωξ⁰ + (I − GC)Bu at the
+controller. The controller uses a copy of ξˢ, of which sensor s runs a duplicate. In the names of signals, ``part`` is
+the contribution of a sensor, ``copy`` the sensor's duplicate, ``used`` the controller's copy, and ``own`` is ξ⁰.
+
+Inputs over several actuator links: the controller decides for each link, or chooses the cheapest set of packets.
+
+A policy that decides on one actuator link, on a network with several of them: the controller decides on sets.
+
+In silence on some links, the inputs of these links differ from the command by their part of the error. The cost of this
+silence is the form of the policy with the other entries of the error replaced by zero. Two rules choose the set of
+links that send:
+
+- If silence costs nothing without an error, its cost is compared with a price δ of a packet on every link, of which a
+  set has the share of its packets' prices. The set with the least sum of cost and price sends.
+- Otherwise, the cheapest set sends whose silence costs at most δ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain, combinations
+
+import numpy as np
+
+from taciturn._arrays import Array, Bits
+from taciturn._display import Displayed
+from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign
+from taciturn.base.filter import ESTIMATE, SEND
+from taciturn.errors import PlacementError, ProblemError
+from taciturn.lqg.kalman import resting_states, steady_filter
+from taciturn.lqg.stored import Apart
+from taciturn.model.network import Network
+from taciturn.model.plant import Plant
+from taciturn.model.policy import Policy
+from taciturn.model.steps import Acknowledged, Assign, Condition, Decide, Evaluate, Received, Send, Step, Terms, read
+from taciturn.model.theory import Innovations, Theory
+from taciturn.model.trigger import Form, Scheduled, Trigger
+
+SILENT, STATE = "silent", "state"
+REMEMBERED = 0.999  # factor per step of a disturbance that one sensor does not see, in its filter
+SHOWN = 1e-6  # relative size of the effect of a disturbance on outputs that counts as none
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ContributionSteps(Displayed):
+    """The policy steps of sensors that decide when to send their contribution, and of the controller that adds them.
+
+    Args:
+        certainty: regulator and filter of all measurements.
+        network: the nodes and links; a sensor without a link is at the controller's place.
+        prediction: what both ends of a link assume in silence: ``"hold"`` no further measurement, ``"model"`` the
+            measurements that a model predicts from the last packet.
+        thresholds: δ_l by group of links that are decided together; each sensor is a group.
+    """
+
+    certainty: CertaintyEquivalentDesign
+    network: Network
+    prediction: Actuation
+    thresholds: Mapping[tuple[str, ...], float]
+
+    def measure(self) -> tuple[Step, ...]:
+        """Return the steps of the sensors."""
+        return tuple(step for node in self._remote for step in self._sensor(node))
+
+    def add(self) -> tuple[Step, ...]:
+        """Return the steps by which the controller adds its copies to ``state``, the estimate that it acts on."""
+        at, n = self.network.controller, np.eye(self._plant.states)
+        local = {signal: gain for node, (signal, gain, _) in self._sensors.items() if node not in self._remote}
+        return (
+            Assign(at, "own", {"prior": self._left, **local}),
+            *(step for node in self._remote for step in self._receive(node)),
+            Assign(at, STATE, {"own": n, **{f"used_{node}": n for node in self._remote}}),
+        )
+
+    def predict(self, held: Mapping[str, Array]) -> tuple[Step, ...]:
+        """Return the steps after all inputs are known, as a sum ``held`` of the controller's signals."""
+        moved = {name: self._plant.B @ columns for name, columns in held.items()}
+        return (Assign(self.network.controller, "prior", {"own": self._plant.A, **moved}),)
+
+    @property
+    def apart(self) -> Apart:
+        """The sensors that filter at another place than the controller."""
+        return Apart([self._sensors[node][2] for node in self._remote], self._left, self._left @ self._plant.A)
+
+    @property
+    def initial(self) -> dict[str, Array]:
+        """The initial values of the memories: models start at the mean of the initial state, as the estimate."""
+        mean = self._plant.mean
+        models = ("local", "copy_model", "used_model") if self.prediction == "model" and mean.any() else ()
+        return {"prior": mean, **{f"{name}_{node}": mean for name in models for node in self._remote}}
+
+    @property
+    def estimate(self) -> Terms:
+        """The estimate of the filter of all measurements, as a sum of signals of all nodes."""
+        n = np.eye(self._plant.states)
+        return {"own": n, **{f"part_{node}": n for node in self._remote}}
+
+    def innovations(self) -> Innovations:
+        """Return the white innovations of the filter of all measurements, which no node computes."""
+        steady, C = self.certainty.filter, self._plant.C
+        predicted = {"prior": C, **{f"part_{node}": C @ self._plant.A for node in self._remote}}
+        return Innovations(None, steady.innovation, ESTIMATE, steady.posterior, predicted)
+
+    @property
+    def _plant(self) -> Plant:
+        return self.certainty.problem.plant
+
+    @cached_property
+    def _sensors(self) -> Mapping[str, tuple[str, Array, list[int]]]:
+        """The signal that each sensor measures, the columns of the filter's gain for it, and its outputs."""
+        plant, gain = self._plant, self.certainty.filter.gain
+        found = self.network.measurements(plant.sensed, plant.set_points)
+        return {node: (signal, gain[:, [*outputs]], [*outputs]) for signal, (node, outputs) in found.items()}
+
+    @cached_property
+    def _remote(self) -> list[str]:
+        return [node for node in self._sensors if node in self.network.links]
+
+    @cached_property
+    def _left(self) -> Array:
+        """The factor I − GC from the prior estimate to the posterior one."""
+        return np.eye(self._plant.states) - self.certainty.filter.gain @ self._plant.C
+
+    def _sensor(self, node: str) -> tuple[Step, ...]:
+        signal, gain, _ = self._sensors[node]
+        part, expected, L = f"part_{node}", f"expected_{node}", self.certainty.regulator.L
+        silent = Form((f"gap_{node}",), self.certainty.regulator.H)
+        rule = Trigger({SILENT: silent, SEND: Form(constant=self.thresholds[node,])})
+        models = self.prediction == "model"
+        return (
+            Assign(node, part, {part: self._left @ self._plant.A, signal: gain}),
+            *((self._local(node),) if models else ()),
+            *self._silent(node, node, "copy", expected),
+            Assign(node, f"gap_{node}", {part: L, expected: -L}),
+            Decide(node, decision((node,)), rule),
+            Send(node, node, (part, f"local_{node}") if models else (part,), decision((node,))),
+            *self._updated(node, node, "copy", expected, known(self.network, node, decision((node,)))),
+        )
+
+    def _receive(self, node: str) -> tuple[Step, ...]:
+        at, expected = self.network.controller, f"predicted_{node}"
+        return (
+            *self._silent(node, at, "used", expected),
+            *self._updated(node, at, "used", expected, Received(node)),
+        )
+
+    def _silent(self, node: str, at: str, copy: str, expected: str) -> tuple[Step, ...]:
+        """Return the steps of one end of a link that compute the sensor's contribution as if it were silent."""
+        decayed = {f"{copy}_{node}": self._left @ self._plant.A}
+        if self.prediction == "hold":
+            return (Assign(at, expected, decayed),)
+        _, gain, outputs = self._sensors[node]
+        model = f"{copy}_model_{node}"
+        return (
+            Assign(at, model, {model: closed_loop(self.certainty)}),
+            Assign(at, expected, {**decayed, model: gain @ self._plant.C[outputs]}),
+        )
+
+    def _updated(self, node: str, at: str, copy: str, expected: str, on: Condition) -> tuple[Step, ...]:
+        """Return the steps of one end of a link that set the copy, and its model, to those of a packet."""
+        n, model = np.eye(self._plant.states), f"{copy}_model_{node}"
+        steps = (Assign(at, f"{copy}_{node}", ({expected: n}, {f"part_{node}": n}), on),)
+        if self.prediction == "hold":
+            return steps
+        return (*steps, Assign(at, model, ({model: n}, {f"local_{node}": n}), on))
+
+    def _local(self, node: str) -> Step:
+        """Return the step of the Kalman filter of x⁺ = (A + BL)x + w̌ from the measurements of one sensor.
+
+        An output that the controller keeps free of a disturbance does not show it, so the filter forgets it slowly. It
+        does not forget disturbances and set-points that its outputs show, and does not estimate set-points that are
+        known and constant.
+        """
+        plant, (signal, _, outputs) = self._plant, self._sensors[node]
+        moved, closed = plant.B @ self.certainty.regulator.L, closed_loop(self.certainty)
+        known = resting_states(plant)
+        closed = closed - (1 - REMEMBERED) * self._unseen(outputs, ~known) @ closed
+        W = plant.W + moved @ self.certainty.filter.posterior @ moved.T
+        C, V = plant.C[outputs], plant.V[np.ix_(outputs, outputs)]
+        gain, place = np.zeros((plant.states, len(outputs))), np.ix_(~known, ~known)
+        gain[~known] = steady_filter(closed[place], C[:, ~known], W[place], V).gain
+        kept = (np.eye(plant.states) - gain @ C) @ closed
+        return Assign(node, f"local_{node}", {f"local_{node}": kept, signal: gain})
+
+    def _unseen(self, outputs: list[int], among: Bits) -> Array:
+        """Return the projection on the lasting states, of some, that outputs do not show where x = Xd, (n, n).
+
+        These are the unobservable directions of d⁺ = Sd with the outputs (CX + C_d)d. No prediction of these outputs
+        depends on them.
+        """
+        problem = self.certainty.problem
+        d, found = problem.lasting & among, np.zeros(self._plant.A.shape)
+        if problem.followed is None:
+            return np.diag(d.astype(np.float64))
+        S, shown = self._plant.A[np.ix_(d, d)], problem.followed.outputs(self._plant.C[outputs])[:, d]
+        rows = [shown]
+        for _ in range(1, len(S)):
+            rows.append(rows[-1] @ S)
+        seen = np.vstack(rows)
+        size = np.abs(seen).max(axis=0, initial=0.0)  # so that the result does not depend on the units
+        size[size == 0] = 1.0
+        _, lengths, directions = np.linalg.svd(seen / size, full_matrices=True)
+        rank = int((lengths > SHOWN * lengths.max(initial=0.0)).sum())
+        hidden = directions[rank:]
+        found[np.ix_(d, d)] = (hidden.T @ hidden) / size[:, None] * size
+        return found
+
+
+def closed_loop(certainty: CertaintyEquivalentDesign) -> Array:
+    """Return the matrix A + BL of the loop that sends every sample."""
+    return certainty.problem.plant.A + certainty.problem.plant.B @ certainty.regulator.L
+
+
+def known(network: Network, link: str, on: str) -> Condition:
+    """Return the condition by which the sender knows whether the receiver has its packet."""
+    return Acknowledged(link) if network.acknowledges(link) else on
+
+
+def decision(group: tuple[str, ...]) -> str:
+    """Return the name of the decision on a group of links."""
+    return "_".join((SEND, *group))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InputSteps(Displayed):
+    """The policy steps from the estimate ``state`` at the controller to the inputs of the actuators.
+
+    In the names of signals, ``held`` is the controller's copy of the input that an actuator applies, and ``error`` the
+    difference between the input in silence and the command Lx̃.
+
+    Args:
+        certainty: the regulator.
+        network: the nodes and links; an actuator without a link is at the controller's place.
+        actuation: what an actuator applies in silence: ``"hold"`` its last input, ``"model"`` the input of a simulation
+            x̃⁺ = (A + BL)x̃ from the last packet.
+        thresholds: δ_l by group of links that are decided together.
+    """
+
+    certainty: CertaintyEquivalentDesign
+    network: Network
+    actuation: Actuation
+    thresholds: Mapping[tuple[str, ...], float]
+
+    def decide(self) -> tuple[Step, ...]:
+        """Return the steps of the controller's decisions, and of the actuators."""
+        groups = [group for group in self.thresholds if not self._linked.isdisjoint(group)]
+        commands = [step for node in self._actuators for step in self._command(node)]
+        sends = [self._send(node, group) for group in groups for node in group]
+        # all packets before any acknowledgement, so that a node can wait for these until its next step
+        return (
+            *commands,
+            *map(self._decide, groups),
+            *(step for packet, _ in sends for step in packet),
+            *(step for _, copies in sends for step in copies),
+        )
+
+    @property
+    def held(self) -> Mapping[str, Array]:
+        """The input of the plant as a sum of signals at the controller."""
+        unit = np.eye(self.certainty.problem.plant.inputs)
+        return {f"held_{node}": unit[:, rows] for node, (_, rows) in self._actuators.items()}
+
+    @cached_property
+    def _actuators(self) -> Mapping[str, tuple[str, list[int]]]:
+        """The signal and the indices of the inputs that an actuator applies, by node."""
+        found = self.network.applications(self.certainty.problem.plant.inputs)
+        return {node: (signal, [*inputs]) for signal, (node, inputs) in found.items()}
+
+    @cached_property
+    def _linked(self) -> set[str]:
+        return set(self._actuators).intersection(self.network.links)
+
+    def _command(self, node: str) -> tuple[Step, ...]:
+        """Return the steps that compute the command of an actuator, and its error in silence."""
+        at, (signal, rows), L = self.network.controller, self._actuators[node], self.certainty.regulator.L
+        unit, name = np.eye(len(rows)), f"command_{node}"
+        command = Assign(at, name, {STATE: L[rows]})
+        if node not in self._linked:
+            return (command, Assign(node, signal, {name: unit}), Assign(at, f"held_{node}", {name: unit}))
+        silent: tuple[Step, ...] = (Assign(at, f"silent_{node}", {f"held_{node}": unit}),)
+        if self.actuation == "model":
+            model = f"held_model_{node}"
+            silent = (
+                Assign(at, model, self._moved(node, model, f"held_{node}")),
+                Assign(at, f"silent_{node}", {model: L[rows]}),
+            )
+        return (command, *silent, Assign(at, f"error_{node}", {f"silent_{node}": unit, name: -unit}))
+
+    def _moved(self, node: str, model: str, applied: str) -> dict[str, Array]:
+        """Return the next state of an actuator's model: it uses the input that it applies, and for others Lx̃."""
+        closed, plant, (_, rows) = closed_loop(self.certainty), self.certainty.problem.plant, self._actuators[node]
+        if plant.saturation is None:
+            return {model: closed}
+        return {model: closed - plant.B[:, rows] @ self.certainty.regulator.L[rows], applied: plant.B[:, rows]}
+
+    def _decide(self, group: tuple[str, ...]) -> Step:
+        """Return the decision on a group: to send if the error exceeds the limit, or the first set that prevents it."""
+        limit, at = self.thresholds[group], self.network.controller
+        if len(group) == 1:
+            return Decide(at, decision(group), Trigger({SILENT: self._error(group), SEND: Form(constant=limit)}))
+        options = {
+            _label(sent): self._error([node for node in group if node not in sent]) for sent in self._sets(group)
+        }
+        return Decide(at, decision(group), Trigger(options, limit))
+
+    def _error(self, silent: Sequence[str]) -> Form:
+        """Return the cost of the errors of silent actuators."""
+        rows = [row for node in silent for row in self._actuators[node][1]]
+        H = self.certainty.regulator.H[np.ix_(rows, rows)]
+        return Form(tuple(f"error_{node}" for node in silent), H) if rows else Form()
+
+    def _sets(self, group: tuple[str, ...]) -> list[tuple[str, ...]]:
+        """Return the sets of packets in the order of the trigger's labels: the cheapest first."""
+        sets = chain.from_iterable(combinations(group, size) for size in range(len(group) + 1))
+        return sorted(sets, key=lambda sent: sum(self.network.links[link].price for link in sent))
+
+    def _send(self, node: str, group: tuple[str, ...]) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+        """Return the steps that send to an actuator and apply its input, and those that copy it at the controller."""
+        at, (signal, rows), on = self.network.controller, self._actuators[node], decision(group)
+        sends = [node in sent for sent in self._sets(group)]
+        labels = tuple(_label(sent) for sent in self._sets(group) if node in sent) if len(group) > 1 else ()
+        told = known(self.network, node, on)
+        sends = [False, True] if isinstance(told, Acknowledged) else sends
+        unit, n, L = np.eye(len(rows)), np.eye(len(closed_loop(self.certainty))), self.certainty.regulator.L[rows]
+        command, silent = {f"command_{node}": unit}, {f"silent_{node}": unit}
+        if self.actuation == "hold":
+            return (
+                Send(at, node, (f"command_{node}",), on, labels),
+                Assign(node, signal, ({signal: unit}, command), Received(node)),
+            ), (Assign(at, f"held_{node}", tuple(command if sent else silent for sent in sends), told),)
+        model, copy = f"model_{node}", f"held_model_{node}"
+        return (
+            Send(at, node, (STATE,), on, labels),
+            Assign(node, model, (self._moved(node, model, signal), {STATE: n}), Received(node)),
+            Assign(node, signal, {model: L}),
+        ), (
+            Assign(at, copy, tuple({STATE: n} if sent else {copy: n} for sent in sends), told),
+            Assign(at, f"held_{node}", {copy: L}),
+        )
+
+
+def _label(sent: tuple[str, ...]) -> str:
+    """Return the label of a set of packets."""
+    return " and ".join(sent) or SILENT
+
+
+MOST_LINKS = 4  # whose sets are compared
+ERROR, CANDIDATE, COMMAND, INPUT = "error", "candidate", "command", "input"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JointSets(Displayed):
+    """The sets of links of a network, and the steps of a policy for each set.
+
+    Args:
+        policy: a policy of a sensor, a controller and an actuator.
+        network: the nodes and links. The steps may have the names of its nodes, the actuator that of any of them.
+    """
+
+    policy: Policy
+    network: Network
+
+    @cached_property
+    def actuators(self) -> Mapping[str, tuple[str, list[int]]]:
+        """The signal and the indices of the inputs that an actuator applies, by node."""
+        found = self.network.applications(self.policy.model.inputs)
+        return {node: (signal, [*rows]) for signal, (node, rows) in found.items()}
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """The actuators with a link."""
+        return tuple(node for node in self.actuators if node in self.network.links)
+
+    @cached_property
+    def weights(self) -> Mapping[str, float]:
+        """The share of each link in the price of a packet on every link."""
+        prices = {link: self.network.links[link].price for link in self.links}
+        return {link: price / sum(prices.values()) for link, price in prices.items()}
+
+    @cached_property
+    def all(self) -> tuple[tuple[str, ...], ...]:
+        """The sets of links that send, the cheapest first."""
+        sets = chain.from_iterable(combinations(self.links, size) for size in range(len(self.links) + 1))
+        return tuple(sorted(sets, key=lambda sent: sum(self.weights[link] for link in sent)))
+
+    @cached_property
+    def decision(self) -> str:
+        """The name of the decision on the actuator link; empty if there is none with two options."""
+        on = [step.on for step in self.policy.steps if isinstance(step, Send)]
+        made = [step for step in self.policy.steps if isinstance(step, Decide) and [step.decision] == on]
+        return made[0].decision if len(made) == 1 and len(made[0].trigger.options) == 2 else ""
+
+    @cached_property
+    def partial(self) -> frozenset[str]:
+        """The signals whose value depends on the set: error and candidate, and forms of them."""
+        found = {ERROR, CANDIDATE}
+        for step in self.policy.steps:
+            if isinstance(step, Evaluate) and any(found.intersection(form.reads) for form in step.forms):
+                found.add(step.signal)
+        return frozenset(found)
+
+    @cached_property
+    def greedy(self) -> bool:
+        """True if silence costs nothing without an error."""
+        silent = next(
+            next(iter(step.trigger.options.values()))
+            for step in self.policy.steps
+            if isinstance(step, Decide) and step.decision == self.decision
+        )
+        first = {step.signal: step.forms[0] for step in self.policy.steps if isinstance(step, Evaluate)}
+        forms = [silent, *(first[name] for name in silent.plus if name in first)]
+        return all(self._vanishes(form) for form in forms)
+
+    def _vanishes(self, form: Form) -> bool:
+        sizes = [self.policy.sizes[name] for name in form.signals]
+        rest = np.repeat([name != ERROR for name in form.signals], sizes)
+        values = form.Psi.values if isinstance(form.Psi, Scheduled) else form.Psi
+        constant = form.constant.values if isinstance(form.constant, Scheduled) else form.constant
+        weighed = values is not None and values[..., rest, :][..., rest].any()
+        return not weighed and not np.any(constant) and form.bell is None and self.partial.issuperset(form.plus)
+
+    def check(self) -> None:
+        """Raise an error if the controller cannot decide on sets of actuator links.
+
+        Raises:
+            PlacementError: a packet carries more than the input, the identity refers to periodic packets, or there are
+                too many links.
+        """
+        kind, listed = self.policy.kind, ", ".join(self.links)
+        sends = [step for step in self.policy.steps if isinstance(step, Send)]
+        if len(self.links) > MOST_LINKS:
+            raise PlacementError(
+                f"{kind} decides on the {2 ** len(self.links)} sets of {len(self.links)} actuator links; expected at "
+                f"most {MOST_LINKS} links"
+            )
+        if any(step.payload != (COMMAND,) for step in sends):
+            raise PlacementError(
+                f"the packets of {kind} carry more than the input, and several links ({listed}) decide; expected "
+                "actuators that hold their input (actuation = 'hold')"
+            )
+        if len(sends) != 1 or not self.decision:
+            raise PlacementError(
+                f"{kind} has no single decision on its actuator link, and several links ({listed}) decide; expected "
+                "one actuator link"
+            )
+        identity = self.policy.theory.identity
+        if identity is not None and len(identity.forms) > 1 and _weighs(identity.forms[1]):
+            raise PlacementError(
+                f"the base of {kind} sends at some steps only, and several links ({listed}) decide; expected "
+                "every = 1, or one actuator link"
+            )
+
+    def whole(self, sent: Sequence[str]) -> bool:
+        """Return whether a set contains all links."""
+        return len(sent) == len(self.links)
+
+    def label(self, sent: Sequence[str]) -> str:
+        """Return the label of a set."""
+        return " and ".join(sent) or "silent"
+
+    def named(self, signal: str, sent: Sequence[str]) -> str:
+        """Return the name of a signal if a set sends; the value without any packet keeps its name."""
+        differs = signal in self.partial and (sent or len(self.links) < len(self.actuators))
+        return f"{signal} if {self.label(sent)}" if differs else signal
+
+    def form(self, form: Form, sent: Sequence[str]) -> Form:
+        """Return the form of the error that remains if a set sends."""
+        signals = tuple(self.named(name, sent) for name in form.signals)
+        plus = {self.named(name, sent): weight for name, weight in form.plus.items()}
+        return Form(signals, form.Psi, form.constant, plus, form.bell)
+
+    def silent(self, sent: Sequence[str]) -> Array:
+        """Return the matrix that selects the inputs of silent links, (m, m)."""
+        found = np.zeros(self.policy.model.inputs)
+        for link in self.links:
+            found[self.actuators[link][1]] = link not in sent
+        return np.diag(found)
+
+    def of(self, step: Step) -> tuple[Step, ...]:
+        """Return the steps that replace a step of the policy."""
+        if isinstance(step, Decide) and step.decision == self.decision:
+            return (replace(step, trigger=self._trigger(step.trigger)),)
+        if isinstance(step, Send):
+            return tuple(found for node in self.actuators for found in self._send(step, node))
+        if isinstance(step, Evaluate) and step.signal in self.partial:
+            others = [sent for sent in self.all if not self.whole(sent)]
+            return tuple(
+                Evaluate(
+                    step.at, self.named(step.signal, sent), tuple(self.form(one, sent) for one in step.forms), step.on
+                )
+                for sent in others
+            )
+        if not isinstance(step, Assign):
+            return (step,)
+        if step.signal == INPUT:
+            return tuple(self._receive(step, node) for node in self.actuators)
+        if step.on == self.decision:
+            return (self._copied(step),)
+        return (step, *self._errors(step)) if step.signal == ERROR else (step,)
+
+    def theory(self, theory: Theory) -> Theory:
+        """Return the theory of the policy that decides on sets of links."""
+        identity, guarantee = theory.identity, theory.guarantee
+        if identity is not None and identity.on is not None:
+            forms = [Form() if self.whole(sent) else self.form(identity.forms[0], sent) for sent in self.all]
+            identity = replace(identity, forms=tuple(forms))
+        if guarantee is not None and guarantee.base is not None:
+            statement = f"{guarantee.statement}; rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
+            guarantee = replace(guarantee, statement=statement, weights=self.weights)
+        return replace(theory, identity=identity, guarantee=guarantee, reset=None, periodic=None)
+
+    def _trigger(self, trigger: Trigger) -> Trigger:
+        silent, price = trigger.options.values()
+        options = {self.label(sent): self.form(silent, sent) for sent in self.all if not self.whole(sent)}
+        last = self.label(self.all[-1])
+        limit = price.constant
+        if not self.greedy:
+            if isinstance(limit, Scheduled):
+                raise ProblemError(f"{self.policy.kind} decides by the {limit.by}; expected one actuator link")
+            return Trigger({**options, last: Form()}, limit)
+        for sent in self.all[1:-1]:
+            share = sum(self.weights[link] for link in sent)
+            part = Scheduled(limit.by, share * limit.values) if isinstance(limit, Scheduled) else share * limit
+            form = options[self.label(sent)]
+            added = part if isinstance(part, Scheduled) else part + _number(form.constant)
+            options[self.label(sent)] = Form(form.signals, form.Psi, added, form.plus, form.bell)
+        return Trigger({**options, last: price})
+
+    def _errors(self, step: Assign) -> tuple[Step, ...]:
+        """Return the error and the input of the plant for each set that leaves some links silent."""
+        found = list[Step]()
+        unit = np.eye(step.size)
+        for sent in (one for one in self.all[:-1] if self.named(ERROR, one) != ERROR):
+            silent = self.silent(sent)
+            found.append(Assign(step.at, self.named(ERROR, sent), {ERROR: silent}))
+            if any(CANDIDATE in read(other) for other in self.policy.steps if isinstance(other, Decide)):
+                terms = {CANDIDATE: unit, ERROR: silent - unit}
+                found.append(Assign(step.at, self.named(CANDIDATE, sent), terms))
+        return tuple(found)
+
+    def _send(self, step: Send, node: str) -> tuple[Step, ...]:
+        _, rows = self.actuators[node]
+        part = Assign(step.at, f"{COMMAND}_{node}", {COMMAND: np.eye(self.policy.model.inputs)[rows]})
+        if node not in self.links:
+            return (part,)
+        labels = tuple(self.label(sent) for sent in self.all if node in sent)
+        return (part, Send(step.at, node, (f"{COMMAND}_{node}",), step.on, labels))
+
+    def _receive(self, step: Assign, node: str) -> Step:
+        signal, rows = self.actuators[node]
+        command = {f"{COMMAND}_{node}": np.eye(len(rows))}
+        if node not in self.links:
+            return Assign(node, signal, command)
+        kept = step.branches[0][INPUT]
+        assert not isinstance(kept, Scheduled)
+        return Assign(node, signal, ({signal: kept[np.ix_(rows, rows)]}, command), Received(node))
+
+    def _copied(self, step: Assign) -> Step:
+        """Return the controller's copy of the inputs: the commands that are sent, and the old inputs of other links."""
+        unit, branches = np.eye(self.policy.model.inputs), list[dict[str, Array]]()
+        for sent in self.all:
+            silent, terms = self.silent(sent), dict[str, Array]()
+            for rows, branch in zip((silent, unit - silent), step.branches, strict=True):
+                for name, matrix in branch.items():
+                    assert not isinstance(matrix, Scheduled)
+                    terms[name] = terms.get(name, 0.0 * matrix) + rows @ matrix
+            branches.append(terms)
+        return Assign(step.at, step.signal, tuple(branches), step.on)
+
+
+def _number(value: float | Scheduled) -> float:
+    return 0.0 if isinstance(value, Scheduled) else value
+
+
+def _weighs(form: Form) -> bool:
+    return form.Psi is not None or bool(form.plus) or bool(np.any(_number(form.constant)))

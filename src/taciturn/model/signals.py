@@ -1,0 +1,422 @@
+"""Disturbances and set-points of a plant: signals that no input moves, and that the outputs are to be free of.
+
+The exosystem d⁺ = S d + w_d (or ḋ = S d + noise) acts on the plant:
+
+    x⁺ = A x + B u + E d + w,   y = C x + G d + v,   z = C_z x + D_z u + F d,
+
+and z is to be zero. D_z is zero, except for measured outputs of a plant with a direct feedthrough. A constant
+disturbance is S = 1, and a set-point r of the output z is a state of d with F = −1.
+
+Set-points of a plant: constant, with steps at random times, or with the changes of a timetable that repeats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import cos, pi, sin
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, number, quoted, semidefinite, square
+from taciturn._display import Displayed
+from taciturn._rational import Limit, free_modes
+from taciturn.errors import ProblemError
+
+LONGEST = 100_000  # sampling steps of a timetable
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomSteps(Displayed):
+    """Steps of set-points at random times: each adds a normal random vector with mean zero to the set-points.
+
+    Args:
+        rate: mean number of steps per second, or per sampling step of a plant that is discrete in time, positive.
+        covariance: covariance of a step, (z, z), positive semidefinite and not zero.
+
+    Raises:
+        ProblemError: the rate or the covariance is not positive.
+
+    Example:
+        >>> RandomSteps(0.01, [[4.0]]).noise
+        array([[0.04]])
+    """
+
+    rate: float
+    covariance: Array
+
+    def __init__(self, rate: float, covariance: ArrayLike) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "rate", number("reference.steps.rate", rate, 0.0))
+        given = array("reference.steps.covariance", covariance, (None, None), "(set-points, set-points)")
+        checked = semidefinite("reference.steps.covariance", given, len(given), "(set-points, set-points)")
+        if not checked.any():
+            raise ProblemError("reference.steps.covariance is zero; expected the covariance of a step")
+        object.__setattr__(self, "covariance", checked)
+
+    @property
+    def size(self) -> int:
+        """Number of set-points."""
+        return len(self.covariance)
+
+    @property
+    def noise(self) -> Array:
+        """The covariance of the changes, per second or sampling step."""
+        return self.rate * self.covariance
+
+    def sampled(self, period: float) -> RandomSteps:
+        """Return the changes at the sampling instants: at most one per period, with the same variance.
+
+        Raises:
+            ProblemError: there is more than one step per sampling period.
+        """
+        rate = self.rate * period
+        if rate > 1:
+            raise ProblemError(
+                f"reference.steps.rate is {self.rate:g}, more than one step in each sampling period; expected at most "
+                f"{1 / period:g}"
+            )
+        return RandomSteps(rate, self.covariance)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Timetable(Displayed):
+    """Set-points that change at known times, and then repeat. The controller learns of a change when it takes effect.
+
+    Args:
+        times: times of the changes in seconds, or sampling steps of a plant that is discrete in time, (rows,); the
+            first is 0, and at the last the timetable begins again.
+        values: the set-points from each time on, (rows, z); the last row equals the first.
+
+    Raises:
+        ProblemError: the times do not increase from 0, or the last row differs from the first.
+
+    Example:
+        >>> Timetable([0, 20, 50], [[1.0], [3.0], [1.0]]).sampled(1.0).table[19]
+        array([2.])
+    """
+
+    times: Array
+    values: Array
+
+    def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "times", array("reference.file: the times", times, (None,), "(rows,)"))
+        shape = (len(self.times), None)
+        object.__setattr__(self, "values", array("reference.file: the set-points", values, shape, "(rows, set-points)"))
+        if len(self.times) < 2 or self.times[0] != 0 or not (np.diff(self.times) > 0).all():
+            raise ProblemError(
+                f"reference.file has the times {self.times[:6].tolist()}; expected at least two times that increase "
+                "from 0"
+            )
+        if not np.array_equal(self.values[0], self.values[-1]):
+            raise ProblemError(
+                f"reference.file ends with the set-points {self.values[-1].tolist()}; expected those of its first row, "
+                f"{self.values[0].tolist()}, with which the timetable begins again"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of set-points."""
+        return self.values.shape[1]
+
+    @property
+    def noise(self) -> Array:
+        """The mean square of the changes, per second or sampling step."""
+        moved = np.diff(self.values, axis=0)
+        return np.asarray(moved.T @ moved / self.times[-1], dtype=np.float64)
+
+    def sampled(self, period: float) -> SampledChanges:
+        """Return the changes at the sampling instants; a change between them takes effect at the next one.
+
+        Raises:
+            ProblemError: the timetable has too many sampling steps, or one that lasts less than a period.
+        """
+        steps = np.ceil(self.times / period * (1 - 1e-12)).astype(int)
+        if abs(self.times[-1] / period - steps[-1]) > 1e-9 * steps[-1]:
+            raise ProblemError(
+                f"reference.file lasts {self.times[-1]:g}, which is no multiple of the sampling step {period:g}, so "
+                f"that it would shift with each repetition; expected for example {steps[-1] * period:g}"
+            )
+        if steps[-1] > LONGEST:
+            raise ProblemError(
+                f"reference.file lasts {steps[-1]} sampling steps; expected at most {LONGEST}: shorten the timetable"
+            )
+        if not (np.diff(steps) > 0).all():
+            raise ProblemError(
+                f"reference.file has changes within one sampling period ({period:g}); expected at most one in each"
+            )
+        table = np.zeros((int(steps[-1]), self.size))
+        table[steps[1:] - 1] = np.diff(self.values, axis=0)
+        return SampledChanges(table)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledChanges(Displayed):
+    """The change of the set-points from each step of a timetable to the next; the timetable repeats.
+
+    Args:
+        table: the changes, (steps, z).
+    """
+
+    table: Array
+
+    @property
+    def size(self) -> int:
+        """Number of set-points."""
+        return self.table.shape[1]
+
+    @property
+    def noise(self) -> Array:
+        """The mean square of the changes per step."""
+        return np.asarray(self.table.T @ self.table / len(self.table), dtype=np.float64)
+
+
+Changes: TypeAlias = RandomSteps | Timetable
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SetPoint(Displayed):
+    """The values that some combinations of the states are to have.
+
+    Args:
+        outputs: C_z of the combinations z = C_z x, (z, n).
+        value: their set-points, (z,); default 0. With steps at random times, those at the start.
+        changes: how they change while the loop runs; None for constant set-points.
+        counted: whether they count from an operating point; then they are states of the exosystem also if all
+            are zero, as they are not at another operating point.
+        D: D_z of the combinations z = C_z x + D_z u, (z, m), or None for zero: that of measured outputs of a plant with
+            a direct feedthrough.
+
+    Raises:
+        ProblemError: the number of set-points is not that of the combinations, or a timetable and a value are given.
+
+    Example:
+        >>> SetPoint([[1.0, 0.0]], [2.5]).value
+        array([2.5])
+    """
+
+    outputs: Array
+    value: Array
+    changes: Changes | None
+    counted: bool
+    D: Array | None
+
+    def __init__(
+        self,
+        outputs: ArrayLike,
+        value: ArrayLike | None = None,
+        changes: Changes | None = None,
+        counted: bool = False,
+        D: Array | None = None,
+    ) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
+        size = len(self.outputs)
+        if changes is not None:
+            instance("changes", changes, RandomSteps, Timetable)
+            if changes.size != size:
+                key = "file" if isinstance(changes, Timetable) else "steps.covariance"
+                raise ProblemError(
+                    f"reference.{key} states changes of {changes.size} set-points; expected {size}, one for each of "
+                    "reference.outputs"
+                )
+        if isinstance(changes, Timetable):
+            if value is not None:
+                raise ProblemError("reference.value and reference.file are given; expected one of them")
+            value = changes.values[0]
+        given = np.zeros(size) if value is None else value
+        object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
+        object.__setattr__(self, "changes", changes)
+        object.__setattr__(self, "counted", counted)
+        object.__setattr__(self, "D", D if D is not None and D.any() else None)
+
+    @property
+    def moved(self) -> bool:
+        """Whether the set-points are states of the exosystem: they are not zero, or they change."""
+        return self.counted or bool(self.value.any()) or self.changes is not None
+
+    def relative_to(self, state: Array, given: Array) -> SetPoint:
+        """Return the set-points relative to the combinations of a state, (n,), and an input, (m,)."""
+        z = self.outputs @ state + (0.0 if self.D is None else self.D @ given)
+        if isinstance(self.changes, Timetable):
+            moved = Timetable(self.changes.times, self.changes.values - z)
+            return SetPoint(self.outputs, None, moved, True, self.D)
+        return SetPoint(self.outputs, self.value - z, self.changes, True, self.D)
+
+
+Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ExternalDisturbance(Displayed):
+    """A disturbance of known shape and unknown size, which the filter estimates and the input compensates.
+
+    Args:
+        enters: how the disturbance moves the state: entries added to x per step, or per second, (n,).
+        wander: variance per step, or intensity per second, of the noise that moves the disturbance, positive: of its
+            value, for a ramp of its slope, for a sinusoid of both of its components, for a matrix of all of its states.
+        shape: ``"constant"``, ``"ramp"``, ``"sinusoid"``, or ``"matrix"`` for dynamics of one's own.
+        frequency: radians per step of a sinusoid, or radians per second for a continuous plant.
+        measured: how the disturbance adds to the measured outputs, (p,); default 0.
+        matrix: S of the shape ``"matrix"``: d⁺ = S d per step, or ḋ = S d for a continuous plant, (q, q). The first
+            state is the value of the disturbance. No mode may grow.
+
+    Raises:
+        ProblemError: the wander is not positive, or a frequency or a matrix is missing or not used.
+
+    Example:
+        >>> ExternalDisturbance([0.0, 0.3], wander=1e-3).dynamics(continuous=False)
+        array([[1.]])
+    """
+
+    enters: Array
+    wander: float
+    shape: Shape = "constant"
+    frequency: float | None = None
+    measured: Array | None = None
+    matrix: Array | None = None
+
+    def __init__(
+        self,
+        enters: ArrayLike,
+        wander: float,
+        shape: Shape = "constant",
+        frequency: float | None = None,
+        measured: ArrayLike | None = None,
+        matrix: ArrayLike | None = None,
+    ) -> None:
+        """Validate and store the arguments."""
+        object.__setattr__(self, "enters", array("disturbance.enters", enters, (None,), "(states,)"))
+        object.__setattr__(self, "wander", number("disturbance.wander", wander, 0.0))
+        if shape not in get_args(Shape):
+            raise ProblemError(f"disturbance.kind is {quoted(shape)}; expected one of {', '.join(get_args(Shape))}")
+        if (frequency is None) == (shape == "sinusoid"):
+            got = "missing" if frequency is None else f"{frequency:g}"
+            expected = "the radians per step or second of a sinusoid" if frequency is None else f"none for a {shape}"
+            raise ProblemError(f"disturbance.frequency is {got}; expected {expected}")
+        if (matrix is None) == (shape == "matrix"):
+            got = "missing" if matrix is None else "given"
+            expected = "S of d⁺ = S d, or of ḋ = S d" if matrix is None else f"none for a {shape}"
+            raise ProblemError(f"disturbance.matrix is {got}; expected {expected}")
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "matrix", None if matrix is None else square("disturbance.matrix", matrix))
+        checked = None if frequency is None else number("disturbance.frequency", frequency, 0.0)
+        object.__setattr__(self, "frequency", checked)
+        seen = None if measured is None else array("disturbance.measured", measured, (None,), "(outputs,)")
+        object.__setattr__(self, "measured", seen)
+        if not self.enters.any() and (seen is None or not seen.any()):
+            raise ProblemError("disturbance.enters and measured are zero; expected an effect on a state or output")
+
+    def dynamics(self, continuous: bool) -> Array:
+        """Return S; the first state is the value of the disturbance.
+
+        Raises:
+            ProblemError: a mode of the matrix grows.
+        """
+        if self.matrix is not None:
+            limit = Limit(continuous)
+            growing = free_modes(self.matrix, limit).growing
+            if growing.size:
+                raise ProblemError(
+                    f"disturbance.matrix has the mode {limit.named(complex(growing[0]))}, which grows; expected modes "
+                    "that decay or persist"
+                )
+            return self.matrix
+        if self.shape == "constant":
+            return np.array([[0.0 if continuous else 1.0]])
+        if self.shape == "ramp":
+            return np.array([[0.0, 1.0], [0.0, 0.0]]) + (0.0 if continuous else np.eye(2))
+        w = self.frequency or 0.0
+        if not continuous and w >= pi:
+            raise ProblemError(f"disturbance.frequency is {w:g}; expected below π radians per step")
+        return np.array([[0.0, w], [-w, 0.0]]) if continuous else np.array([[cos(w), sin(w)], [-sin(w), cos(w)]])
+
+    @property
+    def noise(self) -> Array:
+        """The covariance, or intensity, of the noise of the states."""
+        moved = {"constant": [1.0], "ramp": [0.0, 1.0], "sinusoid": [1.0, 1.0]}
+        own = [] if self.matrix is None else [1.0] * len(self.matrix)
+        return self.wander * np.diag(moved.get(self.shape, own))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Exosystem(Displayed):
+    """All disturbances and set-points of a plant.
+
+    Args:
+        S: dynamics of the states d, (q, q).
+        E: effect on the state of the plant, (n, q).
+        G: effect on the measured outputs, (p, q).
+        W: covariance per step, or intensity per second, of the noise that moves d, (q, q).
+        start: initial value of d, (q,).
+        outputs: C_z, (z, n).
+        F: effect on z = C_z x + D_z u + F d, (z, q).
+        changes: how the last states of d change, the set-points that the controller is given; None for constant ones.
+        D: D_z, (z, m), or None for zero.
+    """
+
+    S: Array
+    E: Array
+    G: Array
+    W: Array
+    start: Array
+    outputs: Array
+    F: Array
+    changes: Changes | None = None
+    D: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check the sizes and the covariance."""
+        q, (z, n) = len(self.S), self.outputs.shape
+        shapes: Mapping[str, tuple[int | None, ...]] = {
+            "S": (q, q), "E": (n, q), "G": (None, q), "start": (q,), "outputs": (z, n), "F": (z, q)
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, array(f"exosystem.{name}", getattr(self, name), shape))
+        object.__setattr__(self, "W", semidefinite("exosystem.W", self.W, q, "(q, q)"))
+
+    @staticmethod
+    def of(disturbances: Sequence[ExternalDisturbance], target: SetPoint, outputs: int, continuous: bool) -> Exosystem:
+        """Return the exosystem of disturbances and of a set-point.
+
+        Args:
+            disturbances: the disturbances.
+            target: the combinations of the states that are to be at their set-points.
+            outputs: number of measured outputs p.
+            continuous: whether the plant is continuous in time.
+
+        Raises:
+            ProblemError: a disturbance has another number of states or outputs than the plant.
+        """
+        z, n = target.outputs.shape
+        parts, enters, seen = list[Array](), list[Array](), list[Array]()
+        for place, one in enumerate(disturbances):
+            try:
+                S = one.dynamics(continuous)
+            except ProblemError as error:
+                raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
+            measured = np.zeros(outputs) if one.measured is None else one.measured
+            for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
+                if len(got) != expected:
+                    raise ProblemError(f"disturbance[{place}].{name} has {len(got)} entries; expected {expected}")
+            parts.append(S)
+            rest = np.zeros((1, len(S) - 1))
+            enters.append(np.hstack([one.enters[:, None], np.tile(rest, (n, 1))]))
+            seen.append(np.hstack([measured[:, None], np.tile(rest, (outputs, 1))]))
+        r = z if target.moved else 0  # states of the set-points
+        S = block_diagonal(*parts, np.zeros((r, r)) if continuous else np.eye(r))
+        q = len(S) - r
+        noise = [np.zeros((r, r)) if target.changes is None else target.changes.noise]
+        return Exosystem(
+            S=S,
+            E=np.hstack([*enters, np.zeros((n, r))]),
+            G=np.hstack([*seen, np.zeros((outputs, r))]),
+            W=block_diagonal(*(one.noise for one in disturbances), *noise),
+            start=np.concatenate([np.zeros(q), target.value[:r]]),
+            outputs=target.outputs,
+            F=np.hstack([np.zeros((z, q)), -np.eye(z)[:, :r]]),
+            changes=target.changes,
+            D=target.D,
+        )

@@ -1,0 +1,264 @@
+"""Typed interface to python-control, an optional dependency; no other module imports it.
+
+Conversion of plants, policies and loops to systems of python-control, and of systems to plants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, instance
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.lqg.discrete import registered
+from taciturn.model.coverage import PLANTS, POINT, Coverage
+from taciturn.model.dynamics import Dynamics
+from taciturn.model.network import REFERENCE, Network
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.model.state_space import plant_from
+from taciturn.nodes.node import Values
+from taciturn.nodes.together import Nodes, StepFunction
+from taciturn.program.controller import lower_policy
+from taciturn.program.ops import Entry, Sent
+
+Function: TypeAlias = Callable[[float, Array, Array, object], Array]
+"""Function from time, state, input and parameters to the next state, or to the output."""
+
+
+def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
+    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None.
+
+    Raises:
+        ProblemError: python-control is missing.
+    """
+    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
+
+
+def nonlinear_system(
+    update: Function,
+    output: Function,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float | bool,
+    name: str,
+) -> Any:
+    """Return the `control.NonlinearIOSystem` of two functions.
+
+    Raises:
+        ProblemError: python-control is missing.
+    """
+    return _control().NonlinearIOSystem(
+        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
+    )
+
+
+def is_linear(system: object) -> bool:
+    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`.
+
+    Raises:
+        ProblemError: python-control is missing.
+    """
+    control = _control()
+    return isinstance(system, (control.StateSpace, control.TransferFunction))
+
+
+def _control() -> Any:
+    try:
+        return import_module("control")
+    except ImportError:
+        raise ProblemError(
+            "python-control is not installed, but to_control and from_control require it: "
+            "pip install 'taciturn[control]'"
+        ) from None
+
+
+NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
+CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
+
+
+def to_control(
+    thing: Plant | ContinuousPlant | Policy | Loop, network: Network | None = None, seed: int = 0, sent: bool = True
+) -> Any:
+    """Convert a plant, a policy or a loop to a system of python-control.
+
+    | converted object | result | inputs | outputs | dt |
+    |---|---|---|---|---|
+    | linear plant | `StateSpace` | u | y | dt of the plant; True if unspecified; 0 for a continuous plant |
+    | nonlinear plant | `NonlinearIOSystem` | u | y | the same |
+    | policy | `NonlinearIOSystem` | y | u, sent | dt of the (sampled) plant of the design |
+    | loop | `NonlinearIOSystem` | w, v | y, u, sent | dt of its (sampled) plant |
+
+    Signals are named ``u[0]``, ``y[0]``, and so on. For each link whose rate the policy decides, ``sent_actuator`` or
+    ``sent_sensor`` is 1 in each step in which a packet is sent on the link. In a loop, x⁺ = A x + B u + w or
+    x⁺ = f(x, u, w), and y = C x + v.
+
+    Set-points that change are inputs ``setpoint[i]`` of a policy. In a loop they are outputs and the last states of the
+    plant, which w moves; the last entries of v add to them.
+
+    If a discrete plant has a direct feedthrough, inputs of the step before are states of its system, after the others.
+    The system of a continuous plant has the matrix D.
+
+    The system of a plant excludes its noise, disturbances, set-points, initial state and limits of inputs. The output u
+    of a policy or loop is clipped. If an actuator predicts between steps, u is the state of its model at the beginning
+    of the step, as in ``policy.model``.
+
+    The state of a policy consists of the stored values of its nodes and, as last entry, the number of the step. At
+    step 0 the stored values are replaced by their correct start values, so the default initial state 0 of
+    python-control is always valid. The state of a loop begins with the plant state x; ``X0=[loop.problem.plant.mean,
+    0]`` starts the plant at its mean.
+
+    Args:
+        thing: plant, policy or loop; a continuous plant of a loop is sampled.
+        network: network between the nodes of a policy; default: the network of the design.
+        seed: seed of packet drops and of a policy's random draws; the draws of a step depend only on seed and step.
+        sent: whether the system has the outputs ``sent_…`` in addition to the input.
+
+    Returns:
+        The system, named ``plant``, ``loop``, or by the kind of the policy.
+
+    Raises:
+        InformationError: a node of the policy uses a value that is not available to it over the network.
+        ProblemError: python-control is missing, ``thing`` has another type, or a network is given without a policy.
+
+    Example:
+        >>> import taciturn
+        >>> system = to_control(taciturn.load("two-mass").design())
+        >>> system.input_labels, system.output_labels, system.dt
+        (['y[0]', 'y[1]'], ['u[0]', 'sent_actuator'], 0.1)
+    """
+    instance("thing", thing, Plant, ContinuousPlant, Policy, Loop)
+    if network is not None and not isinstance(thing, Policy):
+        raise ProblemError(
+            f"network is given for a {type(thing).__name__}; expected network for a Policy only: "
+            "pass the network of a loop to `close`"
+        )
+    if isinstance(thing, Plant | ContinuousPlant):
+        CONVERTED.check(thing)
+    if isinstance(thing, ContinuousPlant):
+        return state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
+    if isinstance(thing, Plant) and thing.D is not None:
+        thing = registered(thing, thing)
+    if isinstance(thing, Plant) and thing.function is not None:
+        return _moving(thing, thing.function)
+    if isinstance(thing, Plant):
+        return state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
+    if isinstance(thing, Policy):
+        nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
+        taken = {"y": plant.sensed, REFERENCE: plant.set_points}
+        turns = StepFunction(lower_policy(nodes.policy, nodes.network), taken, nodes.network, seed)
+        return _system(turns, taken, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
+    thing = thing.in_units
+    plant, links = thing.problem.plant, thing.policy.scheduled
+    taken = {"w": plant.states, "v": plant.outputs}
+    shown = {"y": plant.sensed, REFERENCE: plant.set_points, "applied": plant.inputs}
+    turns = StepFunction(replace(thing, precision="float64").open_program(), taken, thing.network, seed)
+    return _system(turns, taken, shown, links if sent else (), plant, "loop", given=plant.states)
+
+
+def from_control(
+    system: object,
+    W: ArrayLike,
+    V: ArrayLike | None = None,
+    mean: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+    input_limit: ArrayLike | None = None,
+    input_rate: ArrayLike | None = None,
+) -> Plant | ContinuousPlant:
+    """Convert a linear system of python-control to a plant; ``plant_from`` also accepts systems of scipy.
+
+    A feedthrough D is read as that of the input in the step before, y_k = C x_k + D û_{k−1}: a sensor samples before
+    the input changes. The result is a ContinuousPlant if dt = 0, and otherwise a Plant. If dt is True, the ``dt`` of
+    the plant is None.
+
+    Args:
+        system: a `control.StateSpace`, or a `control.TransferFunction`, for which a realisation is computed.
+        W: process noise, (n, n): covariance per step, or intensity per second.
+        V: measurement-noise covariance, (p, p); default: exact measurement.
+        mean: initial mean, (n,); default: 0.
+        covariance: initial covariance, (n, n); default: 0.
+        input_limit: limits of each input: a positive number, or a pair [low, high]; default: no limit.
+        input_rate: largest change of each input, per second if dt = 0, and otherwise per step; default: no limit.
+
+    Returns:
+        The plant.
+
+    Raises:
+        ProblemError: python-control is missing, the system has another type, dt is None, or the plant cannot be
+            controlled.
+
+    Example:
+        >>> import control
+        >>> from_control(control.ss([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
+        0.1
+    """
+    if not is_linear(system):
+        raise ProblemError(
+            f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
+            "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
+        )
+    return plant_from(system, W, V, mean, covariance, input_limit, input_rate)
+
+
+def _system(
+    turns: StepFunction,
+    taken: Mapping[str, int],
+    shown: Mapping[str, int],
+    links: Sequence[str],
+    plant: Plant,
+    name: str,
+    given: int = 0,
+) -> Any:
+    """Return the system of a program, with input and output signals of the given sizes.
+
+    The first ``given`` states are taken from the initial state; the others begin with their start values.
+    """
+    places = [turns.outputs[Entry(signal, i)] for signal, size in shown.items() for i in range(size)]
+    places += [turns.outputs[Sent(link)] for link in links]
+
+    def turn(x: Array, u: Array) -> tuple[Values, Values]:
+        *memory, tick = x.tolist()
+        if tick == 0:
+            memory[given:] = turns.start[given:]
+        return turns.turn(int(tick), memory, u.tolist())
+
+    def update(t: float, x: Array, u: Array, params: object) -> Array:
+        return np.array([*turn(x, u)[0], x[-1] + 1])
+
+    def output(t: float, x: Array, u: Array, params: object) -> Array:
+        values = turn(x, u)[1]
+        return np.array([values[place] for place in places])
+
+    outputs = _labels(shown)
+    outputs += [f"sent_{link}" for link in links]
+    return nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
+
+
+def _moving(plant: Plant, function: Dynamics) -> Any:
+    """Return the system of a nonlinear plant, without its noise."""
+    n, names = plant.states, _labels({"x": plant.states})
+
+    def update(t: float, x: Array, u: Array, params: object) -> Array:
+        return function(x, u, np.zeros(n))
+
+    def output(t: float, x: Array, u: Array, params: object) -> Array:
+        return plant.C @ x
+
+    taken, shown = _labels({"u": plant.inputs}), _labels({"y": plant.outputs})
+    return nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
+
+
+def _step(plant: Plant) -> float | bool:
+    """Return the seconds per step in python-control's convention: True if unspecified."""
+    return True if plant.dt is None else plant.dt
+
+
+def _labels(signals: Mapping[str, int]) -> list[str]:
+    """Return the names of the entries of signals in python-control, such as ``y[0]``."""
+    return [f"{NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]

@@ -1,0 +1,316 @@
+"""Handling of packets that arrive at a node, with a counter for each way in which a packet can be handled.
+
+| packet | counter and handling |
+|---|---|
+| belongs to the step that reads it | `used`: the case that the theory assumes |
+| belongs to a later step | waits for its step; dropped as `ahead` if it is more than `AHEAD` steps early |
+| belongs to an earlier step | `late`: with packet drops, it is treated as dropped; on an ideal network, the next step uses it if it is newer than every packet that a step has read |
+| has arrived before | `duplicate`, dropped |
+| belongs to an earlier epoch, or is far behind the newest packet | `replayed`, dropped |
+| belongs to another loop or link | `misdirected`, dropped |
+| is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
+| is a mark: its sender is running and has finished a step | `marks` |
+
+The counter `received` is the sum of all other counters and the number of waiting packets.
+
+Detection of new packets of a sender by a window over their sequence numbers, as in IPsec [rfc4303].
+"""  # noqa: E501  # the rows of a table
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError
+from taciturn.model.wire import BACK, LARGEST, SETPOINT, fits
+from taciturn.nodes.packet import Packet
+from taciturn.program.node import Arrival
+
+WIDTH = 1024  # width of the window in sequence numbers
+News: TypeAlias = Literal["new", "duplicate", "replayed"]
+
+
+class Window:
+    """A window over the received sequence numbers of one sender.
+
+    The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
+    behind the newest packet by the width of the window or more.
+    """
+
+    def __init__(self) -> None:
+        """Start with an empty window."""
+        self.epoch, self.newest, self.seen, self.distinct = -1, -1, 0, 0
+
+    @property
+    def missing(self) -> int:
+        """Number of packets of this epoch, up to the newest, that have not arrived: dropped or delayed."""
+        return self.newest + 1 - self.distinct
+
+    def admit(self, epoch: int, sequence: int) -> News:
+        """Record a packet, and return whether it is new."""
+        if epoch < self.epoch:
+            return "replayed"
+        if epoch > self.epoch:
+            self.epoch, self.newest, self.seen, self.distinct = epoch, -1, 0, 0
+        behind = self.newest - sequence
+        if behind < 0:
+            self.seen = 1 if -behind >= WIDTH else (self.seen << -behind | 1) & ((1 << WIDTH) - 1)
+            self.newest = sequence
+        elif behind >= WIDTH:
+            return "replayed"
+        elif self.seen >> behind & 1:
+            return "duplicate"
+        else:
+            self.seen |= 1 << behind
+        self.distinct += 1
+        return "new"
+
+    def save(self) -> list[int]:
+        """Return the window as a list of numbers."""
+        return [self.epoch, self.newest, self.seen, self.distinct]
+
+    def restore(self, saved: list[int]) -> None:
+        """Continue from a saved window."""
+        self.epoch, self.newest, self.seen, self.distinct = saved
+
+
+AHEAD = 64  # largest number of steps by which a packet may be early
+Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
+USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
+
+
+@dataclass(repr=False)
+class Stream(Displayed):
+    """The packets of one kind on one link.
+
+    Args:
+        lag: number of steps between the step of a packet and the step that reads it.
+        at: index of the first of its inputs of the node: whether a packet arrived, followed by the payload.
+        size: number of entries of the payload.
+        part: part of the step that reads the packets.
+        kept: whether the last payload remains in effect until another packet arrives, as for set-points.
+        window: window over the sequence numbers received.
+        waiting: packets that wait for their step, by step.
+        behind: newest late packet, or None.
+        missing: number of missing sequence numbers when the packets were last read.
+        newest: step of the newest packet that a step has read; older packets are never used.
+    """
+
+    lag: int
+    at: int
+    size: int
+    part: int
+    kept: bool = False
+    window: Window = field(default_factory=Window)
+    waiting: dict[int, Packet] = field(default_factory=dict[int, Packet])
+    behind: Packet | None = None
+    missing: int = 0
+    newest: int = -1
+
+
+def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
+    """Return the packets that a node receives, by kind and link."""
+    return {(a.kind, a.link): Stream(a.lag, a.at, a.size, a.part, a.kind == "measurement") for a in arrivals}
+
+
+class Inbox:
+    """The received packets of a node.
+
+    Args:
+        streams: packets by kind and link.
+        loop: number of the node's loop.
+        lossless: whether the policy's theory assumes that every packet arrives.
+        counters: counters of the packets, to be updated.
+        degrade: function called after an event that violates an assumption of the theory.
+    """
+
+    def __init__(
+        self,
+        streams: Mapping[tuple[str, str], Stream],
+        loop: int,
+        lossless: bool,
+        counters: Counter[str],
+        degrade: Callable[[str], None],
+    ) -> None:
+        """Start with an empty inbox."""
+        self.streams, self.loop, self._lossless = streams, loop, lossless
+        self.counters, self._degrade = counters, degrade
+        self.marks = {link: Window() for _, link in streams}
+        self.marked = {link: -1 for _, link in streams}  # last step that the sender has finished
+        # a mark that comes in the direction of the node's own is one of its own, which somebody has sent back
+        self._back = {link: kind in BACK for kind, link in streams}
+
+    @property
+    def links(self) -> list[str]:
+        """The links on which packets arrive."""
+        return [link for _, link in self.streams]
+
+    @property
+    def waiting(self) -> int:
+        """Number of packets that are waiting for their step."""
+        return sum(len(stream.waiting) for stream in self.streams.values())
+
+    def take(self, packet: Packet, past: int) -> Handling:
+        """Store a packet after the step ``past``, and return how it was handled.
+
+        Raises:
+            ProblemError: the packet was made in this process, and its payload is not one that can be sent.
+        """
+        self.counters["received"] += 1
+        stream = self.streams.get((packet.kind, packet.link))
+        mark = packet.kind == "mark" and packet.back == self._back.get(packet.link)
+        if packet.loop != self.loop or not (mark or stream):
+            self.counters["misdirected"] += 1
+            return "misdirected"
+        if stream is not None and (len(packet.values) != stream.size or not fits(packet.values)):
+            raise ProblemError(
+                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
+                f"{stream.size} finite numbers, none beyond {LARGEST:.2g}"
+            )
+        window = self.marks[packet.link] if stream is None else stream.window
+        begun = window.epoch
+        news = window.admit(packet.epoch, packet.sequence)
+        if stream is not None and window.epoch > begun:
+            self._forget(stream)
+        if news != "new":
+            self.counters[news] += 1
+            return news
+        if packet.tick > past + AHEAD and past >= 0:
+            self.counters["ahead"] += 1
+            return "ahead"
+        if stream is None:
+            self.counters["marks"] += 1
+            self.marked[packet.link] = max(self.marked[packet.link], packet.tick)
+            return "marks"
+        if packet.tick > past - stream.lag:
+            self._wait(stream, packet)
+            return "waiting"
+        self._miss(stream, packet)
+        return "late"
+
+    def settled(self, link: str, tick: int) -> bool:
+        """Return whether the packet of a step has arrived or will not be sent."""
+        return self.marked[link] >= tick or tick in self.streams["data", link].waiting
+
+    def finished(self, link: str, tick: int) -> bool:
+        """Return whether the sender has finished a step, and every mark up to its newest one has arrived.
+
+        In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
+        """
+        return tick < 0 or (self.marked[link] >= tick and not self.marks[link].missing)
+
+    def given(self, tick: int) -> bool:
+        """Return whether the set-points of a step have arrived, if the node is given any."""
+        stream = self.streams.get(("measurement", SETPOINT))
+        return stream is None or tick in stream.waiting
+
+    def collect(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
+        """Copy the packets that a part of a step reads to the inputs; return the packets that arrived in time."""
+        found: list[Packet] = []
+        for stream in self.streams.values():
+            if stream.part != part:
+                continue
+            if stream.kept:
+                self._collect_kept(stream, tick, inputs)
+                continue
+            wanted = tick - stream.lag
+            for old in [number for number in stream.waiting if number < wanted]:
+                self._miss(stream, stream.waiting.pop(old))
+            packet = stream.waiting.pop(wanted, None)
+            if packet is not None:
+                self.counters["used"] += 1
+                found.append(packet)
+            elif stream.behind is not None:
+                packet = stream.behind
+            stream.behind = None
+            if packet is not None:
+                stream.newest = max(stream.newest, packet.tick)
+            if self._lossless and stream.window.missing > stream.missing:
+                self._degrade("lost")
+            stream.missing = stream.window.missing
+            arrived = (0.0,) * (1 + stream.size) if packet is None else (1.0, *packet.values)
+            inputs[stream.at : stream.at + 1 + stream.size] = arrived
+        return found
+
+    def _collect_kept(self, stream: Stream, tick: int, inputs: list[float]) -> None:
+        """Copy the newest set-points of this step or of an earlier one to the inputs; without any, the last remain."""
+        come = [stream.waiting.pop(number) for number in sorted(stream.waiting) if number <= tick]
+        self.counters["used"] += len(come)
+        come += [] if stream.behind is None else [stream.behind]
+        stream.behind = None
+        for packet in come:
+            if packet.tick >= stream.newest:
+                stream.newest = packet.tick
+                inputs[stream.at : stream.at + 1 + stream.size] = (1.0, *packet.values)
+
+    def forget(self, link: str) -> None:
+        """Begin new windows for the packets of a link, whose sender has begun another epoch."""
+        for (_, of), stream in self.streams.items():
+            if of == link:
+                self._forget(stream)
+                stream.window, stream.missing = Window(), 0
+        if link in self.marks:
+            self.marks[link], self.marked[link] = Window(), -1
+
+    def save(self) -> dict[str, Any]:
+        """Return the state of the inbox as values that JSON can represent."""
+        streams = {
+            " ".join(name): {
+                "window": stream.window.save(),
+                "waiting": [list(packet) for packet in stream.waiting.values()],
+                "behind": stream.behind and list(stream.behind),
+                "missing": stream.missing,
+                "newest": stream.newest,
+            }
+            for name, stream in self.streams.items()
+        }
+        marks = {link: window.save() for link, window in self.marks.items()}
+        return {"channels": streams, "marks": marks, "marked": dict(self.marked)}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a saved state."""
+        for name, stream in self.streams.items():
+            kept = saved["channels"][" ".join(name)]
+            stream.window.restore(kept["window"])
+            stream.waiting = {packet.tick: packet for packet in map(packet_of, kept["waiting"])}
+            stream.behind = None if kept["behind"] is None else packet_of(kept["behind"])
+            stream.missing, stream.newest = kept["missing"], kept["newest"]
+        for link, window in self.marks.items():
+            window.restore(saved["marks"][link])
+            self.marked[link] = saved["marked"][link]
+
+    def _wait(self, stream: Stream, packet: Packet) -> None:
+        known = stream.waiting.get(packet.tick)
+        self.counters["superseded"] += known is not None
+        if known is None or (packet.epoch, packet.sequence) > (known.epoch, known.sequence):
+            stream.waiting[packet.tick] = packet
+        if len(stream.waiting) > 2 * AHEAD:  # only before the first step of the node
+            self._miss(stream, stream.waiting.pop(min(stream.waiting)))
+
+    def _forget(self, stream: Stream) -> None:
+        """Drop the early packets of a sender that has started again: they are older than all that it sends now."""
+        self.counters["superseded"] += len(stream.waiting)
+        stream.waiting.clear()
+        stream.behind = None
+
+    def _miss(self, stream: Stream, packet: Packet) -> None:
+        self.counters["late"] += 1
+        if stream.kept:  # they take effect in the next step
+            if stream.behind is None or packet.tick >= stream.behind.tick:
+                stream.behind = packet
+            return
+        if packet.kind == "acknowledgement":
+            self._degrade("late acknowledgement")
+        elif self._lossless:
+            self._degrade("late")
+            if packet.tick > (stream.newest if stream.behind is None else stream.behind.tick):
+                stream.behind = packet
+
+
+def packet_of(saved: Sequence[Any]) -> Packet:
+    """Return the packet with the given saved fields."""
+    kind, link, tick, sequence, values, *rest = saved
+    return Packet(kind, link, tick, sequence, tuple(values), *rest)

@@ -1,0 +1,490 @@
+"""A node of a policy as a state machine: it receives packets, and returns packets and the plant input.
+
+The state machine uses no socket, no time and no thread. Packets may be late, duplicated, reordered or replayed;
+``taciturn.nodes.inbox`` defines how each case is handled. After an event that violates an assumption of the policy's
+theory, the node is *degraded* until the loop no longer depends on the event. ``Node.reasons`` counts these events.
+
+Digests of saved states, which show that a state is the one that was saved.
+
+A digest detects damage, such as a bad sector or an edited file. It is no signature: whoever can write the file can also
+write its digest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from math import isfinite
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from taciturn._arrays import count, instance
+from taciturn.errors import ProblemError
+from taciturn.model.network import Network
+from taciturn.model.packets import fingerprint, place_of
+from taciturn.model.policy import Policy, longest_silence
+from taciturn.model.wire import LARGEST, fits
+from taciturn.nodes.inbox import USABLE, Handling, Inbox, streams_of
+from taciturn.nodes.packet import Packet
+from taciturn.program.draws import seed_generators
+from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, lower_node
+from taciturn.program.ops import Option
+from taciturn.program.python import CompiledStep, compile_python
+
+SEAL = "digest"
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values that JSON can represent, with their digest.
+
+    Example:
+        >>> saved = sealed({"tick": 3})
+        >>> check_seal(saved, "the saved state")
+        >>> saved["digest"] == sealed({"tick": 4})["digest"]
+        False
+    """
+    return {**content, SEAL: _digest(content)}
+
+
+def check_seal(saved: Mapping[str, Any], name: str) -> None:
+    """Check the digest of saved values.
+
+    Raises:
+        ProblemError: the values differ from those that were saved.
+    """
+    if saved.get(SEAL) != _digest({key: value for key, value in saved.items() if key != SEAL}):
+        raise ProblemError(
+            f"{name} is not a saved state of a node, or it was changed after it was saved (its digest differs); "
+            "expected the unchanged result of Node.save: start the node without it"
+        )
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.blake2s(text.encode(), digest_size=16).hexdigest()
+
+
+CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
+FORMAT = 4  # format version of a saved state
+Values: TypeAlias = tuple[float, ...]
+Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
+
+
+class Stepped(NamedTuple):
+    """The outputs of a node in a step.
+
+    Args:
+        packets: packets to send.
+        input: plant input if the node contains the actuator, else None.
+    """
+
+    packets: tuple[Packet, ...]
+    input: Values | None
+
+
+class Node:
+    """A node of a policy: the sensor, the controller, the actuator, or several of them at the same site.
+
+    Args:
+        policy: policy that contains the node.
+        role: name of the node, such as ``"sensor"``; the controller's name for a node that shares its site.
+        network: network between the nodes; default: the network of the design.
+        epoch: number that must increase with every start of this node without its state, e.g. Unix time in seconds.
+        seed: seed of the policy's random draws.
+        loop: number of this loop among loops that share the network.
+        watchdog: number of steps without data or a mark on a link after which this link is silent and the node is
+            degraded, or ``max_interval`` of a link without losses, if it is smaller. If all links are silent, the
+            node is silent, and an actuator applies the safe input. Default: no watchdog.
+        safe: safe input: ``"hold"`` (the last input), ``"zero"``, or numbers; None: the input of the policy.
+
+    Raises:
+        ProblemError: the role is at the same site as the controller, the nodes cannot be separated, the node has a
+            watchdog but receives no packets, or the safe input has the wrong size.
+
+    Example:
+        >>> from taciturn import load
+        >>> policy = load("two-mass-lqg").design()
+        >>> controller, actuator = Node(policy, "controller"), Node(policy, "actuator")
+        >>> packets, _ = controller.step(0, measurement=[0.5, 0.5])
+        >>> len(packets), actuator.step(0, packets=packets).input == packets[0].values
+        (1, True)
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        role: str,
+        *,
+        network: Network | None = None,
+        epoch: int = 0,
+        seed: int = 0,
+        loop: int = 0,
+        watchdog: int | None = None,
+        safe: Safe | None = "hold",
+    ) -> None:
+        """Compile the program of the node, and set the state before its first step."""
+        instance("policy", policy, Policy)
+        self.policy, self.role = policy, role
+        self.network = policy.network if network is None else network
+        self.loop, self.epoch = count("loop", loop, 0), count("epoch", epoch, 0)
+        count("seed", seed, 0)
+        compiled = _compile(policy, role, self.network)
+        self.fingerprint, self.program, self._layout, self._parts, self._draw, self._tables = compiled
+        program, layout = self.program, self._layout
+        self.counters: Counter[str] = Counter()
+        self.reasons: Counter[str] = Counter()
+        self._inputs = first_inputs(policy, layout)
+        streams = streams_of(layout.arrivals)
+        self.inbox = Inbox(streams, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
+        # step k may begin when the sender on a link has finished step k minus this lag
+        self.listens = {link: stream.lag for (_, link), stream in streams.items() if not stream.kept}
+        self.watchdog = None if watchdog is None else count("watchdog", watchdog)
+        if watchdog is not None and not program.hears:
+            raise ProblemError(
+                f"a watchdog is given for the {role}, which receives no packets; expected a node that receives packets"
+            )
+        self._applied = 0 if layout.applied is None else layout.applied.stop - layout.applied.start
+        self._safe = None if safe is None else _safe_input(safe, self._applied)
+        self._follows = safe is None  # the input of the policy, also while the node is silent
+        self.acknowledges = tuple(one.link for one in layout.arrivals if one.acknowledged)
+        self.tick = -1
+        self._start: Sequence[Any] = [state.start for state in program.parts[0].states]
+        self._memory = self._start
+        self._generator: Sequence[Any] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
+        self._places = [place.initial for place in program.clocks]
+        self._sequences: Counter[str] = Counter()
+        self._input: Values = (0.0,) * self._applied
+        self.limits: dict[str, int] = {}  # steps without a packet after which a link is silent
+        if watchdog is not None:
+            intervals = {link: longest_silence(self.network, link) for link in program.hears}
+            self.limits = {link: min(watchdog, steps or watchdog) for link, steps in intervals.items()}
+        self._heard_at = dict.fromkeys(program.hears, -1)
+        self._degraded_until = -1
+        self._unheard = False  # whether the watchdog has expired while no step begins
+        self._sent_at: dict[str, int] = {}  # last step with a packet, by link
+        self.options: dict[Option, float] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle contains: all but the compiled functions."""
+        return {name: value for name, value in vars(self).items() if name not in ("_parts", "_draw")}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Restore a pickle, and compile the functions."""
+        vars(self).update(state)
+        compiled = _compile(self.policy, self.role, self.network)
+        self._parts, self._draw = compiled.parts, compiled.draw
+
+    @property
+    def measures(self) -> bool:
+        """True if the node contains the sensor, so that each step requires a measurement."""
+        return self._layout.measured > 0
+
+    @property
+    def actuates(self) -> bool:
+        """True if the node contains the actuator, so that each step returns the plant input."""
+        return self._layout.applied is not None
+
+    @property
+    def memory(self) -> dict[str, list[float]]:
+        """The stored values of the node, by signal name of the policy."""
+        found: dict[str, list[float]] = {}
+        for state, value in zip(self.program.parts[0].states, self._memory, strict=True):
+            if not state.word:
+                found.setdefault(state.name, []).append(value)
+        return found
+
+    @property
+    def waiting(self) -> int:
+        """Number of packets that wait for their step."""
+        return self.inbox.waiting
+
+    @property
+    def readings(self) -> dict[tuple[str, str], Values | None]:
+        """The payload that the last step has read, by kind and link of the packets; None if no packet arrived."""
+        inputs = self._inputs
+        return {
+            (one.kind, one.link): tuple(inputs[one.at + 1 : one.at + 1 + one.size]) if inputs[one.at] else None
+            for one in self._layout.arrivals
+        }
+
+    @property
+    def remembers(self) -> int:
+        """Number of steps for which an event that the theory does not cover has an effect (seven time constants)."""
+        return self._layout.remembers
+
+    @property
+    def degraded(self) -> bool:
+        """True if the loop still depends on an event that violated an assumption of the policy's theory."""
+        return self.tick < self._degraded_until
+
+    @property
+    def silent_links(self) -> tuple[str, ...]:
+        """The links whose watchdog has expired: neither data nor a mark has arrived within the limit of the link."""
+        late = {link for link, limit in self.limits.items() if self.tick - self._heard_at[link] >= limit}
+        return tuple(link for link in self._heard_at if self._unheard or link in late)
+
+    @property
+    def silent(self) -> bool:
+        """True if the watchdogs of all links have expired."""
+        return bool(self._heard_at) and len(self.silent_links) == len(self._heard_at)
+
+    def step(
+        self,
+        tick: int,
+        measurement: Sequence[float] | None = None,
+        packets: Iterable[Packet] = (),
+        draws: Sequence[float] | None = None,
+    ) -> Stepped:
+        """Execute one step.
+
+        If the step is not later than the last one, the node does not execute it again. If steps were missed, a node
+        without a sensor first executes them without packets, a node with a sensor skips them, and the node is degraded.
+
+        Args:
+            tick: number of the step, from 0.
+            measurement: measurement y, (p,), if the node contains the sensor.
+            packets: packets received since the last step, in any order.
+            draws: uniform random numbers for the policy; default: numbers from the node's own generator.
+
+        Returns:
+            The packets to send, and the plant input if the node contains the actuator.
+
+        Raises:
+            ProblemError: the measurement is missing, has the wrong size, or is not finite.
+        """
+        y = self._measured(measurement)
+        for packet in packets:
+            self.sort_in(packet)
+        for link, heard in self._heard_at.items():
+            if heard > self.tick:  # packets that arrived after the last step count from this step on
+                self._heard_at[link] = max(heard, tick)
+        if tick <= self.tick:
+            self.counters["repeated"] += 1
+            return Stepped((), self._output())
+        sent: list[Packet] = []
+        missed = tick - self.tick - 1
+        if missed:
+            joins = self.tick < 0
+            if joins:
+                self._heard_at = dict.fromkeys(self._heard_at, tick - 1)
+            else:
+                self.counters["missed"] += missed
+            if not joins and not self.measures:
+                for behind in range(max(self.tick + 1, tick - CAUGHT_UP), tick):
+                    sent += self._advance(behind, y, None)
+            self._degrade("joined" if joins else "missed", tick)
+        sent += self._advance(tick, y, draws)
+        return Stepped(tuple(sent), self._output())
+
+    def mark(self, every: int = 0) -> tuple[Packet, ...]:
+        """Return the marks, which report to all receivers that this node is running and has finished the step.
+
+        Args:
+            every: number of steps without a packet on a link after which a mark is sent; 0: in every step.
+        """
+        links = (*(one.link for one in self._layout.departures), *self.acknowledges)
+        due = [link for link in links if self.tick - self._sent_at.get(link, -every) >= every]
+        return tuple(self._packet("mark", link, back=link in self.acknowledges) for link in due)
+
+    def sort_in(self, packet: Packet) -> Handling:
+        """Store a packet for the coming steps, and return how it was handled; ``step`` also stores its packets."""
+        handling = self.inbox.take(packet, self.tick)
+        if handling in USABLE and packet.link in self._heard_at:
+            self._heard_at[packet.link], self._unheard = self.tick + 1, False
+        return handling
+
+    def expire(self) -> Values | None:
+        """Record that the watchdog has expired while no step begins; return the safe input unless the last is held."""
+        if not self._unheard:
+            known, self._unheard = self.silent_links, True
+            self._mind_silence(known)
+        return self._safe if self.actuates else None
+
+    def save(self) -> dict[str, Any]:
+        """Return the complete state of the node as values that JSON can represent, with their digest."""
+        return sealed({
+            "format": FORMAT, "fingerprint": f"{self.fingerprint:016x}", "role": self.role, "loop": self.loop,
+            "epoch": self.epoch, "tick": self.tick, "memory": list(self._memory), "generator": list(self._generator),
+            "inputs": list(self._inputs), "places": list(self._places), "inbox": self.inbox.save(),
+            "sequences": dict(self._sequences), "input": list(self._input), "heard_at": dict(self._heard_at),
+            "degraded_until": self._degraded_until, "counters": dict(self.counters), "reasons": dict(self.reasons),
+            "sent_at": dict(self._sent_at),
+        })  # fmt: skip
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a saved state.
+
+        Raises:
+            ProblemError: this is not a saved state, it was changed, or it belongs to another release, policy, role or
+                loop. The node is then as before.
+        """
+        try:
+            known = {"format": FORMAT, "role": self.role, "loop": self.loop, "fingerprint": f"{self.fingerprint:016x}"}
+            for name, expected in known.items():
+                if saved[name] != expected:
+                    of = "this release: start the node without the state" if name == "format" else "this node"
+                    raise ProblemError(
+                        f"the saved state has the {name} {saved[name]!r}; expected {expected!r}, as for {of}"
+                    )
+            check_seal(saved, "the given state")
+            if len(saved["memory"]) != len(self._memory) or len(saved["inputs"]) != len(self._inputs):
+                raise ValueError("wrong number of stored values")
+            self.inbox.restore(saved["inbox"])
+            self.epoch, self.tick = saved["epoch"], saved["tick"]
+            self._memory, self._generator = saved["memory"], saved["generator"]
+            self._inputs, self._places = list(saved["inputs"]), list(saved["places"])
+            self._sequences, self._input = Counter(saved["sequences"]), tuple(saved["input"])
+            self._heard_at, self._degraded_until = dict(saved["heard_at"]), saved["degraded_until"]
+            self._sent_at = dict(saved["sent_at"])
+            for counter, kept in ((self.counters, saved["counters"]), (self.reasons, saved["reasons"])):
+                counter.clear()
+                counter.update(kept)
+        except ProblemError:
+            raise
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise ProblemError(
+                f"the given data are not a saved state of a node ({error!r}); expected the result of Node.save"
+            ) from None
+
+    def _measured(self, measurement: Sequence[float] | None) -> Values:
+        if not self.measures:
+            return ()
+        try:
+            found = () if measurement is None else tuple(map(float, measurement))
+        except (TypeError, ValueError):  # such as None in place of a number
+            found = ()
+        if len(found) != self._layout.measured or not fits(found):
+            raise ProblemError(
+                f"the measurement of the {self.role} is {measurement}; expected {self._layout.measured} finite numbers "
+                f"at each step, none beyond {LARGEST:.2g}"
+            )
+        return found
+
+    def _advance(self, tick: int, y: Values, draws: Sequence[float] | None) -> list[Packet]:
+        """Finish the previous step, and execute this step up to its outputs."""
+        inputs, layout, sent = self._inputs, self._layout, list[Packet]()
+        if len(self._parts) > 1 and self.tick >= 0:
+            sent += self._collect(1, self.tick + 1)
+            self._execute(1)
+        self._turn_clocks(tick)
+        known, self.tick = self.silent_links, tick
+        self._mind_silence(known)
+        inputs[: len(y)] = y
+        sent += self._collect(0, tick)
+        if self._draw is not None:
+            self._generator, drawn = self._draw(self._generator, ())
+            inputs[layout.drawn] = drawn if draws is None else draws
+        outputs = self._execute(0)
+        if outputs is None:
+            return sent
+        for link, at, size in layout.departures:
+            if outputs[at]:
+                sent.append(self._packet("data", link, outputs[at + 1 : at + 1 + size]))
+        if layout.applied is not None and (self._follows or not self.silent):
+            self._input = outputs[layout.applied]
+        self.options = {name: outputs[i] for name, i in layout.options.items()}
+        return sent
+
+    def _execute(self, part: int) -> Values | None:
+        """Execute a part of a step; return None if a result is too large for a payload.
+
+        The memory then starts again, because it may stay too large, and a saved state would end every restart.
+        """
+        layout = self._layout
+        memory, outputs = self._parts[part](self._memory, [self._inputs[i] for i in layout.wiring[part]])
+        leaves = list[float]()
+        if part == 0:
+            leaves += () if layout.applied is None else outputs[layout.applied]
+            for _, at, size in layout.departures:
+                leaves += outputs[at + 1 : at + 1 + size] if outputs[at] else ()
+        if not all(map(isfinite, memory)) or not fits(leaves):
+            self._memory = self._start
+            self.counters["overflowed"] += 1
+            self._degrade("overflow")
+            return None
+        self._memory = memory
+        return outputs
+
+    def _mind_silence(self, known: Sequence[str]) -> None:
+        """Record that links are silent; links that were silent before are not counted again."""
+        for link in self.silent_links:
+            self._degrade(f"silent {link}", counted=link not in known)
+
+    def _collect(self, part: int, tick: int) -> list[Packet]:
+        """Take the packets that a part of the step reads, and return their acknowledgements."""
+        found = self.inbox.collect(part, tick, self._inputs)
+        told = [packet for packet in found if packet.kind == "data" and packet.link in self.acknowledges]
+        return [self._packet("acknowledgement", packet.link, tick=packet.tick) for packet in told]
+
+    def _turn_clocks(self, tick: int) -> None:
+        """Set every periodic counter of the policy for this step."""
+        for i, (place, table) in enumerate(zip(self.program.clocks, self._tables, strict=True)):
+            here, turns = self._places[i], tick - max(self.tick, 0)
+            if turns > len(table):  # the counter is periodic by then: skip whole periods
+                turns = len(table) + (turns - len(table)) % place.period
+            for _ in range(turns):
+                here = table[here]
+            self._places[i] = here
+            self._inputs[self._layout.clocks + i] = float(here)
+
+    def _packet(self, kind: Any, link: str, values: Values = (), tick: int | None = None, back: bool = False) -> Packet:
+        name = f"{kind} {link}"
+        if self._sequences[name] > 0xFFFFFFFF:
+            self.epoch, self._sequences = self.epoch + 1, Counter()
+        packet = Packet(
+            kind, link, self.tick if tick is None else tick, self._sequences[name], values, self.epoch, self.loop, back
+        )
+        self._sequences[name] += 1
+        self._sent_at[link] = self.tick
+        self.counters[f"sent {name}"] += 1
+        return packet
+
+    def _output(self) -> Values | None:
+        if self._layout.applied is None:
+            return None
+        return self._safe if self.silent and self._safe is not None else self._input
+
+    def _degrade(self, reason: str, tick: int | None = None, counted: bool = True) -> None:
+        """Record an event, counted once, whose effect on the loop lasts from a step (default: the last one)."""
+        self.reasons[reason] += counted
+        self._degraded_until = max(
+            self._degraded_until, (self.tick if tick is None else tick) + 1 + self._layout.remembers
+        )
+
+
+class _Compiled(NamedTuple):
+    """Properties that all nodes of one role have in common."""
+
+    fingerprint: int
+    program: NodeProgram
+    layout: Layout
+    parts: Sequence[CompiledStep]
+    draw: CompiledStep | None
+    tables: tuple[tuple[int, ...], ...]
+
+
+@lru_cache(maxsize=16)
+def _compile(policy: Policy, role: str, network: Network) -> _Compiled:
+    program = lower_node(policy, place_of(policy, role), network)
+    return _Compiled(
+        fingerprint(policy, network),
+        program,
+        lay_out(policy, program),
+        tuple(compile_python(part) for part in program.parts),
+        None if program.draws is None else compile_python(program.draws),
+        tuple(tuple(place.table.tolist()) for place in program.clocks),
+    )
+
+
+def _safe_input(safe: Safe, inputs: int) -> Values | None:
+    """Return the safe input, or None if the last input is held."""
+    if safe == "hold":
+        return None
+    values = (0.0,) * inputs if safe == "zero" else safe
+    if isinstance(values, str) or len(values) != inputs or not fits(values):
+        raise ProblemError(f"the safe input is {safe!r}; expected 'hold', 'zero' or {inputs} finite numbers")
+    return tuple(float(value) for value in values)

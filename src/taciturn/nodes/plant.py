@@ -1,0 +1,132 @@
+"""A simulated plant that advances one step at a time, for tests of nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from taciturn._arrays import Array, count, instance
+from taciturn._modes import factor
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.loop import COST, Loop
+from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.network import REFERENCE
+from taciturn.model.wire import fits
+from taciturn.program.ir import Program
+from taciturn.program.ops import is_entry
+from taciturn.program.python import CompiledStep, compile_python
+
+PLANT_SERVER = Coverage(LOOPS, "the simulated plant of a running loop does not model")
+
+
+class SimulatedPlant:
+    """A simulation of the plant of a loop, with noise and cost.
+
+    Args:
+        loop: loop that contains the plant; its input limits and references apply.
+        seed: seed of the initial state and the noise.
+
+    Attributes:
+        state: state of the plant, (n,).
+        measurement: measurement of the present step.
+
+    Example:
+        >>> import taciturn
+        >>> problem = taciturn.load("two-mass")
+        >>> plant = SimulatedPlant(problem.close(problem.design()), seed=1)
+        >>> cost = plant.move([0.0])
+        >>> plant.tick, cost >= 0.0
+        (1, True)
+    """
+
+    def __init__(self, loop: Loop, seed: int = 0) -> None:
+        """Draw the initial state from its distribution."""
+        instance("loop", loop, Loop)
+        PLANT_SERVER.check(loop.parts)
+        loop = loop.in_units
+        self.loop, self.tick = loop, 0
+        count("seed", seed, 0)
+        program, self._turn = _compile(loop)
+        start = loop.start(program, 1, seed)[:, 0]
+        self._states: Sequence[Any] = [
+            int(value.view(np.uint64)) if state.word else float(value)
+            for value, state in zip(start, program.states, strict=True)
+        ]
+        self._start = {i: self._states[i] for i, state in enumerate(program.states) if state.name == "x"}
+        outputs = list(program.outputs)
+        self._cost = outputs.index(COST)
+        self._y = [i for i, name in enumerate(outputs) if is_entry(name, "y", REFERENCE)]
+        self._x = [i for i, name in enumerate(outputs) if is_entry(name, "x")]
+        self.state: Array = loop.start_of_plant(1, seed)[0][:, 0]
+        plant = loop.problem.plant
+        self._nonlinear = plant.function is not None
+        spread: Array = factor(plant.V)
+        draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+        noise: Array = spread @ draws.standard_normal((spread.shape[1],))
+        self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + noise).tolist())
+        self._began = self.state, self.measurement
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return self.loop.problem.plant.inputs
+
+    @property
+    def tick_length(self) -> float:
+        """Seconds per step; 1 if the problem does not specify them."""
+        return self.loop.problem.plant.dt or 1.0
+
+    def move(self, inputs: Sequence[float]) -> float:
+        """Apply an input for one step, set ``measurement`` to that of the next step, and return the cost of the step.
+
+        Args:
+            inputs: input u, (m,).
+
+        Raises:
+            ProblemError: the number of inputs is wrong.
+            UnstableError: the state exceeds the range of floating-point numbers, or that of the plant's function.
+        """
+        if len(inputs) != self.inputs:
+            raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}, as for the plant")
+        before, u = self.state.tolist(), [float(value) for value in inputs]
+        self._states, outputs = self._turn(self._states, u)
+        self.state = np.array([outputs[i] for i in self._x])
+        self.measurement = tuple(outputs[i] for i in self._y)
+        self.tick += 1
+        lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
+        if lost and all(map(isfinite, u)):
+            raise UnstableError(
+                "the loop drives the plant to a point where its function gives no finite number as state "
+                f"{lost[0] + 1} at step {self.tick}, from x = {[round(value, 6) for value in before]}, u = {u}; "
+                "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
+            )
+        if not (isfinite(outputs[self._cost]) and fits(self.measurement)):
+            raise UnstableError(
+                f"the state of the plant exceeds the range of numbers at step {self.tick}: the loop is unstable; "
+                "expected a policy that stabilises the plant over this network"
+            )
+        return outputs[self._cost]
+
+    def restart(self) -> None:
+        """Start again from the initial state, as a plant that its protection has stopped; steps and noise go on."""
+        self._states = [self._start.get(i, value) for i, value in enumerate(self._states)]
+        self.state, self.measurement = self._began
+
+    def final_cost(self) -> float:
+        """Return the terminal cost of the current state; 0 without a terminal weight."""
+        terminal, tracking = self.loop.problem.terminal, self.loop.policy.tracking
+        if terminal is None:
+            return 0.0
+        off, rest = self.state - (0.0 if tracking is None else tracking.final), self.loop.problem.rest
+        off = off if rest is None else off - rest.x
+        return float(off @ terminal @ off)
+
+
+@lru_cache(maxsize=4)
+def _compile(loop: Loop) -> tuple[Program, CompiledStep]:
+    program = loop.plant_program()
+    return program, compile_python(program)

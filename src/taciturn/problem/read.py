@@ -1,0 +1,584 @@
+"""Plants, networks and controllers from the tables of a problem file.
+
+Disturbances, set-points and trajectories of the tables of a problem file.
+
+Functions of nonlinear plants, which problem files specify as ``file.py:name``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from inspect import Parameter
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from taciturn._arrays import Array, number, quoted
+from taciturn._files import read_text, why_unreadable
+from taciturn._modes import pace
+from taciturn._text import backslash_text
+from taciturn.base.given_controller import cost_as_kept
+from taciturn.design.kind import CATALOGUE, Kind, own_kinds
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import regulator_equations
+from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
+from taciturn.model.cost import Cost
+from taciturn.model.disturbance import Disturbance, Reference, with_target
+from taciturn.model.dynamics import Dynamics, dynamics_of
+from taciturn.model.limits import Limits
+from taciturn.model.link import LinkLaw
+from taciturn.model.losses import USUAL, LossLaw, find_law
+from taciturn.model.network import Network, NodeRole
+from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.plant import ContinuousPlant, Jumps, Plant, effect_without, stated_function
+from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
+from taciturn.problem.files import read_controller
+from taciturn.problem.schema import (
+    ControllerTable,
+    CostTable,
+    DisturbanceEntry,
+    File,
+    InitialTable,
+    JumpsTable,
+    LimitsTable,
+    NetworkTable,
+    PlantTable,
+    ReferenceTable,
+    Rows,
+    ValidationError,
+    first_mistake,
+    validate,
+)
+
+LARGEST_TIMETABLE = 2**24  # bytes of a timetable: more than 500,000 set-points
+SLOW = 1e-3  # distance from a mode of a constant, relative to the pace of the plant
+SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
+
+
+def is_trajectory(table: ReferenceTable | None) -> bool:
+    """Return whether a table contains a trajectory, and not set-points.
+
+    Raises:
+        ProblemError: the table contains only one of ``states`` and ``inputs``, or also a set-point.
+    """
+    if table is None or (table.states is None and table.inputs is None):
+        return False
+    for name, value in (("states", table.states), ("inputs", table.inputs)):
+        if value is None:
+            raise ProblemError(f"the key reference.{name} is missing; expected it in [reference], with the other one")
+    for name in ("outputs", "value", "steps", "file", "integral_action"):
+        if getattr(table, name) is not None:
+            raise ProblemError(
+                f"reference.{name} is given with reference.states; expected either a trajectory (states, inputs) or "
+                "set-points"
+            )
+    return True
+
+
+def reference_of(table: ReferenceTable | None) -> Reference | None:
+    """Return the trajectory of a table, or None for a table of set-points."""
+    if table is None or table.states is None or table.inputs is None:
+        return None
+    return Reference(table.states, table.inputs)
+
+
+def with_exosystem(
+    plant: Plant | ContinuousPlant | None, E: Rows | None, file: File, network: Network
+) -> Plant | ContinuousPlant | None:
+    """Return a plant with the disturbances and set-points of a file, if it states any.
+
+    Args:
+        plant: the plant, without E.
+        E: the descriptor matrix of the equation on which disturbances act, or None.
+        file: all tables.
+        network: the network, which says what a node measures.
+    """
+    table = file.reference
+    points = table if table is not None and table.states is None else None
+    if plant is None or (points is None and not file.disturbance):
+        return plant
+    points = ReferenceTable() if points is None else points
+    if points.integral_action == []:
+        raise ProblemError("reference.integral_action is empty; expected nodes that measure, or no such key")
+    acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
+    rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
+    fed = plant.D[rows] if points.outputs is None and plant.D is not None else None
+    followed = plant.C[rows] if points.outputs is None else points.outputs
+    target = SetPoint(followed, points.value, _changes(points), D=fed)
+    given = [_disturbance(place, one, E) for place, one in enumerate(file.disturbance or ())]
+    given += [] if acting is None else _at_inputs(plant, target)
+    return with_target(plant, target, given, points.value is not None)
+
+
+def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
+    """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
+    try:
+        enters = one.enters if E is None else effect_without(E, "disturbance.enters", np.c_[one.enters])[:, 0]
+        return ExternalDisturbance(enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
+    except ProblemError as error:
+        raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
+
+
+def _changes(table: ReferenceTable) -> Changes | None:
+    """Return how the set-points of a table change, or None if they are constant."""
+    if table.steps is not None and table.file is not None:
+        raise ProblemError("reference.steps and reference.file are given; expected one of them")
+    if table.steps is not None:
+        return RandomSteps(table.steps.rate, table.steps.covariance)
+    if table.file is None:
+        return None
+    try:
+        rows = _rows(read_text(Path(table.file), LARGEST_TIMETABLE))
+    except (OSError, ValueError) as error:
+        raise ProblemError(
+            f"reference.file {table.file!r} cannot be read ({why_unreadable(error)}); expected rows of a "
+            "time and the set-points from then on, separated by commas, without a header"
+            f"{backslash_text(table.file)}"
+        ) from None
+    return Timetable(rows[:, 0], rows[:, 1:])
+
+
+def _rows(text: str) -> Array:
+    """Return the numbers of a text with commas between columns, (rows, columns).
+
+    Raises:
+        ValueError: an entry is not a finite number, or the numbers of columns differ; the message names the line of the
+            file, as an editor counts, and the column, both from 1 on.
+    """
+    rows, first = list[list[float]](), 0
+    for line, content in enumerate(text.split("\n"), start=1):
+        if not (content := content.partition("#")[0].strip()):
+            continue
+        entries, row = content.split(","), list[float]()
+        first = first or line
+        if rows and len(entries) != len(rows[0]):
+            raise ValueError(f"line {line} has {len(entries)} columns, and line {first} has {len(rows[0])}")
+        for column, entry in enumerate(entries, start=1):
+            try:
+                row.append(float(entry.replace("_", "?")))
+            except ValueError:
+                row.append(nan)
+            if not isfinite(row[-1]):
+                raise ValueError(
+                    f"column {column} of line {line} is {quoted(entry.strip())}, which is no finite number"
+                )
+        rows.append(row)
+    return np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 2))
+
+
+def _outputs_of(nodes: list[str], plant: Plant | ContinuousPlant, network: Network) -> list[int]:
+    """Return the outputs that some nodes measure."""
+    measured = dict(network.measurements(len(plant.C)).values())
+    for node in (node for node in nodes if node not in measured):
+        raise ProblemError(
+            f"reference.integral_action names {node!r}; expected nodes that measure: {', '.join(measured)}"
+        )
+    for node in (node for node in nodes if nodes.count(node) > 1):
+        raise ProblemError(f"reference.integral_action names {node!r} twice; expected each node once")
+    return [output for node in nodes for output in measured[node]]
+
+
+def _at_inputs(plant: Plant | ContinuousPlant, target: SetPoint) -> list[ExternalDisturbance]:
+    """Return a constant disturbance for each output that has integral action, which enters as the inputs do.
+
+    It enters as the inputs that change this output and no other one, and moves slowly compared with the noise.
+    """
+    z, n = target.outputs.shape
+    weight = np.diag([*np.zeros(n), *np.ones(plant.B.shape[1])])
+    moves = np.zeros((z, z)) if plant.continuous else np.eye(z)
+    none: Array = np.zeros((n, z))
+    _, U = regulator_equations(plant.A, plant.B, moves, none, target.outputs, -np.eye(z), weight, target.D)
+    if not U.any(axis=0).all():  # a plant that integrates needs no input at rest: its response near rest decides
+        near = SLOW * (pace(plant.A) or 1.0) if plant.continuous else 1.0 + SLOW
+        response = target.outputs @ np.linalg.solve(near * np.eye(n) - plant.A, plant.B)
+        response += 0.0 if target.D is None else target.D
+        U = np.asarray(np.linalg.pinv(response), dtype=np.float64)
+    U = U / np.maximum(np.abs(U).max(axis=0), 1e-300)
+    inverse = np.asarray(np.linalg.pinv(plant.B @ U), dtype=np.float64)
+    seen = np.maximum(np.diag(inverse @ plant.W @ inverse.T), 0.0)
+    if not seen.all():
+        raise ProblemError(
+            "reference.integral_action is given, and W has no noise at an input, from which the speed of the "
+            "disturbance follows; expected a positive W there, or [[disturbance]] with its wander"
+        )
+    return [
+        ExternalDisturbance(plant.B @ column, SHARE**2 * size / STEPS)  # a random walk: variances add up
+        for column, size in zip(U.T, seen.tolist(), strict=True)
+    ]
+
+
+KEY = "function"
+LARGEST_CODE = 2**20  # bytes of a Python file
+
+
+def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
+    """Return the function that a problem file specifies.
+
+    Args:
+        named: specification ``file.py:name`` of file and function.
+        known: functions that were already read, by specification.
+
+    Raises:
+        ProblemError: if the specification has another form, or the file cannot be read, is not valid Python or does
+            not define the function.
+    """
+    if named in known:
+        return known[named]
+    path, _, name = named.rpartition(":")
+    if not path or not name.isidentifier():
+        raise ProblemError(
+            f"plant.function is {quoted(named)}; expected 'file.py:name', a Python file and a function in it"
+        )
+    try:
+        text = read_text(Path(path), LARGEST_CODE)
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8 text, or a null character in the path
+        raise ProblemError(
+            f"plant.function names {path!r}, which cannot be read ({why_unreadable(error)}); expected a Python file, "
+            f"with a path relative to the folder of the problem file{backslash_text(path)}"
+        ) from None
+    try:
+        return dynamics_of(text, path, name)
+    except ProblemError as error:
+        raise ProblemError(f"plant.function: {error}") from None
+
+
+def refuse_functions(tables: Mapping[str, Any], name: str) -> None:
+    """Refuse the tables of a file that name a function, since reading such a file executes the function's file.
+
+    Args:
+        tables: the tables as read from TOML.
+        name: name of the file, for messages.
+
+    Raises:
+        ProblemError: if a table has the key ``function``, whatever its value.
+    """
+    for path, table in _tables((), tables):
+        if KEY in table:
+            raise ProblemError(
+                f"{name}: {'.'.join((*path, KEY))} is {quoted(table[KEY])}, which names Python code to execute, but "
+                "functions are refused (--no-functions, functions=False); expected a problem without functions"
+            )
+
+
+def _tables(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Yield a table and all tables in it, with their paths."""
+    yield path, table
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _tables((*path, key), cast("Mapping[str, Any]", value))
+
+
+def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the tables of a file with absolute paths; relative paths of functions, of a controller and of
+    a timetable start there."""
+    found = dict(tables)
+    for key in ("controller", "reference"):
+        given = found.get(key)
+        kept = cast("Mapping[str, Any]", given if isinstance(given, Mapping) else {})
+        if isinstance(kept.get("file"), str):
+            found[key] = {**kept, "file": str((folder / kept["file"]).absolute())}
+    for key in ("plant", "actual"):  # [plant.actual] is within [plant]
+        if isinstance(found.get(key), Mapping):
+            found[key] = locate_functions(cast("Mapping[str, Any]", found[key]), folder)
+    named = found.get(KEY)
+    if isinstance(named, str) and ":" in named:
+        path, _, name = named.rpartition(":")
+        found[KEY] = f"{(folder / path).absolute()}:{name}"
+    return found
+
+
+def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
+    """Return the functions of plants that were read from files, by their specification ``file.py:name``."""
+    found = [stated_function(plant) for plant in plants if isinstance(plant, Plant)]
+    return {f"{one.path}:{one.name}": one for one in found if one is not None and one.text is not None}
+
+
+GAINS = ("kp", "ki", "kd")
+
+
+def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
+    """Raise a ``ProblemError`` if the policy kind takes no argument of this name from a table."""
+    if name not in kind.tables:
+        raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
+
+
+def used_tables(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
+    """Return the arguments of a policy kind's design function that are no parameters.
+
+    Raises:
+        ProblemError: if the kind does not use the given reference or controller.
+    """
+    for name in (name for name, value in stated.items() if value is not None):
+        expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
+    used = {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
+    needed = [name for name in used if kind.arguments[name].default is Parameter.empty]
+    for name in (name for name in needed if used[name] is None):
+        raise ProblemError(f"[{name}] is missing, which {kind.name} requires; expected this table")
+    return used
+
+
+def takes_losses(kind: Kind) -> bool:
+    """Return whether a policy kind is designed for links that drop or delay packets."""
+    return "network" in kind.tables and not kind.ideal_links
+
+
+def plant_of(
+    table: PlantTable, known: Mapping[str, Dynamics], usual: OperatingPoint | None = None
+) -> Plant | ContinuousPlant:
+    """Return the plant of a table, with the ``usual`` operating point if it states none."""
+    initial, at = table.initial or InitialTable(), table.operating_point
+    point = usual if at is None else OperatingPoint(at.x, at.u)
+    if table.dt is None:
+        if table.function is not None:
+            raise ProblemError(
+                "plant.function is given without plant.dt; expected dt, the seconds per step of the function: "
+                "taciturn.integrate converts a differential equation into such a function"
+            )
+        jumps = None if table.jumps is None else _jumps(table.jumps)
+        return ContinuousPlant(
+            table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
+            input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
+        )  # fmt: skip
+    if table.jumps is not None:
+        raise ProblemError(
+            "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt"
+        )
+    if table.W is None:
+        raise ProblemError("plant.W is missing; expected the process-noise covariance per step (zeros for none)")
+    function = None if table.function is None else read_function(table.function, known)
+    return Plant(
+        table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
+        function, input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
+    )  # fmt: skip
+
+
+def actual_of(
+    table: PlantTable, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
+) -> Plant | ContinuousPlant:
+    """Return the simulated plant, which must have the time base and the sizes of the design plant."""
+    try:
+        plant = plant_of(table, known, design.operating_point)
+    except ProblemError as error:
+        raise ProblemError(f"[plant.actual]: {error}") from None
+    if table.dt != dt:
+        got, expected = ("missing" if step is None else f"{step:g} s" for step in (table.dt, dt))
+        raise ProblemError(f"plant.actual.dt is {got}, but plant.dt is {expected}; expected the same time base in both")
+    for name, axis in (("A", 0), ("B", 1), ("C", 0)):
+        got, expected = getattr(plant, name).shape[axis], getattr(design, name).shape[axis]
+        if got != expected:
+            size = {"A": "states", "B": "inputs", "C": "outputs"}[name]
+            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected}, as in [plant]")
+    return plant
+
+
+def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept | None, period: object) -> Cost:
+    """Return the cost of a table, which states weights, variances, or weights by the present loop of a controller."""
+    stated = {name: value for name, value in vars(table).items() if value is not None}
+    short = [name for name in ("output_variance", "input_variance", "weights") if name in stated]
+    if not short:
+        for name in (name for name in "QR" if name not in stated):
+            raise ProblemError(
+                f"the key cost.{name} is missing; expected it in [cost], or output_variance and input_variance"
+            )
+        return Cost(**stated)
+    allowed = {"weights"} if "weights" in stated else {"output_variance", "input_variance"}
+    ending = {name: stated.pop(name) for name in ("horizon", "terminal", "discount") if name in stated}
+    for name in (name for name in stated if name not in allowed):
+        raise ProblemError(f"cost.{short[-1]} and cost.{name} are given; expected one of the two")
+    if table.weights is not None:
+        if controller is None:
+            raise ProblemError(
+                f"cost.weights is {table.weights!r} without a controller; expected [controller], or Q and R"
+            )
+        seconds = float(period) if isinstance(period, int | float) else None
+        found = cost_as_kept(plant, controller, seconds)
+        return Cost(found.Q, found.R, found.N, **ending)
+    for name in (name for name in ("output_variance", "input_variance") if name not in stated):
+        raise ProblemError(f"the key cost.{name} is missing; expected it in [cost], with cost.{short[0]}")
+    found = Cost.of_variances(plant.C, stated["output_variance"], stated["input_variance"], plant.D)
+    return Cost(found.Q, found.R, found.N, **ending)
+
+
+def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kept:
+    """Return the controller of a table, which states it by gains, by matrices, or by a file of matrices."""
+    _expect_stated(table, plant)
+    disturbance = table.disturbance
+    if disturbance is not None:
+        disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**vars(disturbance))
+    stated: Mapping[str, object] = {name: rows for name in "ABCDE" if (rows := getattr(table, name)) is not None}
+    given = [name for name in ("pid", "file") if getattr(table, name) is not None] + [*stated][:1]
+    if len(given) > 1:
+        raise ProblemError(f"controller.{given[0]} and controller.{given[1]} are given; expected one of the two")
+    sign = 1.0 if table.sign == "positive" else -1.0
+    if table.pid is not None:
+        if table.method is not None:
+            raise ProblemError(
+                "controller.method is given with pid; expected A, B, C and D in continuous time, or file"
+            )
+        if table.setpoint is not None:
+            raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
+        loops = table.pid if isinstance(table.pid, list) else [table.pid]
+        pids = list[PID]()
+        for one in loops:
+            changed = {name: -sign * getattr(one, name) for name in GAINS}
+            given_pid: dict[str, Any] = {**vars(one), **changed, "setpoint": one.setpoint or 0.0}
+            pids.append(PID(**given_pid))
+        pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
+        return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
+    dt = None
+    if table.file is not None:
+        stated, dt = read_controller(table.file)
+    if not stated:
+        raise ProblemError(
+            "[controller] has no controller; expected pid, file, or A, B, C and D, or D alone, a static gain"
+        )
+    missing = [name for name in "ABC" if name not in stated]
+    if missing and stated.keys() != {"D"}:
+        raise ProblemError(
+            f"the controller has {', '.join(stated)} and no {', '.join(missing)}; expected A, B, C and D, or D "
+            "alone, a static gain"
+        )
+    if missing and table.method is not None:
+        raise ProblemError(
+            "controller.method is given with D alone, which does not depend on the step; expected D only"
+        )
+    found = {name: np.asarray(value, dtype=np.float64) for name, value in stated.items()}
+    m, p = found["D"].shape if "D" in found else (len(found["C"]), found["B"].shape[1])
+    A, B, C = (found.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
+    D, E = sign * found.get("D", np.zeros((m, p))), found.get("E")
+    if dt == 0 or table.method is not None:
+        if dt:
+            raise ProblemError(
+                f"controller.method is given, and {table.file} has steps of {dt:g} s; expected no method"
+            )
+        if E is not None:
+            raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
+        return ContinuousController(A, B, sign * C, D, table.method or "tustin", disturbance, table.setpoint)
+    return Controller(A, B, sign * C, D, E, dt, disturbance, table.setpoint)
+
+
+def limits_of(table: LimitsTable | None, plant: Plant | ContinuousPlant) -> Limits | None:
+    """Return the limits of a table, by default of the measured outputs, or None without a table."""
+    if table is None:
+        return None
+    if table.outputs is None and plant.D is not None:
+        raise ProblemError(
+            "limits.outputs is missing, and the measured outputs have a direct feedthrough plant.D; expected "
+            "limits.outputs, combinations of the states"
+        )
+    return Limits(plant.C if table.outputs is None else table.outputs, table.low, table.high)
+
+
+def _expect_stated(table: ControllerTable, plant: Plant | ContinuousPlant) -> None:
+    """Raise an error if a set-point is 0 at an operating point, where 0 means the output at this point."""
+    p = len(plant.C)
+    pids = [] if table.pid is None else table.pid if isinstance(table.pid, list) else [table.pid]
+    stated = {one.output - 1: one.setpoint for one in pids} | dict(enumerate(table.setpoint or []))
+    y = plant.rest_outputs
+    for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
+        raise ProblemError(
+            f"the controller has the set-point 0 of output {i + 1}, which is {y[i]:g} at plant.operating_point; "
+            "expected another set-point, or none for that of the operating point"
+        )
+
+
+def _jumps(table: JumpsTable) -> Jumps:
+    return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
+
+
+def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Network:
+    """Return the network of a file, or ideal links; ``kind`` must use losses that no protocol states."""
+    network = _graph_of(file) if file.nodes or file.links else _two_links_of(file.network or NetworkTable(), kind)
+    if any(law.energy is not None for law in network.links.values()) and isinstance(plant, Plant) and plant.dt is None:
+        raise ProblemError("the energy of a packet is given without plant.dt; expected the seconds per step")
+    return network
+
+
+def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
+    actuator_burst = _burst("network.actuator_burst", table.actuator_burst)
+    sensor_burst = _burst("network.sensor_burst", table.sensor_burst)
+    lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
+    if lost and table.protocol == "ideal" and not takes_losses(kind):
+        able = [one.name for name in own_kinds() if takes_losses(one := CATALOGUE[name])]
+        raise ProblemError(
+            f"network.{lost[0]} is given, which {kind.name} does not use; expected ideal links: remove it, or "
+            f"network.protocol and a kind such as {' or '.join(able)}"
+        )
+    network = Network(
+        cast("Any", table.protocol),
+        table.actuator_loss,
+        table.sensor_loss,
+        table.delay,
+        actuator_burst,
+        sensor_burst,
+        cast("Any", table.payload),
+        table.actuator_range,
+        table.sensor_range,
+    )
+    for link in network.links:
+        for name in ("energy", "battery"):
+            value = getattr(table, f"{link}_{name}")
+            if value is None:
+                continue
+            number(f"network.{link}_{name}", value, 0.0)
+            if getattr(table, f"{link}_energy") is None:
+                raise ProblemError(
+                    f"network.{link}_battery is given without network.{link}_energy; expected the joules per packet"
+                )
+            network = network.changed({link: {name: value}})
+    return network
+
+
+def _graph_of(file: File) -> Network:
+    """Return the network of the tables [nodes] and [links]; [network] may still state the delay of computations."""
+    stated = (
+        [] if file.network is None else [key for key, value in vars(file.network).items() if value != _DEFAULTS[key]]
+    )
+    for key in (key for key in stated if key != "delay"):
+        raise ProblemError(
+            f"network.{key} is given with [nodes] or [links]; expected the properties of each link in [links.NAME]"
+        )
+    nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
+    for name, table in (file.nodes or {}).items():
+        try:
+            nodes[name] = NodeRole(table.measures, table.applies, table.controls, table.site)
+        except ProblemError as error:
+            raise ProblemError(f"nodes.{name}: {error}") from None
+    for name, table in (file.links or {}).items():
+        for key in (key for key in ("delay", "buffer") if getattr(table, key) is not None):
+            raise ProblemError(
+                f"links.{name}.{key} is given, but links model no delay yet; expected no {key}: remove it"
+            )
+        law = {key: value for key, value in vars(table).items() if key not in ("delay", "buffer", "burst")}
+        burst = _burst(f"links.{name}.burst", table.burst)
+        try:
+            links[name] = LinkLaw(burst=burst, **law)
+        except ProblemError as error:
+            raise ProblemError(f"links.{name}.{error}") from None
+    delay = 0 if file.network is None else file.network.delay
+    return Network(delay=delay, nodes=nodes or None, links=links)
+
+
+def _burst(key: str, table: Mapping[str, Any] | None) -> LossLaw | None:
+    """Return the law of losses of a table: its key ``law`` names the class, and the other keys are its parameters."""
+    if table is None:
+        return None
+    name = table.get("law", USUAL)
+    if not isinstance(name, str):
+        raise ProblemError(f"{key}.law is {quoted(name)}; expected the name of a law in quotes")
+    law: type[LossLaw] = LossLaw
+    try:
+        law = find_law(name)
+        return validate(law, {key: value for key, value in table.items() if key != "law"})
+    except ValidationError as error:
+        own = error.errors()[0].get("ctx", {}).get("error")  # raised by the law itself
+        text = first_mistake(error, law, key.split(".")) if own is None else f"{key}: {own}"
+    except ProblemError as error:
+        text = f"{key}.{error}"
+    raise ProblemError(text)
+
+
+_DEFAULTS = vars(NetworkTable())

@@ -1,0 +1,677 @@
+"""Tracing of user functions: a NumPy function is called once with symbols, and its operations are recorded.
+
+Symbols that represent unknown numbers while a NumPy function is traced, and the recorder of its operations.
+
+An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Computations
+on entries are recorded by the rules in ``elementary``, and functions of whole arrays by the rules in ``FUNCTIONS``.
+
+NumPy functions for arrays that contain traced symbols: rearrangement, selection, products, linear systems.
+
+Copies of user functions in which NumPy's array constructors are replaced, so that arrays can contain symbols.
+
+``np.zeros(3)`` returns an array of floats, which cannot contain a symbol, and has no symbol as argument that could
+redirect the call. Therefore a copy of a function is traced, in which names such as ``np`` refer to replacements.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
+from functools import partial, reduce
+from itertools import chain
+from types import CellType, CodeType, FunctionType, MethodType, ModuleType
+from typing import Any, TypeGuard, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn.errors import ProblemError
+from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS, choose
+from taciturn.program.ir import Builder, Coefficient
+
+Objects = npt.NDArray[Any]  # floats, truth values and symbols
+FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # rules for functions of whole arrays, filled by ``arrays``
+_UNKNOWN = "but numbers are unknown while the function is traced"
+_ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
+
+
+class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
+    """Placeholder that a traced function receives instead of a number or a truth value.
+
+    Args:
+        recorder: records operations on the symbol.
+        index: operation that the symbol represents.
+    """
+
+    def __init__(self, recorder: Recorder, index: int) -> None:
+        """Store recorder and operation."""
+        self.recorder, self.index = recorder, index
+
+    def __array_ufunc__(
+        self,
+        ufunc: np.ufunc,
+        method: str,
+        *inputs: Any,
+        out: Any = None,
+        axis: Any = 0,
+        keepdims: bool = False,
+        dtype: object = None,
+        where: object = True,
+        initial: object = None,
+    ) -> Any:
+        """Record an operator or a NumPy function of single entries."""
+        if where is not True or initial is not None or dtype is not None:
+            raise recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
+        return compute(ufunc, method, inputs, out, axis, keepdims)
+
+    def __array_function__(self, function: Any, types: object, args: Any, kwargs: Any) -> Any:
+        """Record a NumPy function of whole arrays."""
+        given = [*args, *kwargs.values()]
+        if not symbols_in(given):
+            named = {name: _as_floats(value) for name, value in kwargs.items()}
+            return held(function(*map(_as_floats, args), **named))
+        if function not in FUNCTIONS:
+            raise recorder_of(given).refused(function.__name__)
+        return FUNCTIONS[function](args, kwargs)
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        """Return the method, such as ``sqrt``, that NumPy calls on entries of plain arrays of objects."""
+        if name not in NUMBERS:
+            raise AttributeError(f"{self!r} has no {name}")
+        return lambda *others: self.recorder.entry(getattr(np, name), self, *others)
+
+    def __repr__(self) -> str:
+        """Return a description such as "a traced number"."""
+        return f"a traced {type(self).__name__.lower()}"
+
+    def __bool__(self) -> bool:
+        """Raise an error, since the value is unknown."""
+        raise ProblemError(
+            f"{self.recorder.name} needs the truth value of a condition (for if, and, or, max), {_UNKNOWN}; "
+            f"expected np.where, & and |, np.maximum: {_ARRAYS}"
+        )
+
+    def __float__(self) -> float:
+        """Raise an error, since the value is unknown."""
+        raise ProblemError(
+            f"{self.recorder.name} converts a traced number to a float (as math.sin, float() and np.zeros(n)[i] = do), "
+            f"{_UNKNOWN}; expected {_ARRAYS}"
+        )
+
+    def __int__(self) -> int:
+        """Raise an error, since the value is unknown."""
+        raise ProblemError(
+            f"{self.recorder.name} converts a traced number to an integer (as int() and round() do), {_UNKNOWN}; "
+            "expected np.floor or np.rint"
+        )
+
+    __index__ = __int__
+
+
+class Number(Symbol):
+    """Placeholder of a number whose value is known only when the program runs."""
+
+
+class SymbolicTruth(Symbol):
+    """Placeholder of a truth value that is known only when the program runs."""
+
+
+class SymbolicArray(np.ndarray[Any, Any]):
+    """A NumPy array whose entries can be placeholders of unknown numbers (symbols)."""
+
+    __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
+    __array_function__ = Symbol.__array_function__  # type: ignore[assignment]
+
+
+class Recorder:
+    """Recorder of a traced function: stores its computations as operations of a program.
+
+    Args:
+        builder: collects the operations.
+        name: name of the function, for messages.
+    """
+
+    def __init__(self, builder: Builder, name: str) -> None:
+        """Start without operations."""
+        self.builder, self.name = builder, name
+
+    def symbols(self, values: Sequence[int]) -> SymbolicArray:
+        """Return a vector of symbols, one for each of the given operations."""
+        vector = np.empty(len(values), dtype=object)
+        vector[:] = [self.symbol(self._known(value)) for value in values]
+        return vector.view(SymbolicArray)
+
+    def symbol(self, value: Coefficient) -> float | Number:
+        """Return a constant unchanged, or the symbol that represents an operation."""
+        return value if isinstance(value, float) else Number(self, value)
+
+    def number(self, value: object) -> Coefficient:
+        """Return an array entry as a constant if it is a number, else as the operation that computes it.
+
+        Raises:
+            ProblemError: the entry is not a number.
+        """
+        if isinstance(value, Number):
+            return value.index
+        if isinstance(value, SymbolicTruth):
+            return choose(self.builder, value.index, 1.0, 0.0)
+        try:
+            found = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise ProblemError(
+                f"{self.name} computes with {value!r:.60}; expected numbers, or arrays of numbers"
+            ) from None
+        if math.isnan(found):
+            raise ProblemError(f"{self.name} computes with a constant NaN; expected finite numbers")
+        return found
+
+    def truth(self, value: object) -> int | bool:
+        """Return an array entry as a truth value if it is known, or else as the operation that computes it."""
+        if isinstance(value, SymbolicTruth):
+            return value.index
+        if isinstance(value, Number):
+            return COMPARISONS["not_equal"](self.builder, value.index, 0.0)
+        return bool(value)
+
+    def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
+        """Return the result of an element-wise NumPy function for single entries, which can be symbols."""
+        name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
+        if not any(isinstance(value, Symbol) for value in values):
+            return ufunc(*(float(value) if type(value) is int else value for value in values))
+        if name in LOGIC:
+            return self.condition(LOGIC[name](self.builder, *(self.truth(value) for value in values)))
+        if name in COMPARISONS:
+            return self.condition(COMPARISONS[name](self.builder, *(self.number(value) for value in values)))
+        if name in NUMBERS:
+            return self.symbol(NUMBERS[name](self.builder, *(self.number(value) for value in values)))
+        raise self.refused(name)
+
+    def condition(self, truth: int | bool) -> bool | SymbolicTruth:
+        """Return a known truth value unchanged, or the symbol that represents an operation."""
+        return truth if isinstance(truth, bool) else SymbolicTruth(self, truth)
+
+    def either(self, condition: object, yes: object, no: object) -> object:
+        """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
+        truth = self.truth(condition)
+        if isinstance(truth, bool):
+            return yes if truth else no
+        return self.symbol(choose(self.builder, truth, self.number(yes), self.number(no)))
+
+    def product(self, matrix: Objects, column: Objects) -> list[object]:
+        """Return the product of a matrix and a column; a large constant matrix becomes one operation."""
+        b, values = self.builder, [self.number(value) for value in column]
+        rows = [[self.number(entry) for entry in row] for row in matrix]
+        known = all(isinstance(entry, float) for row in rows for entry in row)
+        if known and all(isinstance(value, int) for value in values):
+            found = b.transform(rows, [b.value(value) for value in values])
+            return [self.symbol(0.0 if index is None else index) for index in found]
+        return [self.symbol(self._inner(row, values)) for row in rows]
+
+    def _inner(self, row: Sequence[Coefficient], values: Sequence[Coefficient]) -> Coefficient:
+        """Return Σ row·values; products of two constants are evaluated in advance."""
+        fixed, pairs = 0.0, list[tuple[Coefficient, int]]()
+        for one, other in zip(row, values, strict=True):
+            if isinstance(other, int):
+                pairs.append((one, other))
+            elif isinstance(one, int):
+                pairs.append((other, one))
+            else:
+                fixed += one * other
+        total = self.builder.combine([weight for weight, _ in pairs], [value for _, value in pairs])
+        return fixed if total is None else NUMBERS["add"](self.builder, total, fixed)
+
+    def lost(self) -> ProblemError:
+        """Return the exception to raise if a traced function computes with plain arrays of objects."""
+        return ProblemError(
+            f"{self.name} computes with traced numbers in a plain array of objects, such as np.array and np.asarray "
+            f"create in methods of objects; expected {_ARRAYS}"
+        )
+
+    def refused(self, name: str) -> ProblemError:
+        """Return the exception to raise if a function uses a NumPy function that cannot be traced."""
+        known = sorted({*NUMBERS, "where", "dot", "sum", "linalg.solve"} - {"conjugate", "fabs", "float_power"})
+        return ProblemError(f"{self.name} uses np.{name}, which cannot be traced; expected one of {', '.join(known)}")
+
+    def _known(self, index: int) -> Coefficient:
+        """Return the value of a constant operation, or the index of another operation."""
+        op = self.builder.ops[index]
+        return self.builder.constants[op.arguments[0]] if op.name == "const" else index
+
+
+def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
+    """Return the result of an element-wise NumPy function (or its ``reduce``) for arrays that contain symbols."""
+    if not symbols_in(inputs):
+        more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
+        result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
+    elif method == "reduce":
+        result = _reduced(ufunc, objects(inputs[0]), axis, keepdims)
+    elif method == "__call__" and ufunc.__name__ == "matmul":
+        result = matrix_product(objects(inputs[0]), objects(inputs[1]))
+    elif method == "__call__":
+        recorder = recorder_of(inputs)
+        rule = np.frompyfunc(lambda *values: recorder.entry(ufunc, *values), len(inputs), 1)
+        result = rule(*(objects(one) for one in inputs))
+    else:
+        raise recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
+    if out is None or isinstance(out[0], Symbol):  # in x[0] += 1, the symbol is immutable
+        return seen(result)
+    out[0][...] = result
+    return out[0]
+
+
+def matrix_product(A: Objects, B: Objects) -> Any:
+    """Return the matrix product of vectors and matrices that contain symbols."""
+    if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
+        raise ProblemError(
+            f"the operands of @ have the shapes {A.shape} and {B.shape}; expected vectors or matrices of matching sizes"
+        )
+    recorder = recorder_of([A, B])
+    columns = B[:, None] if B.ndim == 1 else B
+    found = [recorder.product(A[None] if A.ndim == 1 else A, column) for column in columns.T]
+    result = np.empty((1 if A.ndim == 1 else len(A), columns.shape[1]), dtype=object)
+    for j, column in enumerate(found):
+        result[:, j] = column
+    return result.reshape((*A.shape[:-1], *B.shape[1:]))[()]
+
+
+def objects(value: object) -> Objects:
+    """Return a value as a plain NumPy array of objects."""
+    return np.asarray(value, dtype=object).view(np.ndarray)
+
+
+def seen(value: Any) -> Any:
+    """Return an array of objects as a ``SymbolicArray``, which records operations; return other values unchanged."""
+    if isinstance(value, list):
+        return [seen(one) for one in cast("list[Any]", value)]
+    return value.view(SymbolicArray) if is_array(value) and value.dtype == object else value
+
+
+def held(value: Any) -> Any:
+    """Return an array of floats as an array that can contain symbols; return other values unchanged."""
+    return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
+
+
+def is_array(value: object) -> TypeGuard[Objects]:
+    """Return whether a value is a NumPy array."""
+    return isinstance(value, np.ndarray)
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+    """Return whether a value is a list or a tuple."""
+    return isinstance(value, list | tuple)
+
+
+def _as_floats(value: Any) -> Any:
+    """Return an argument that contains no symbols, with arrays of objects converted to floats."""
+    if is_list(value):
+        return [_as_floats(one) for one in value]
+    return objects(value).astype(float) if isinstance(value, SymbolicArray) else value
+
+
+def symbols_in(value: object) -> list[Symbol]:
+    """Return all symbols among given arguments, including those in arrays and lists."""
+    if isinstance(value, Symbol):
+        return [value]
+    if is_array(value) and value.dtype == object:
+        return [entry for entry in value.ravel().tolist() if isinstance(entry, Symbol)]
+    return list(chain.from_iterable(map(symbols_in, value))) if is_list(value) else []
+
+
+def recorder_of(values: Sequence[object]) -> Recorder:
+    """Return the recorder of the symbols in given arguments, or a new recorder if there are no symbols."""
+    found = symbols_in(list(values))
+    return found[0].recorder if found else Recorder(Builder(), "the function")
+
+
+def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any:
+    """Return the reduction of all entries, or along one axis, in the order of the entries."""
+    shape = values.shape
+    lines = values.ravel() if axis is None else np.moveaxis(values, axis, 0)
+    if not len(lines):
+        return ufunc.reduce(np.zeros(shape), axis=axis, keepdims=keepdims)
+    result = reduce(lambda one, other: compute(ufunc, "__call__", (one, other), None, 0, False), lines)
+    if keepdims:
+        kept = [1] * len(shape) if axis is None else [1 if i == axis % len(shape) else n for i, n in enumerate(shape)]
+        result = np.asarray(result, dtype=object).reshape(kept)
+    return result
+
+
+_PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
+    np.append, np.atleast_1d, np.atleast_2d, np.block, np.broadcast_to, np.column_stack, np.concatenate, np.copy,
+    np.cross, np.cumsum, np.diag, np.diagonal, np.diff, np.empty_like, np.expand_dims, np.flip, np.full_like,
+    np.hstack, np.kron, np.mean, np.ndim, np.ones_like, np.outer, np.prod, np.ravel, np.repeat, np.reshape, np.roll,
+    np.shape, np.size, np.split, np.squeeze, np.stack, np.sum, np.swapaxes, np.tensordot, np.tile, np.trace,
+    np.transpose, np.vstack, np.zeros_like,
+)  # fmt: skip
+
+
+def choose_entries(condition: Any, yes: Any, no: Any) -> Any:
+    """Return the result of ``np.where``: entries of ``yes`` where the condition is true, and of ``no`` elsewhere."""
+    recorder = recorder_of([condition, yes, no])
+    return seen(np.frompyfunc(recorder.either, 3, 1)(*(objects(one) for one in (condition, yes, no))))
+
+
+def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
+    """Return the result of ``np.clip``, which limits entries to bounds; NumPy has two names for each bound."""
+    for ufunc, bound in ((np.maximum, a_min), (np.maximum, min), (np.minimum, a_max), (np.minimum, max)):
+        a = a if bound is None else compute(ufunc, "__call__", (a, bound), None, 0, False)
+    return a
+
+
+def dot(a: Any, b: Any) -> Any:
+    """Return the result of ``np.dot`` for vectors, matrices or scalars."""
+    one, other = objects(a), objects(b)
+    return seen(matrix_product(one, other)) if one.ndim and other.ndim else a * b
+
+
+def inner(a: Any, b: Any) -> Any:
+    """Return the result of ``np.inner``: the sums of products over the last axes of two arrays."""
+    return dot(a, objects(b).T) if objects(b).ndim > 1 else dot(a, b)
+
+
+def vdot(a: Any, b: Any) -> Any:
+    """Return the result of ``np.vdot``: the sum of the products of all entries, added in order."""
+    return dot(objects(a).ravel(), objects(b).ravel())
+
+
+def solve(a: Any, b: Any) -> Any:
+    """Return the solution a⁻¹b of a linear system by Gaussian elimination with partial pivoting."""
+    A, B = objects(a), objects(b)
+    size = len(A)
+    if A.shape != (size, size) or B.ndim not in (1, 2) or len(B) != size:
+        raise ProblemError(
+            f"the arguments of np.linalg.solve have the shapes {A.shape} and {B.shape}; expected a square matrix, and "
+            "as many rows in the second argument"
+        )
+    rows: list[Any] = [seen(row) for row in np.concatenate([A, B.reshape(size, -1)], axis=1)]
+    for j in range(size):
+        # the values are unknown while tracing, so that selections compare and exchange the row with every row below it
+        for i in range(j + 1, size):
+            larger = abs(rows[i][j]) > abs(rows[j][j])
+            rows[j], rows[i] = choose_entries(larger, rows[i], rows[j]), choose_entries(larger, rows[j], rows[i])
+        for i in range(j + 1, size):
+            rows[i] = rows[i] - rows[i][j] / rows[j][j] * rows[j]
+    for j in reversed(range(size)):
+        for k in range(j + 1, size):
+            rows[j] = rows[j] - rows[j][k] * rows[k]
+        rows[j] = rows[j] / rows[j][j]
+    return seen(np.array([objects(row)[size:] for row in rows], dtype=object).reshape(B.shape))
+
+
+def invert(a: Any) -> Any:
+    """Return the inverse of a matrix, by Gaussian elimination."""
+    return solve(a, np.eye(len(objects(a))))
+
+
+def norm(x: Any, ord: None = None, axis: Any = None, keepdims: bool = False) -> Any:
+    """Return the Euclidean norm of an array, over all entries or along an axis."""
+    if ord is not None:
+        raise ProblemError(f"np.linalg.norm of order {ord!r} cannot be traced; expected the Euclidean norm (no order)")
+    return np.sqrt(compute(np.add, "reduce", (np.square(seen(objects(x))),), None, axis, keepdims))
+
+
+def _extreme(ufunc: np.ufunc) -> Callable[..., Any]:
+    def extreme(a: Any, axis: Any = None, out: Any = None, keepdims: bool = False) -> Any:
+        return compute(ufunc, "reduce", (a,), out, axis, keepdims)
+
+    return extreme
+
+
+_RULES: Mapping[Callable[..., Any], Callable[..., Any]] = {
+    np.where: choose_entries, np.clip: clip, np.dot: dot, np.inner: inner, np.vdot: vdot, np.max: _extreme(np.maximum),
+    np.min: _extreme(np.minimum), np.any: _extreme(np.logical_or), np.all: _extreme(np.logical_and),
+    np.linalg.solve: solve, np.linalg.inv: invert, np.linalg.norm: norm,
+}  # fmt: skip
+
+
+def _called(rule: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
+    return lambda args, kwargs: rule(*args, **kwargs)
+
+
+def _plainly(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
+    """Return the rule that calls the NumPy function itself with plain arrays of objects."""
+    return lambda args, kwargs: seen(
+        function(*map(_plain, args), **{name: _plain(one) for name, one in kwargs.items()})
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return an argument with every ``SymbolicArray`` replaced by a plain array of objects."""
+    if is_list(value):
+        listed = [_plain(one) for one in value]
+        return tuple(listed) if isinstance(value, tuple) else listed
+    return objects(value) if isinstance(value, SymbolicArray | Symbol) else value
+
+
+FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
+FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
+
+
+def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
+    if dtype is not None and np.dtype(dtype) == object:
+        dtype = None
+    if (isinstance(value, SymbolicArray) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
+        return seen(np.array(value, object, copy=copy, order=order, ndmin=ndmin))
+    return held(np.array(_plain(value), dtype, copy=copy, order=order, ndmin=ndmin))
+
+
+def _as_array(a: Any, dtype: Any = None, order: Any = None, *, copy: bool | None = None) -> Any:
+    return _array(a, dtype, copy=copy, order=order)
+
+
+def _filled(value: float) -> Callable[..., Any]:
+    def filled(shape: Any, dtype: Any = None) -> Any:
+        return held(np.full(shape, value, dtype))
+
+    return filled
+
+
+def _full(shape: Any, fill_value: Any, dtype: Any = None) -> Any:
+    if not symbols_in(fill_value):
+        return held(np.full(shape, fill_value, dtype))
+    found = seen(np.empty(shape, dtype=object))
+    found[...] = fill_value
+    return found
+
+
+def _eye(N: int, M: int | None = None, k: int = 0, dtype: Any = None) -> Any:
+    return held(np.eye(N, M, k, float if dtype is None else dtype))
+
+
+def _identity(n: int, dtype: Any = None) -> Any:
+    return _eye(n, dtype=dtype)
+
+
+def _joined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of several arrays that also accepts lists with symbols."""
+
+    def joined(arrays: Any) -> Any:
+        return seen(function([objects(one) for one in arrays])) if symbols_in(arrays) else held(function(arrays))
+
+    return joined
+
+
+def _joined_along(function: Callable[..., Any]) -> Callable[..., Any]:
+    def joined(arrays: Any, axis: int = 0) -> Any:
+        return _joined(partial(function, axis=axis))(arrays)
+
+    return joined
+
+
+def _diagonal(v: Any, k: int = 0) -> Any:
+    return seen(np.diag(objects(v), k)) if symbols_in(v) else held(np.diag(v, k))
+
+
+def _block(arrays: Any) -> Any:
+    return held(np.block(_plain(arrays)))
+
+
+STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose results can contain symbols
+    np.array: _array, np.asarray: _as_array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
+    np.full: _full, np.eye: _eye, np.identity: _identity, np.concatenate: _joined_along(np.concatenate),
+    np.stack: _joined_along(np.stack), np.hstack: _joined(np.hstack), np.vstack: _joined(np.vstack),
+    np.column_stack: _joined(np.column_stack), np.diag: _diagonal, np.block: _block,
+}  # fmt: skip
+
+
+def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a copy of a function in which given NumPy functions are replaced.
+
+    Functions that it calls by name or from a list are copied in the same way.
+
+    Args:
+        function: a function written in Python; any other function is returned unchanged.
+        stand_ins: the replacement of each NumPy function.
+    """
+    if not isinstance(function, FunctionType | MethodType | partial) and callable(type(function).__call__):
+        method = type(function).__call__
+        function = MethodType(method, function) if isinstance(method, FunctionType) else function
+    return _Copies(stand_ins).of(function)
+
+
+class _Numpy(ModuleType):
+    """The module ``numpy`` with some functions replaced."""
+
+    def __init__(self, stand_ins: Mapping[Any, Callable[..., Any]]) -> None:
+        super().__init__("numpy")
+        self.__dict__.update({function.__name__: other for function, other in stand_ins.items()})
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+
+class _Copies:
+    """Stores the copies of functions, so that a function that is called twice is copied once."""
+
+    def __init__(self, stand_ins: Mapping[Any, Callable[..., Any]]) -> None:
+        self.stand_ins, self.numpy = stand_ins, _Numpy(stand_ins)
+        self.copies: dict[int, FunctionType] = {}
+
+    def of(self, value: Any) -> Any:
+        """Return the value to use in copied functions instead of a given one; most values are unchanged."""
+        if value is np:
+            return self.numpy
+        if isinstance(value, FunctionType):
+            return self._copy(value) if _is_ours(value) else self.stand_ins.get(value, value)
+        if isinstance(value, MethodType):
+            return MethodType(self.of(value.__func__), value.__self__)
+        if isinstance(value, partial):
+            given = {name: self.of(one) for name, one in value.keywords.items()}
+            return partial(self.of(value.func), *map(self.of, value.args), **given)
+        if is_list(value) and any(map(callable, value)):
+            return type(value)(map(self.of, value))  # type: ignore[call-arg]
+        if isinstance(value, dict):
+            held = cast("dict[Any, Any]", value)
+            return {name: self.of(one) for name, one in held.items()} if any(map(callable, held.values())) else held
+        is_function = type(value) in (type(np.zeros), type(np.concatenate))
+        return self.stand_ins.get(value, value) if is_function else value
+
+    def _copy(self, function: FunctionType) -> FunctionType:
+        if id(function) in self.copies:
+            return self.copies[id(function)]
+        known = dict(function.__globals__)
+        cells = tuple(CellType() for _ in function.__closure__ or ())
+        copy = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells or None)
+        copy.__kwdefaults__ = function.__kwdefaults__
+        self.copies[id(function)] = copy  # stored before its contents, as the function may call itself
+        for cell, original in zip(cells, function.__closure__ or (), strict=True):
+            if _is_filled(original):
+                cell.cell_contents = self.of(original.cell_contents)
+        known.update({name: self.of(known[name]) for name in _names(function.__code__) if name in known})
+        return copy
+
+
+def _is_ours(function: FunctionType) -> bool:
+    """Return whether a function is not part of NumPy or SciPy, so that a copy is traced."""
+    return str(function.__module__).split(".")[0] not in ("numpy", "scipy")
+
+
+def _is_filled(cell: CellType) -> bool:
+    try:
+        return cell.cell_contents is not cell
+    except ValueError:
+        return False
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """Yield the names that a function and its inner functions read."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
+
+
+def trace(
+    builder: Builder,
+    function: Callable[..., object],
+    arguments: Mapping[str, Sequence[int]],
+    results: Mapping[str, int],
+) -> dict[str, list[int]]:
+    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results.
+
+    The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
+    traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
+    during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
+    ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
+
+    Args:
+        builder: collects the operations.
+        function: function with one vector per argument.
+        arguments: operations of the entries of each vector, by name, in the order of the parameters.
+        results: number of entries of each returned vector, by name. The function returns one vector, or a tuple of
+            several vectors. A number may replace a vector of one entry.
+
+    Returns:
+        The operations of the entries of each result.
+
+    Raises:
+        ProblemError: the function fails, needs the value of a number, uses a function that cannot be traced, or
+            returns a wrong number of results or a result of wrong size.
+    """
+    name = getattr(function, "__name__", type(function).__name__)
+    recorder = Recorder(builder, name)
+    vectors = [recorder.symbols(values) for values in arguments.values()]
+    try:
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
+            returned = rebind(function, STAND_INS)(*vectors)
+    except ProblemError:
+        raise
+    except Exception as error:
+        if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
+            raise recorder.lost() from error
+        raise ProblemError(
+            f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
+            f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
+        ) from error
+    if returned is None:
+        raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
+    if len(results) == 1:
+        returned = (returned,)
+    elif not is_list(returned) or len(returned) != len(results):
+        got = f"{len(returned)} values" if is_list(returned) else "one vector"
+        raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
+    pairs = zip(results.items(), returned, strict=True)
+    return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
+
+
+def _result(recorder: Recorder, name: str, size: int, value: object) -> list[int]:
+    found = objects(value)
+    if found.shape != (size,) and not (size == 1 and found.shape == ()):
+        raise ProblemError(
+            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
+        )
+    return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
+
+
+def _number(recorder: Recorder, name: str, place: int, entry: object) -> Coefficient:
+    if isinstance(entry, float) and not math.isfinite(entry):
+        raise ProblemError(
+            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
+        )
+    return recorder.number(entry)

@@ -1,0 +1,540 @@
+"""Tuning: the parameter with which a policy meets a budget: of rate, traffic, cost, or violation of limits.
+
+Result of the search for a parameter that meets a budget.
+
+Joint tuning of the period of the checks and the threshold, at a given rate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from taciturn._arrays import number
+from taciturn._display import Displayed
+from taciturn._progress import Progress, Stages, answered_within, in_notebook
+from taciturn._text import Lines, pairs_text, percent, table_text
+from taciturn.design.kind import TradeoffParameter
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import has_average
+from taciturn.model.estimate import Estimate
+from taciturn.model.limits import Limits
+from taciturn.model.plant import ContinuousPlant
+from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
+from taciturn.simulation.average import check_effort
+from taciturn.study.evaluate import evaluate, with_violations, with_written
+from taciturn.study.evaluation import Evaluation, shares_text
+from taciturn.study.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
+from taciturn.study.measure import Request
+from taciturn.study.periodic import Cycle, Either, Ticked, clock_of
+from taciturn.study.search import Division, Look, Refinement, Search
+
+
+@dataclass(frozen=True, repr=False)
+class Parameter(Displayed):
+    """A tuned parameter with its standard error.
+
+    Args:
+        name: key of ``[policy]``.
+        value: a number, or for time-triggered control possibly a cycle of intervals.
+        standard_error: standard error of the value, or None if the budget does not depend on the value here.
+    """
+
+    name: str
+    value: float | Cycle
+    standard_error: float | None
+
+    def short(self) -> str:
+        """Return the name and the value of the parameter as text."""
+        return f"{self.name} = {self}"
+
+    def __str__(self) -> str:
+        """Return the value, with its standard error if there is one."""
+        if isinstance(self.value, tuple):
+            return "[" + ", ".join(map(str, self.value)) + "]"
+        return str(Estimate(self.value, self.standard_error or 0.0, "simulation"))
+
+    def beside(self, other: Parameter | None) -> str:
+        """Return the value with enough digits to distinguish it from another value, if one is given."""
+        if isinstance(self.value, tuple):
+            return str(self)
+        alike = other is not None and not isinstance(other.value, tuple) and f"{other.value:.6g}" == f"{self.value:.6g}"
+        return f"{self.value:.{17 if alike else 6}g}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuned(Tabular):
+    """A policy that meets a budget.
+
+    Args:
+        goal: the budget.
+        parameter: the tuned parameter.
+        problem: the problem with this parameter.
+        evaluation: the evaluation of this problem.
+        beyond: the policy on the other side of the jump, if rate and cost jump across the budget.
+        slope: derivative of the cost with respect to the rate (or the traffic) at the budget, along the parameter; None
+            at a jump.
+        shares: tuned shares of the links, by name of the parameter that contains them; None if they were not tuned.
+    """
+
+    goal: Goal
+    parameter: Parameter
+    problem: Problem
+    evaluation: Evaluation
+    beyond: Tuned | None
+    slope: float | None
+    shares: Mapping[str, float] | None = None
+
+    @property
+    def confidence(self) -> float | None:
+        """Confidence with which the budget is met, by the errors of the evaluation; 1 if the evaluation is exact.
+
+        It is None if the standard error cannot be trusted, as the notes of the evaluation state.
+        """
+        return self.goal.confidence(self.evaluation)
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the parameter, the budget, and the cost and rates at this parameter by name."""
+        found = self.evaluation
+        values = {"policy": found.policy, "parameter": self.parameter, "shares": self.shares, "goal": self.goal}
+        return {**values, "cost": found.cost, "rates": found.rates, "beyond": self.beyond, "slope": self.slope}
+
+    def about(self) -> dict[str, object]:
+        """Return the parameter, the budget and the description of the evaluation, by name."""
+        shares = {} if self.shares is None else {"shares": shares_text(self.shares)}
+        return {"parameter": self.parameter.short(), **shares, "budget": _budget_text(self), **self.evaluation.about()}
+
+    def columns(self) -> Columns:
+        """Return the rows of the evaluation at the tuned parameter."""
+        return columns_of(self.evaluation.records())
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn tune`` prints."""
+        parameter = self.parameter
+        lines: Lines = [(parameter.name, str(parameter))]
+        lines += [] if self.shares is None else [("shares", shares_text(self.shares))]
+        lines.append(("budget", _budget_text(self)))
+        if self.beyond is not None:
+            other = self.beyond
+            rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
+            traffic = f", traffic {other.evaluation.traffic}" if self.goal.name == "traffic" else ""
+            text = f"{other.parameter.beside(parameter)}: {rates}{traffic}, cost {other.evaluation.cost}"
+            jump = f"the {self.goal.name} jumps across the budget; on the other side:"
+            lines.append(("beyond", f"{jump} {parameter.name} = {text}"))
+        return f"{pairs_text(lines)}\n{self.evaluation}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn tune --json``."""
+        parameter = {
+            "name": self.parameter.name,
+            "value": self.parameter.value,
+            "standard_error": self.parameter.standard_error,
+        }
+        budget = {"of": self.goal.name, "at_most": self.goal.document, "confidence": self.confidence}
+        found = {"parameter": parameter, "budget": budget} | self.evaluation.document()
+        if self.shares is not None:
+            found["shares"] = dict(self.shares)
+        if self.beyond is not None:
+            rates = {link: rate.value for link, rate in self.beyond.evaluation.rates.items()}
+            jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
+            traffic = self.beyond.evaluation.traffic
+            found["beyond"] = jump | ({} if traffic is None else {"traffic": traffic.value})
+        return found
+
+
+def _budget_text(found: Tuned) -> str:
+    """Return a text that states whether the budget is met, and with which confidence."""
+    sure = found.confidence
+    if sure is None:
+        kept = "met in this simulation, whose standard error cannot be trusted"
+    else:
+        over = found.goal.of(found.evaluation).value > found.goal.budget
+        exactly = f"met up to a rounding error of {EXACT:g} of it" if over else "met exactly"
+        kept = exactly if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
+    written = found.evaluation.as_written
+    where = "" if written is None else ", for the plant with the disturbance that is added by default"
+    if written is not None and found.goal.limits_cost:
+        where += f"; on the plant as written, the cost is {written.cost}"
+        where += "" if not written.cost_all_time else f", {written.extra()} relative to sending every sample"
+    return f"{found.goal.text(found.evaluation)}, {kept}{where}"
+
+
+DIVIDED = 0.7  # share of the progress in which the shares are tuned
+
+
+def tune(
+    problem: Studied,
+    *,
+    rate: float | str | Mapping[str, float | str] | None = None,
+    cost: float | str | None = None,
+    traffic: float | str | None = None,
+    violation: float | None = None,
+    link: str | None = None,
+    seed: int = 0,
+    standard_error: float | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Return the parameter with which a problem's policy meets a budget: its rate, traffic, cost or violation.
+
+    The parameter is the tuning parameter of the policy kind. If rate or cost are not monotone in it, the answer is the
+    largest value found at which they cross the budget in the usual direction. All trials of the search use the same
+    draws. The answer is then measured more precisely and corrected, until it is at least two
+    standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
+    policy on the side of the jump that meets the budget. A budget that is exceeded by at most 1e-9 of it counts as met,
+    since costs and rates have rounding errors of this size.
+
+    If the policy divides a threshold among several links, the shares of the links are tuned too, unless the problem
+    states them or a link is named: for the least traffic at a cost, or for the least cost at a traffic or at given
+    rates. Links without a given rate then send every sample, as this costs least. For a cost or a traffic, shares with
+    which the loop does not settle in a short trial are left out.
+
+    Args:
+        problem: the problem whose policy is tuned; the search starts at its value of the parameter.
+        rate: largest rate, in sends per step or per second, or ``"50%"`` of the rate of sending every sample; the
+            answer is as close to this limit as possible. Or largest rates of several links by name.
+        cost: largest cost, per step, per second or per finite-horizon run, or ``"+5%"`` above the cost of sending every
+            sample; the answer is as close to this limit as possible.
+        traffic: largest sum of the rates of all links, each times the price of a packet (``price`` of the link), or
+            ``"50%"`` of that of sending every sample.
+        violation: largest share of the steps in which limits of the states are violated, for a problem with limits; the
+            answer is as close to this limit as its standard error allows, and has the fewest packets. Shares of several
+            links are not tuned.
+        link: link whose rate is meant; may be omitted if the policy decides on a single link.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of the cost of the answer; default: 1e-4 of the cost.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        The parameter with its standard error as a solution of the budget, the shares if they were tuned, the evaluation
+        at this parameter with its own standard errors, and the confidence with which the budget is met.
+
+    Raises:
+        ProblemError: no value reaches the budget, no budget or several budgets are given, or the policy has no such
+            parameter.
+        UnstableError: no value gives a stable loop.
+
+    Example:
+        >>> from taciturn import load
+        >>> found = tune(load("two-mass-lqg"), rate=0.3, standard_error=1e-3)
+        >>> round(found.parameter.value, 1), round(found.evaluation.rates["actuator"].value, 2)
+        (1.1, 0.3)
+    """
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, None)
+        if isinstance(rate, Mapping) and len(rate) == 1 and link is None and problem.record.shares is None:
+            ((link, rate),) = rate.items()
+        tuning = _tuning(problem, link)
+        goal = _goal(problem, tuning, {"rate": rate, "cost": cost, "traffic": traffic, "violation": violation}, link)
+        bar, divided = Stages(in_notebook(progress)), _divides(problem, goal, link)
+        if divided:
+            Search(problem, tuning, goal, seed, None).expect_start()
+            problem = problem.changed(Division(problem, tuning, goal, seed, bar.stage(0.0, DIVIDED)).best())
+            bar = bar.stage(DIVIDED, 1.0)
+        shares = cast("Mapping[str, float]", problem.parameters[str(problem.record.shares)]) if divided else None
+        found = replace(_found(problem, tuning, goal, seed, standard_error, bar), shares=shares)
+        evaluation = with_written(found.problem, Request(seed, None, None, "auto"), found.evaluation, Stages(None))
+        found = replace(found, evaluation=evaluation)
+        return found if problem.limits is None else _limited(found, problem.limits, seed)
+
+
+def _limited(found: Tuned, limits: Limits, seed: int) -> Tuned:
+    """Return an answer with the limits of the problem, and with the probabilities of their violation."""
+    problem, evaluation = replace(found.problem, limits=limits), found.evaluation
+    if evaluation.violations is None:
+        evaluation = with_violations(problem, limits, Request(seed, None, None, "auto"), evaluation, Stages(None))
+    beyond = None if found.beyond is None else _limited(found.beyond, limits, seed)
+    return replace(found, problem=problem, evaluation=evaluation, beyond=beyond)
+
+
+def _found(
+    problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, standard_error: float | None, bar: Progress
+) -> Tuned:
+    """Return the value of a parameter that meets a budget."""
+    search = Search(problem, tuning, goal, seed, bar)
+    if (
+        tuning.cycles
+        and not isinstance(goal, ViolationGoal)
+        and (cycles := _next_to(problem, tuning, goal, search)) is not None
+    ):
+        return cycles
+    refinement, (low, high) = Refinement(search, standard_error), search.bracket()
+    if not tuning.whole:
+        low, high, error, slope = refinement.refine(*search.close_in(low, high))
+        found = _tuned(search, low, error, slope)
+        return found if low is high else replace(found, beyond=_tuned(search, high, error, slope))
+    found = _tuned(search, refinement.measure_within(low), 0.0, None)
+    if search.meets_exactly(low):
+        return found
+    return replace(found, beyond=_tuned(search, refinement.measure(high), 0.0, None))
+
+
+def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, object], link: str | None) -> Goal:
+    """Return the one budget that is given.
+
+    Raises:
+        ProblemError: no budget or several budgets are given, or the budget is not valid.
+    """
+    given = {name: budget for name, budget in budgets.items() if budget is not None}
+    if len(given) != 1:
+        got = " and ".join(given) + " are given" if given else "none of rate, cost, traffic and violation is given"
+        raise ProblemError(f"{got}; expected one of them as the budget: rate, cost, traffic or violation")
+    ((name, budget),) = given.items()
+    if name == "violation":
+        if problem.limits is None:
+            raise ProblemError(
+                "violation is given for a problem without limits of its states; expected limits, as [limits] in a file"
+            )
+        return ViolationGoal(number("violation", budget, 0.0, 1.0), link or tuning.link)
+    if isinstance(budget, Mapping):
+        if link is not None or not budget:
+            raise ProblemError(f"rate is {budget!r} and link is {link!r}; expected rates by link, and no link")
+        limits = cast("Mapping[str, object]", budget)
+        return RatesGoal(limits={one: budget_of(problem, tuning, "rate", limit) for one, limit in limits.items()})
+    limit = budget_of(problem, tuning, name, budget)
+    if name == "traffic":
+        return TrafficGoal(limit)
+    return (RateGoal if name == "rate" else CostGoal)(limit, link or tuning.link)
+
+
+def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
+    """Return whether the shares of several links are to be tuned.
+
+    Raises:
+        ProblemError: several rates are given, but the policy kind has one parameter for all links.
+    """
+    name = problem.record.shares
+    stated = name is None or name in problem.parameters
+    if isinstance(goal, RatesGoal):
+        if stated:
+            why = f"{problem.kind} has one parameter for all links" if name is None else f"{name} is given too"
+            raise ProblemError(
+                f"the rates of links ({', '.join(goal.limits)}) are given, but {why}; expected the rate of one link, "
+                "with link (--rate X --link NAME)"
+            )
+        return True
+    return (
+        not stated
+        and link is None
+        and not isinstance(goal, RateGoal | ViolationGoal)
+        and len(problem.network.links) > 1
+    )
+
+
+def _next_to(problem: Problem, tuning: TradeoffParameter, goal: Goal, search: Search) -> Tuned | None:
+    """Return the periodic cycle that meets the budget, with the one beyond it, or None if no exact cost is known."""
+    always = problem.changed({tuning.name: 1})
+    policy = always.designed()
+    clock = clock_of(always, policy)
+    clock = clock.ticked if isinstance(clock, Either) else clock
+    if not isinstance(clock, Ticked):
+        return None
+    search.expect_possible(evaluate(always))
+    found = clock.around(goal.budget) if isinstance(goal, RateGoal) else clock.around_cost(goal.budget)
+    if found is None:
+        return None
+    below, above = (_at_cycle(search, point.cycle) for point in found)
+    keeps, beyond = (below, above) if isinstance(goal, RateGoal) else (above, below)
+    if goal.of(beyond.evaluation).value <= goal.budget * (1 + EXACT):
+        return beyond
+    meets = goal.of(keeps.evaluation).value >= goal.budget * (1 - EXACT)
+    return keeps if meets else replace(keeps, beyond=beyond)
+
+
+def _at_cycle(search: Search, cycle: Cycle | None) -> Tuned:
+    assert cycle is not None
+    name, value = search.tuning.name, cycle[0] if len(cycle) == 1 else cycle
+    changed = search.problem.changed({name: value})
+    return Tuned(search.goal, Parameter(name, value, 0.0), changed, evaluate(changed), None, None)
+
+
+def _tuned(search: Search, look: Look, error: float | None, slope: float | None) -> Tuned:
+    name = search.tuning.name
+    changed = search.problem.changed({name: look.value})
+    return Tuned(search.goal, Parameter(name, look.value, error), changed, look.evaluation, None, slope)
+
+
+def _tuning(problem: Problem, link: str | None) -> TradeoffParameter:
+    """Return the tuning parameter for the rate of a link."""
+    continuous, given = isinstance(problem.plant, ContinuousPlant), problem.parameters
+    tunings = [
+        tuning
+        for tuning in problem.record.tuning
+        if tuning.continuous in (None, continuous)
+        and (tuning.link is None or (tuning.name in given and link in (None, tuning.link)))
+    ]
+    if not tunings and (links := sorted({one.link for one in problem.record.tuning if one.link is not None})):
+        raise ProblemError(
+            f"link is {link!r}, for which {problem.kind} has no parameter; expected {' or '.join(links)}"
+        )
+    tunings = [tuning for tuning in tunings if tuning.name in given] or tunings[:1]
+    if len(tunings) > 1 and all(tuning.link is None for tuning in tunings):
+        tunings = tunings[:1]
+    if len(tunings) > 1:
+        raise ProblemError(
+            f"{problem.kind} decides on two links; expected link to be one of {[k.link for k in tunings]}"
+        )
+    if not tunings:
+        raise ProblemError(f"{problem.kind} has no parameter that changes this rate; expected {problem.record.remedy}")
+    return tunings[0]
+
+
+FASTER = 2.0  # from one period to the next
+ENOUGH = 0.01  # share of the excess over the cost of sending every sample: a smaller gain ends the search
+MOST = 20
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TunedPeriod(Tabular):
+    """The period of the checks and the parameter that meet a rate at the least cost.
+
+    Args:
+        best: the result with the least cost.
+        tried: all results, from the longest period to the shortest, all at the requested rate.
+    """
+
+    best: Tuned
+    tried: tuple[Tuned, ...]
+
+    def columns(self) -> Columns:
+        """Return one row per period: the parameter, the cost, and whether the policy is consistent."""
+        return columns_of(
+            [
+                {
+                    "period": one.problem.parameters["period"],
+                    one.parameter.name: one.parameter.beside(None),
+                    "cost": one.evaluation.cost,
+                    "consistency": one.evaluation.consistency,
+                }
+                for one in self.tried
+            ]
+        )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn tune --least-period`` prints."""
+        return periods_text(self)
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn tune --least-period --json``."""
+        rows = [
+            {
+                "period": one.problem.parameters["period"],
+                one.parameter.name: one.parameter.value,
+                "cost": one.evaluation.cost.value,
+                "consistency": one.evaluation.consistency,
+            }
+            for one in self.tried
+        ]
+        return {"period": self.best.problem.parameters["period"]} | self.best.document() | {"periods": rows}
+
+
+def tune_period(
+    problem: Studied,
+    *,
+    rate: float,
+    least: float,
+    link: str | None = None,
+    seed: int = 0,
+    standard_error: float | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> TunedPeriod:
+    """Return the period and the parameter with which a policy sends at a rate and costs least.
+
+    The theorem of ``consistent`` relates δ to the period τ. At an equal rate, more frequent checks with a larger
+    threshold cost less. So τ is halved, and δ is determined again from the exact rate, until a halving reduces the
+    excess over the cost of sending every sample by less than a hundredth, or until τ would be below ``least``. The
+    consistency of the result is then verified numerically (``Evaluation.consistency``) and no longer guaranteed.
+
+    Args:
+        problem: a problem with a continuous plant and a policy that checks every ``period``, the start of the search.
+        rate: sends per second.
+        least: the shortest period of the sensor, in seconds.
+        link: link whose rate is meant; may be omitted if the policy decides on a single link.
+        seed: seed of the random draws, if anything is simulated.
+        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
+        progress: callback that receives the fraction done.
+
+    Raises:
+        ProblemError: the policy has no period, the rate cannot be met, or ``least`` is above the period at the start.
+
+    Source: khashooei2017
+
+    Example:
+        >>> from taciturn import ContinuousPlant, Cost, Network, Problem
+        >>> walk, cost = ContinuousPlant([[0.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> problem = Problem(walk, cost, Network(), "consistent", {"period": 0.5})
+        >>> found = tune_period(problem, rate=1.0, least=0.1)
+        >>> found.best.problem.parameters["period"], found.best.evaluation.consistency
+        (0.125, 'verified')
+    """
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        period = problem.parameters.get("period")
+        if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
+            raise ProblemError(
+                f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period"
+            )
+        if not has_average(problem.plant, problem.cost):
+            raise ProblemError(
+                "the cost is that at the sampling instants, because the disturbances change the input that they need "
+                "between samples and grow without limit, so costs of several periods cannot be compared; expected "
+                "disturbances that are constant or decay, or a given period"
+            )
+        rate, least = number("rate", rate, 0.0), number("least", least, 0.0)
+        period = min(float(period), 1 / (FASTER * rate))
+        if period < least:
+            raise ProblemError(
+                f"the least period is {least:g} s, but at {rate:g} sends per second the search starts from at most "
+                f"{period:g} s; expected a shorter least period, or a lower rate"
+            )
+        tried: list[Tuned] = []
+        parameters = dict(problem.parameters)
+        while period >= least and len(tried) < MOST:
+            here = problem.changed({**parameters, "period": period})
+
+            def report(fraction: float, done: int = len(tried)) -> None:
+                if progress is not None:
+                    progress(1 - 0.7 ** (done + fraction))  # the number of periods is not known in advance
+
+            found = tune(here, rate=rate, link=link, seed=seed, standard_error=standard_error, progress=report)
+            tried.append(found)
+            if len(tried) > 1 and not _gains(tried[-2], found):
+                break
+            name, value = found.parameter.name, found.parameter.value
+            if isinstance(value, float) and name == "delta":
+                value /= FASTER  # δ is a cost per check, so this threshold sends the same error
+            parameters[name] = value
+            period /= FASTER
+        best = min(tried, key=lambda one: one.evaluation.cost.value)
+        return TunedPeriod(best, tuple(tried))
+
+
+def _gains(before: Tuned, after: Tuned) -> bool:
+    """Return whether the last halving of the period gained enough to try another one."""
+    cost, base = after.evaluation.cost, after.evaluation.cost_all_time
+    above = cost.value - (0.0 if base is None else base)
+    return before.evaluation.cost.value - cost.value > max(ENOUGH * above, cost.standard_error)
+
+
+def periods_text(found: TunedPeriod) -> str:
+    """Return the periods that were tried at a given rate, and the best of them."""
+    names = ["period", found.best.parameter.name, "cost", "consistent"]
+    rows = [
+        [
+            f"{one.problem.parameters['period']:g}",
+            one.parameter.beside(None),
+            str(one.evaluation.cost),
+            one.evaluation.consistency or "",
+        ]
+        for one in found.tried
+    ]
+    period = pairs_text([("period", f"{found.best.problem.parameters['period']:g}")])
+    return "\n".join([table_text(names, rows, 1), period, str(found.best)])

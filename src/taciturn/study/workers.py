@@ -1,0 +1,291 @@
+"""Executors for many similar tasks: processes of this machine, workers of a dask cluster, or any other executor.
+
+Version and code of the workers that answer tasks; answers of workers with other code are refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context, parent_process, util
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any, Generic, TypeVar, cast
+
+from taciturn import _version
+from taciturn._display import Displayed
+from taciturn._process import at_once, deferred, prefer_one_thread
+from taciturn._progress import NoTimeLeft, Progress, check_time, seconds_left
+from taciturn.errors import ProblemError, TaciturnError
+from taciturn.program.machine import available_processors, one_thread
+
+Answer = TypeVar("Answer")
+
+PATIENCE = 5.0  # seconds in which workers must report their version after a task failed
+
+
+@dataclass(frozen=True, repr=False)
+class Code(Displayed):
+    """The version of taciturn that a process runs, and the digest of its sources.
+
+    Args:
+        version: version of taciturn.
+        digest: digest of the sources of the package.
+    """
+
+    version: str
+    digest: str
+
+
+@dataclass(frozen=True, repr=False)
+class Report(Displayed, Generic[Answer]):
+    """The answer of a worker to a task, with the name of the worker and its code.
+
+    Args:
+        worker: machine and process.
+        code: code that the process runs.
+        answer: the answer; None if the worker has other code than the process that asked.
+    """
+
+    worker: str
+    code: Code
+    answer: Answer | None
+
+
+def code_of(folder: Path, version: str) -> Code:
+    """Return the version of a package and a digest of the names and texts of all its Python files."""
+    read = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py"), key=lambda path: path.relative_to(folder).as_posix()):
+        text = path.read_bytes().replace(b"\r\n", b"\n")  # as a checkout on Windows may have
+        read.update(f"{path.relative_to(folder).as_posix()}\n{len(text)}\n".encode() + text)
+    return Code(version, read.hexdigest())
+
+
+@cache
+def own_code() -> Code:
+    """Return version and digest of the code of this process, which is read once."""
+    return code_of(Path(_version.__file__).parent, _version.__version__)
+
+
+def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:
+    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal.
+
+    Args:
+        executor: executor of this or of other processes.
+        ask: a module-level function.
+        given: its arguments.
+    """
+    return executor.submit(_report, own_code(), ask, *given)
+
+
+def _report(expected: Code, ask: Callable[..., Answer], *given: Any) -> Report[Answer]:
+    own = own_code()
+    return Report(_place(), own, ask(*given) if own == expected else None)
+
+
+def _place() -> str:
+    return f"process {os.getpid()} on {platform.node() or 'this machine'}"
+
+
+def accepted(report: Report[Answer]) -> Answer:
+    """Return the answer in the report of a worker, if the worker runs the same code as this process.
+
+    Raises:
+        ProblemError: the worker runs another version, or other code of the same version.
+    """
+    own = own_code()
+    if report.code != own:
+        raise ProblemError(_refusal(report.worker, report.code, own))
+    return cast("Answer", report.answer)
+
+
+def _refusal(worker: str, code: Code, own: Code) -> str:
+    if code.version != own.version:
+        return (
+            f"the worker ({worker}) runs taciturn {code.version}, and this process {own.version}; expected the same "
+            f"version, so that all cells are computed alike: install taciturn {own.version} there, or omit this worker"
+        )
+    return (
+        f"the worker ({worker}) runs taciturn {code.version} with the sources {code.digest:.12}, and this process the "
+        f"sources {own.digest:.12}; expected the same code, so that all cells are computed alike: install the same "
+        "build there, or omit this worker"
+    )
+
+
+def refuse_other_versions(executor: Executor, workers: int, error: BaseException | None = None) -> None:
+    """Raise an error if a worker runs another version of taciturn than this process.
+
+    This is done on dask before the first task, because a worker of dask shuts down if it cannot import a task, and on
+    any executor after a task failed. The question is a function of the standard library, so every version answers.
+
+    Args:
+        executor: executor of this or of other processes.
+        workers: number of questions; on dask one for each worker of the scheduler instead.
+        error: exception of the failed task; None before the first task.
+
+    Raises:
+        ProblemError: a worker runs another version, or has no taciturn.
+    """
+    client: Any = getattr(executor, "_client", None)
+    if client is None and error is None:
+        return
+    wanted, end = own_code().version, time.monotonic() + PATIENCE
+    for worker, future in _ask_versions(executor, client, workers):
+        try:
+            found = str(future.result(max(0.0, end - time.monotonic())))
+        except ImportError:
+            raise ProblemError(
+                f"the worker ({worker}) cannot import taciturn; expected taciturn {wanted} on every worker: install "
+                "it there, or omit this worker"
+            ) from error
+        except Exception:  # the worker is gone or busy
+            future.cancel()
+        else:
+            if found != wanted:
+                raise ProblemError(_refusal(worker, Code(found, ""), own_code())) from error
+
+
+def _ask_versions(executor: Executor, client: Any, workers: int) -> list[tuple[str, Future[Any]]]:
+    """Return a future of the version for each worker, with its address on dask; other executors have no addresses."""
+    version = resolve_name, "taciturn._version:__version__"
+    try:
+        if client is None:
+            return [("one of them", executor.submit(*version)) for _ in range(workers)]
+        return [(place, client.submit(*version, workers=[place], pure=False)) for place in client.nthreads()]
+    except Exception:  # the executor is broken, and the first error is reported
+        return []
+
+
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+
+MOST_OF_WINDOWS = 61  # largest number of processes that Windows can wait for
+
+
+def workers_of(executor: Executor) -> int:
+    """Return the number of tasks that an executor runs at a time, as far as it is known."""
+    for name in ("num_workers", "_max_workers"):  # mpi4py's; the standard library's
+        known: Any = getattr(executor, name, None)
+        if isinstance(known, int) and known > 0:
+            return known
+    client: Any = getattr(executor, "_client", None)  # dask's
+    if client is not None:
+        return max(1, sum(client.nthreads().values()))
+    return available_processors()
+
+
+def deserted(executor: Executor) -> str | None:
+    """Return the address of an executor's dask scheduler if this scheduler has no workers, else None."""
+    client: Any = getattr(executor, "_client", None)
+    return None if client is None or client.nthreads() else str(client.scheduler.address)
+
+
+def idle(fraction: float) -> None:
+    """Ignore the progress."""
+
+
+def answer_all(
+    executor: Executor | None, answer: Callable[[Job], Answer], jobs: Sequence[Job], progress: Progress
+) -> list[Answer]:
+    """Return the answers to some jobs, in their order; the first exception ends the computation.
+
+    Args:
+        executor: executor that answers each job on one thread; None to answer one job after the other in this process,
+            on all processors.
+        answer: a module-level function, so that executors of other processes can import it.
+        jobs: the arguments of the function, one for each call.
+        progress: callback that receives the fraction answered.
+
+    Raises:
+        ProblemError: the executor fails, or a worker runs another version of this package.
+    """
+    found: list[Answer] = []
+    if executor is not None:
+        refuse_other_versions(executor, workers_of(executor))
+    futures = [] if executor is None else [asked(executor, _alone, answer, job) for job in jobs]
+    try:
+        for k, job in enumerate(jobs):
+            if futures:
+                wait(futures[k : k + 1], timeout=min(seconds_left(), threading.TIMEOUT_MAX))
+            check_time()
+            found.append(accepted(futures[k].result()) if futures else answer(job))
+            progress((k + 1) / len(jobs))
+    except BrokenExecutor as error:
+        raise ProblemError(
+            f"the executor failed after {len(found)} of {len(jobs)} answers ({error}); expected workers that stay "
+            "alive and can import taciturn: use fewer workers, or none"
+        ) from error
+    except Exception as error:
+        if executor is not None and not isinstance(error, TaciturnError | NoTimeLeft):
+            refuse_other_versions(executor, workers_of(executor), error)
+        raise
+    finally:
+        for future in futures:
+            future.cancel()
+    return found
+
+
+def _alone(answer: Callable[[Job], Answer], job: Job) -> Answer:
+    with one_thread():
+        return answer(job)
+
+
+@contextmanager
+def processes(workers: int | None) -> Generator[Executor | None]:
+    """Provide a pool of worker processes, or None for one worker, because this process then uses its threads."""
+    if (workers := workers or available_processors()) == 1:
+        yield None
+        return
+    prefer_one_thread()  # in the processes to come
+    workers = min(workers, MOST_OF_WINDOWS) if sys.platform == "win32" else workers
+    with deferred():  # it starts a process that counts semaphores
+        pool = ProcessPoolExecutor(workers, get_context("spawn"), _be_a_worker)
+    with at_once(lambda: _abandon(pool)):
+        try:
+            with deferred():
+                for _ in range(workers):
+                    pool.submit(abs, 0)  # each starts a process
+            yield pool
+        except BaseException:  # the answers to come are not used
+            _kill(pool)
+            raise
+        finally:  # without cancelling, shutdown would wait for a submission that Ctrl-C interrupted
+            pool.shutdown(cancel_futures=True)
+
+
+def _kill(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool, which would otherwise complete the tasks that they have begun."""
+    running: dict[int, BaseProcess] | None = getattr(pool, "_processes", None)  # kill_workers() since Python 3.14
+    for process in list((running or {}).values()):
+        process.kill()
+
+
+def _abandon(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool, and remove its semaphores, about which Python would print a warning."""
+    _kill(pool)
+    finalizers: Any = util
+    finalizers._run_finalizers(0)  # the semaphores; the interpreter calls it when it ends
+
+
+def _be_a_worker() -> None:
+    """Ignore Ctrl-C, which the parent process handles, and exit when the parent process has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # not inherited on Windows
+
+    def watch(parent: BaseProcess) -> None:
+        parent.join()
+        os._exit(1)
+
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=watch, args=(parent,), daemon=True).start()

@@ -1,0 +1,1 @@
+"""The simulation speed of this machine: ``bench`` measures it, ``commands`` has the command ``bench``."""

@@ -1,0 +1,291 @@
+"""Simulation speed of this machine: the two-mass loop on one thread, compared with a plain NumPy program."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.extend import Array, Progress, count, number, pairs_text, table_text, temporary_folder, wrapped_text
+from taciturn.loop import COST, EXCESS, Loop
+from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.steps import Assign
+from taciturn.problem import load
+from taciturn.program import machine
+from taciturn.program.ir import Program
+from taciturn.program.llvm import Build
+from taciturn.program.machine import Kernel
+from taciturn.program.ops import Control, Name, Sent
+from taciturn.simulation.statistics import controlled_mean, mean
+
+Contestant = Callable[[int], tuple[int, float]]
+"""Function from a seed to the number of simulated steps and the rate of sending in them."""
+
+PATHS, TICKS = 4096, 4000
+MOST_ROUNDS = 1000  # about half an hour
+SUMS = {COST, EXCESS, Sent("actuator")}
+FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "NumPy over paths"
+
+
+@dataclass(frozen=True, repr=False)
+class Bench(Tabular):
+    """Measured speeds and ratios.
+
+    Args:
+        machine: processor, vector instructions and versions.
+        speeds: steps per second of processor time on one thread, by contestant; medians of the rounds.
+        ratios: ratios of these speeds, and the ratio of the wall times with one and with two threads.
+        compile_seconds: compile times of the innovations form, without and with the cache on disk.
+        variance_ratios: variance reductions of the estimators, per step.
+    """
+
+    heading: ClassVar[tuple[str, ...]] = ("machine", "ratios")
+
+    machine: Mapping[str, str] = field(hash=False)
+    speeds: Mapping[str, float] = field(hash=False)
+    ratios: Mapping[str, float] = field(hash=False)
+    compile_seconds: Mapping[str, float] = field(hash=False)
+    variance_ratios: Mapping[str, float] = field(hash=False)
+
+    def columns(self) -> Columns:
+        """Return one row per contestant."""
+        return columns_of([{"name": name, "steps_per_second": speed} for name, speed in self.speeds.items()])
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn bench`` prints."""
+        return bench_text(self)
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn bench --json``."""
+        return {
+            "machine": dict(self.machine),
+            "steps_per_second": {name: round(speed) for name, speed in self.speeds.items()},
+            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items()},
+            "compile_seconds": {name: round(value, 5) for name, value in self.compile_seconds.items()},
+            "variance_ratios": {name: round(ratio, 2) for name, ratio in self.variance_ratios.items()},
+        }
+
+
+def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
+    """Measure the simulation engine and the estimators on the two-mass loop, in alternating rounds.
+
+    Args:
+        rounds: number of rounds, at least 3, of which the medians are reported.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        Speeds and ratios.
+
+    Raises:
+        ProblemError: ``rounds`` is too small, or llvmlite is missing.
+    """
+    rounds = count("rounds", rounds, 3)
+    number("rounds", rounds, high=MOST_ROUNDS)
+    if not machine.available():
+        raise ProblemError(
+            "llvmlite is not installed, but the compiled engine, which bench measures, requires it: pip install "
+            "llvmlite"
+        )
+    loop = masses()
+    speeds = {name: statistics.median(found) for name, found in race(contestants(loop), rounds, progress).items()}
+    ratios = {
+        "full_over_numpy": speeds[FULL] / speeds[NUMPY],
+        "innovations_over_numpy": speeds[REDUCED] / speeds[NUMPY],
+        "float32_over_float64": speeds[SINGLE] / speeds[REDUCED],
+    }
+    if machine.available_processors() > 1:
+        ratios["two_threads_over_one"] = gain_of_threads(loop, rounds)
+    return Bench(describe_machine(), speeds, ratios, compile_times(loop), variance_ratios(loop))
+
+
+def masses() -> Loop:
+    """Return the loop of the built-in problem ``two-mass-lqg``."""
+    problem = load("two-mass-lqg")
+    return problem.close(problem.design())
+
+
+def contestants(loop: Loop) -> dict[str, Contestant]:
+    """Return the programs that are compared, by name."""
+    single = replace(loop, precision="float32")
+    return {
+        FULL: compiled(loop, loop.program()),
+        REDUCED: compiled(loop, loop.reduced_program()),
+        SINGLE: compiled(single, single.reduced_program()),
+        NUMPY: by_matrices(loop, PATHS, TICKS // 40),
+    }
+
+
+def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = TICKS) -> Contestant:
+    """Return the compared program that runs machine code on one thread."""
+    kept = program.keep(SUMS)
+    kernel, link = Kernel(kept, build), Sent(loop.policy.scheduled[0])
+
+    def run(seed: int) -> tuple[int, float]:
+        sums = kernel.run(kept, loop.start(kept, PATHS, seed), ticks, threads=1).sums
+        return PATHS * ticks, float(sums[link].mean() / ticks)
+
+    return run
+
+
+def by_matrices(loop: Loop, paths: int, ticks: int) -> Contestant:
+    """Return the compared program that uses NumPy's matrices and generator, for one path or several side by side."""
+    problem, plant, policy = loop.problem, loop.problem.plant, loop.policy
+    A, B, C = plant.A, plant.B, plant.C
+    steps = {step.signal: step.branches[0] for step in policy.steps if isinstance(step, Assign)}
+    gain, L = (cast(Array, steps[a][b]) for a, b in (("estimate", "innovation"), ("command", "estimate")))
+    silent, send = policy.decisions["send"].options.values()
+    Psi, gamma = np.asarray(silent.Psi, dtype=np.float64), cast(float, send.constant)
+    noise = [np.linalg.cholesky(covariance).T for covariance in (plant.W, plant.V)]
+
+    def squares(z: Array, weight: Array) -> Array:
+        return ((z @ weight) * z).sum(axis=1)
+
+    def run(seed: int) -> tuple[int, float]:
+        draws = np.random.default_rng(seed)
+        x, prior = np.zeros((2, paths, plant.states))
+        u, cost, sends = np.zeros((paths, plant.inputs)), np.zeros(paths), 0
+        for _ in range(ticks):
+            y = x @ C.T + draws.standard_normal((paths, plant.outputs)) @ noise[1]
+            estimate = prior + (y - prior @ C.T) @ gain.T
+            command = estimate @ L.T
+            sending = squares(np.hstack([estimate, u, u - command]), Psi) > gamma
+            u = np.where(sending[:, None], command, u)
+            cost += squares(x, problem.Q) + squares(u, problem.R)
+            sends += int(sending.sum())
+            x = x @ A.T + u @ B.T + draws.standard_normal((paths, plant.states)) @ noise[0]
+            prior = estimate @ A.T + u @ B.T
+        return paths * ticks, sends / (paths * ticks)
+
+    return run
+
+
+def race(
+    entries: Mapping[str, Contestant],
+    rounds: int,
+    progress: Progress | None = None,
+    clock: Callable[[], float] = time.thread_time,
+) -> dict[str, list[float]]:
+    """Return the steps per second of each compared program in each round after a warm-up round.
+
+    Args:
+        entries: contestants by name; each runs once per round, in turn.
+        rounds: number of counted rounds.
+        progress: callback that receives the fraction done.
+        clock: function that returns the time; by default the processor time of this thread, which excludes other
+            threads.
+    """
+    speeds: dict[str, list[float]] = {name: [] for name in entries}
+    for k in range(rounds + 1):
+        for name, run in entries.items():
+            begin = clock()
+            steps, _ = run(k)
+            if k:
+                speeds[name].append(steps / (clock() - begin))
+        if progress is not None:
+            progress((k + 1) / (rounds + 1))
+    return speeds
+
+
+def gain_of_threads(loop: Loop, rounds: int) -> float:
+    """Return the ratio of the wall times with one and with two threads, as the median of the rounds."""
+    program = loop.reduced_program().keep({EXCESS})
+    kernel, states = Kernel(program), loop.start(program, PATHS, 0)
+    found: list[float] = []
+    for _ in range(rounds + 1):
+        times: list[float] = []
+        for threads in (1, 2):
+            begin = time.perf_counter()
+            kernel.run(program, states, 5 * TICKS, threads=threads)
+            times.append(time.perf_counter() - begin)
+        found.append(times[0] / times[1])
+    return statistics.median(found[1:])
+
+
+def compile_times(loop: Loop) -> dict[str, float]:
+    """Return the compile times in seconds, without and with the cache on disk, as medians of five repetitions."""
+    program, cold, cached = loop.reduced_program().keep(SUMS), list[float](), list[float]()
+    before = os.environ.get("XDG_CACHE_HOME")
+    try:
+        for _ in range(5):
+            with temporary_folder() as empty:
+                os.environ["XDG_CACHE_HOME"] = str(empty)
+                for found in (cold, cached):
+                    machine.forget()
+                    begin = time.perf_counter()
+                    Kernel(program)
+                    found.append(time.perf_counter() - begin)
+    finally:
+        os.environ.pop("XDG_CACHE_HOME")
+        os.environ |= {} if before is None else {"XDG_CACHE_HOME": before}
+    return {"cold": statistics.median(cold), "cached": statistics.median(cached)}
+
+
+def variance_ratios(loop: Loop) -> dict[str, float]:
+    """Return the factors by which completed squares and control variates reduce the variance of a mean cost.
+
+    Source: khashooei2017, henderson2002
+    """
+    full, reduced = loop.program().keep({COST}), loop.reduced_program()
+    controls = [name for name in reduced.sums if isinstance(name, Control)]
+    plain, squares = (_settled_sums(loop, program) for program in (full, reduced.keep({EXCESS, *controls})))
+    alone = mean(squares[EXCESS]).standard_error
+    sharp = controlled_mean(squares[EXCESS], np.array([squares[name] for name in controls])).standard_error
+    return {
+        "completed_squares": (mean(plain[COST]).standard_error / alone) ** 2,
+        "control_variates": (alone / sharp) ** 2,
+    }
+
+
+def _settled_sums(loop: Loop, program: Program) -> Mapping[Name, Array]:
+    """Return the sums of each path over the same number of steps, after a burn-in."""
+    kernel = Kernel(program)
+    settled = kernel.run(program, loop.start(program, PATHS, 1), 600).states
+    return kernel.run(program, settled, TICKS // 2).sums
+
+
+def describe_machine() -> dict[str, str]:
+    """Return processor, vector instructions and versions."""
+    name = platform.processor() or platform.machine()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    widths: Mapping[int, str] = {8: "avx512", 4: "avx2", 2: "baseline"}
+    packages = ("taciturn", "numpy", "scipy", "llvmlite")
+    return {
+        "processor": name,
+        "processors": str(machine.available_processors()),
+        "vectors": widths[machine.host().lanes],
+        "system": f"{platform.system()} {platform.release()}",
+        "date": time.strftime("%Y-%m-%d"),
+        "python": platform.python_version(),
+        **{package: version(package) for package in packages},
+    }
+
+
+def version(package: str) -> str:
+    """Return the version of an installed package, or "none"."""
+    with suppress(importlib.metadata.PackageNotFoundError):
+        return importlib.metadata.version(package)
+    return "none"
+
+
+def bench_text(found: Bench) -> str:
+    """Return the simulation speed of this machine."""
+    about = found.machine
+    title = wrapped_text(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians")
+    rows = [[name, f"{speed / 1e6:.4g}"] for name, speed in found.speeds.items()]
+    lines = [(name.replace("_", " "), f"{ratio:.3g}") for name, ratio in found.ratios.items()]
+    lines += [(f"machine code, {name}", f"{1000 * seconds:.3g} ms") for name, seconds in found.compile_seconds.items()]
+    for name, ratio in found.variance_ratios.items():
+        lines.append((f"variance, {name}".replace("_", " "), f"{ratio:.3g} times less per step"))
+    return "\n".join([title, table_text(["", "million steps/s"], rows, 1), pairs_text(lines)])

@@ -1,0 +1,26 @@
+"""taciturn_bench.commands."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from taciturn.cli.frame import EXAMPLE, Json, app, print_json, progress_bar
+
+
+@app.command(epilog=EXAMPLE + "taciturn bench --rounds 3")
+def bench(
+    as_json: Json = False,
+    rounds: Annotated[int, typer.Option(help="Number of measurement rounds, of which the medians are printed.")] = 5,
+) -> None:
+    """Measure the simulation speed on this machine, compared with NumPy."""
+    from taciturn.study.record import origin
+    from taciturn_bench.bench import bench as measure
+
+    with progress_bar("measuring") as progress:
+        found = measure(rounds, progress)
+    if as_json:
+        print_json(found.document(), origin())
+    else:
+        typer.echo(found)

@@ -1,0 +1,286 @@
+"""Certificates of one loop by matrix inequalities: decay, gain and cost, with those of sending every sample."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from taciturn.analyse.switched import Switched, switched, switched_innovations
+from taciturn.errors import ProblemError
+from taciturn.extend import answered_within, pairs_text, radius, table_text
+from taciturn.loop import Loop
+from taciturn.lqg.equation import accumulate
+from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.theory import ErrorGain
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
+from taciturn.program.draws import GENERATOR
+from taciturn.study.evaluation import TimeUnit, proved, rounded, time_unit
+from taciturn_certify.certificates import NoCertificateError, bound_cost, bound_state, find_decay, find_gain
+from taciturn_certify.inequalities import expect_solver
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, repr=False)
+class Certificates(Tabular):
+    """Certificates of a loop, and the corresponding numbers for sending every sample.
+
+    A number that could not be proved is None, and a note gives the reason. The numbers for sending every sample are
+    None if no action of the trigger sends on every link that the policy decides on, or if this loop is unstable.
+
+    Args:
+        policy: kind of the policy.
+        unit: unit of time that the cost refers to.
+        states: number of entries of the state z of the closed loop.
+        actions: labels of the trigger.
+        decay: factor per step by which the state shrinks without noise, until the limit is reached.
+        limit: bound below which the cost without noise ends; 0 if the state converges to 0.
+        overshoot: factor in |z_k| ≤ overshoot · decay^k |z_0| if the limit is 0; else None.
+        decay_all_time: exact decay factor of sending every sample.
+        gain: gain in Σ stage cost ≤ gain² Σ|w|² + residual · steps, where w is the noise of a step in units of its
+            standard deviation.
+        gain_residual: residual per step; 0 if the trigger has no constants.
+        gain_all_time: gain of sending every sample.
+        cost_bound: upper bound on the average cost under white noise.
+        cost_all_time: exact cost of sending every sample.
+        mean_square_bound: upper bound on the average of |x|² under white noise.
+        mean_square_all_time: exact average of |x|² for sending every sample.
+        errors: for each link with a dead band, the largest gain from the error that silence causes to the root of the
+            stage cost, and the largest error; empty for other policies.
+        errors_bound: upper bound on the average cost under any noise, from these gains and errors; or None.
+        seconds: wall time.
+        notes: warnings and remarks for the reader.
+    """
+
+    heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "method", "states", "notes")
+    method: ClassVar[str] = "matrix inequalities"
+
+    policy: str
+    unit: TimeUnit
+    states: int
+    actions: tuple[str, ...]
+    decay: float | None
+    limit: float | None
+    overshoot: float | None
+    decay_all_time: float | None
+    gain: float | None
+    gain_residual: float | None
+    gain_all_time: float | None
+    cost_bound: float | None
+    cost_all_time: float | None
+    mean_square_bound: float | None
+    mean_square_all_time: float | None
+    errors: Mapping[str, ErrorGain] = field(hash=False)
+    errors_bound: float | None
+    seconds: float
+    notes: tuple[str, ...]
+
+    def columns(self) -> Columns:
+        """Return one row per certificate, with the number for sending every sample."""
+        rows = [
+            ("decay", self.decay, self.decay_all_time),
+            ("gain", self.gain, self.gain_all_time),
+            ("cost", self.cost_bound, self.cost_all_time),
+            ("mean square", self.mean_square_bound, self.mean_square_all_time),
+        ]
+        return columns_of(
+            [{"name": name, "proved": proved(bound), "every_sample": always} for name, bound, always in rows]
+        )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn certify`` prints."""
+        return certificates_text(self)
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn certify --json``."""
+        result: dict[str, Any] = {
+            "policy": self.policy,
+            "unit": self.unit,
+            "method": self.method,
+            "states": self.states,
+            "actions": list(self.actions),
+            "decay": self.decay,
+            "limit": self.limit,
+            "overshoot": self.overshoot,
+            "decay_all_time": self.decay_all_time,
+            "gain": self.gain,
+            "gain_residual": self.gain_residual,
+            "gain_all_time": self.gain_all_time,
+            "cost_bound": self.cost_bound,
+            "cost_all_time": self.cost_all_time,
+            "mean_square_bound": self.mean_square_bound,
+            "mean_square_all_time": self.mean_square_all_time,
+            "errors": {link: {"gain": one.gain, "largest": one.largest} for link, one in self.errors.items()},
+            "errors_bound": self.errors_bound,
+            "seconds": round(self.seconds, 4),
+        }
+        return result | ({"notes": list(self.notes)} if self.notes else {})
+
+
+def certify(problem: Studied, *, time_limit: float | None = None) -> Certificates:
+    """Certify decay, gain and cost of a problem's loop by quadratic Lyapunov functions.
+
+    Every number follows from matrix inequalities whose solution was verified, with a bound on rounding errors, before
+    it is returned. For dead bands, the gains from errors of links to the cost are added (``Theory.errors``); they also
+    certify loops with several decisions, for which the matrix inequalities are not available.
+
+    Args:
+        problem: from ``load`` or ``Problem``; the simulated plant may differ from the plant of the design.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
+
+    Returns:
+        The certificates.
+
+    Raises:
+        ProblemError: the loop is not a switched linear system with one quadratic trigger, nothing could be proved, or
+            cvxpy and clarabel are not installed.
+
+    Source: heemels2013, rump2006
+
+    Example:
+        >>> from taciturn import load
+        >>> found = certify(load("two-mass-lqg"))
+        >>> round(found.decay, 2), round(found.cost_bound, 2)  # J_all = 0.7335, guaranteed 0.8068
+        (0.97, 0.8)
+    """
+    with answered_within(time_limit):
+        began = time.perf_counter()
+        problem = as_problem("problem", problem)
+        policy = problem.design()
+        loop = problem.close(policy)
+        errors: Mapping[str, ErrorGain] = policy.theory.errors if loop.nominal else {}
+        try:
+            matrices = switched(loop)
+        except ProblemError as error:
+            if not errors:
+                raise
+            return _of_errors(problem, loop, errors, str(error), began)
+        expect_solver()
+        law = switched_innovations(loop) if loop.reducible else matrices
+        notes: list[str] = []
+        decay, gain = _attempt(find_decay, matrices, notes), _attempt(find_gain, matrices, notes)
+        cost, square = _attempt(bound_cost, law, notes), _attempt(bound_state, law, notes)
+        if decay is None and gain is None and cost is None and square is None and not errors:
+            raise ProblemError(f"nothing could be proved for this loop: {notes[0]}")
+        always = _always(loop, matrices)
+        tick = policy.tick
+        return Certificates(
+            policy=policy.kind,
+            unit=time_unit(problem),
+            states=matrices.states,
+            actions=matrices.labels,
+            decay=None if decay is None else decay.rate,
+            limit=None if decay is None else decay.limit / tick,
+            overshoot=None if decay is None else decay.overshoot,
+            decay_all_time=always.decay,
+            gain=None if gain is None else gain.value,
+            gain_residual=None if gain is None else gain.residual,
+            gain_all_time=always.gain,
+            cost_bound=None if cost is None else loop.problem.per_unit(cost.value),
+            cost_all_time=always.cost,
+            mean_square_bound=None if square is None else square.value,
+            mean_square_all_time=always.mean_square,
+            errors=errors,
+            errors_bound=_bound(loop, errors),
+            seconds=time.perf_counter() - began,
+            notes=(*notes, *(f"proved for the simulated plant: {text}" for text in loop.violated_assumptions)),
+        )
+
+
+def _of_errors(
+    problem: Problem, loop: Loop, errors: Mapping[str, ErrorGain], reason: str, began: float
+) -> Certificates:
+    """Return the certificates of a loop that has gains from errors, and no matrix inequalities."""
+    policy = loop.policy
+    return Certificates(
+        policy=policy.kind,
+        unit=time_unit(problem),
+        states=sum(state.name != GENERATOR for state in loop.program().states),
+        actions=tuple(policy.decisions),
+        decay=None, limit=None, overshoot=None, decay_all_time=None, gain=None, gain_residual=None, gain_all_time=None,
+        cost_bound=None, cost_all_time=None, mean_square_bound=None, mean_square_all_time=None,
+        errors=errors,
+        errors_bound=_bound(loop, errors),
+        seconds=time.perf_counter() - began,
+        notes=(f"only the gains from errors are available: {reason}",),
+    )  # fmt: skip
+
+
+def _bound(loop: Loop, errors: Mapping[str, ErrorGain]) -> float | None:
+    guarantee = loop.policy.theory.guarantee
+    return None if guarantee is None or not errors else guarantee.cost
+
+
+@dataclass(frozen=True)
+class _Always:
+    """Numbers of the loop that sends every sample."""
+
+    decay: float | None = None
+    gain: float | None = None
+    cost: float | None = None
+    mean_square: float | None = None
+
+
+def _always(loop: Loop, matrices: Switched) -> _Always:
+    """Return the numbers of sending every sample, which are exact except for the gain."""
+    if matrices.sends is None:
+        return _Always()
+    alone = matrices.under(matrices.sends)
+    F, G, slowest = alone.F[0], alone.G, radius(alone.F[0])
+    if slowest >= 1:
+        return _Always(slowest)
+    covariance = accumulate(F, G @ G.T)
+    return _Always(
+        slowest,
+        None if (gain := _attempt(find_gain, alone, [])) is None else gain.value,
+        loop.problem.per_unit(float(np.trace(alone.M[0] @ covariance)) + alone.constant),
+        float(np.trace(alone.X @ covariance @ alone.X.T)) + alone.hidden,
+    )
+
+
+def _attempt(find: Callable[[Switched], Found], matrices: Switched, notes: list[str]) -> Found | None:
+    """Return a certificate, or None after adding a note with the reason."""
+    try:
+        return find(matrices)
+    except NoCertificateError as error:
+        if str(error) not in notes:
+            notes.append(str(error))
+        return None
+
+
+def certificates_text(found: Certificates) -> str:
+    """Return the certificates of a loop, next to those for sending every sample."""
+    ends = "to 0" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
+    more = f", and {_shown(found.gain_residual)} per step" if found.gain_residual else ""
+    table = [
+        ("decay", found.decay, found.decay_all_time, f"factor per step without noise, {ends}"),
+        ("gain", found.gain, found.gain_all_time, f"from noise to the square root of the stage cost{more}"),
+        ("cost", found.cost_bound, found.cost_all_time, f"at most, per {found.unit}"),
+        ("E|x|²", found.mean_square_bound, found.mean_square_all_time, "at most, at sampling instants"),
+    ]
+    policy = f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
+    rows = [[name, _most(value), _shown(always)] for name, value, always, _ in table]
+    parts = [pairs_text([("policy", policy)])]
+    if any(value is not None for _, value, *_ in table):
+        parts.append(table_text(["", "proved", "every sample"], rows, 1))
+    parts.append(pairs_text([(name, text) for name, value, _, text in table if value is not None]))
+    if found.errors:
+        links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in found.errors.items()]
+        parts.append(table_text(["link", "gain from its error", "largest error"], links, 1))
+        bound = f"at most {_most(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
+        parts.append(pairs_text([("cost", bound)]))
+    return "\n".join(filter(None, [*parts, pairs_text([("note", note) for note in found.notes])]))
+
+
+def _shown(value: float | None) -> str:
+    return "none" if value is None else f"{value:.6g}"
+
+
+def _most(value: float | None) -> str:
+    """Return an upper bound, rounded up."""
+    return "none" if value is None else "0" if value == 0 else rounded(value, 6, 1)

@@ -1,0 +1,40 @@
+"""taciturn_certify.commands."""
+
+from __future__ import annotations
+
+import typer
+
+from taciturn.cli.frame import (
+    EXAMPLE,
+    File,
+    Json,
+    NoFunctions,
+    Settings,
+    TimeLimit,
+    app,
+    load_changed,
+    print_json,
+    progress_bar,
+)
+
+
+@app.command(epilog=EXAMPLE + "taciturn certify two-mass")
+def certify(
+    file: File,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    as_json: Json = False,
+    time: TimeLimit = None,
+) -> None:
+    """Compute certificates of decay rate, l2 gain and cost from linear matrix inequalities."""
+    import taciturn
+    from taciturn.extend import answered_within
+    from taciturn.study.record import origin
+
+    with answered_within(time), progress_bar("certifying"):
+        problem = load_changed(file, settings, no_functions)
+        found = taciturn.certify(problem)
+    if as_json:
+        print_json(found.document(), origin(problem))
+    else:
+        typer.echo(found)

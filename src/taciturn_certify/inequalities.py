@@ -1,0 +1,259 @@
+"""Linear matrix inequalities: a solver finds a solution, which is then proved.
+
+The left side of each inequality is enclosed for the solution as it is stored: in double precision with bounds on every
+rounding, and in balls where these bounds are too wide. An inequality counts only if its enclosure is proved to be
+definite.
+
+Typed interface to cvxpy and Clarabel, optional dependencies that solve linear matrix inequalities.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.extend import Array, Displayed, check_time, precision, seconds_left
+from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError
+
+
+def expect_solver() -> None:
+    """Check that the solver for matrix inequalities is installed.
+
+    Raises:
+        ProblemError: cvxpy or clarabel is missing.
+    """
+    _solver()
+
+
+class Minimum:
+    """A semidefinite program with a given share: minimise objective'x so that all blocks mat((A + share·S) x + b) ⪰ 0.
+
+    cvxpy takes ten times as long to build such a problem as Clarabel takes to solve it, so it is built only once.
+
+    Args:
+        objective: coefficients of the objective, (unknowns,).
+        blocks: (A, S, b) of each inequality, with A and S (n², unknowns) and b (n, n) symmetric.
+        nonnegative: indices of the unknowns that must be nonnegative.
+
+    Raises:
+        ProblemError: cvxpy or clarabel is missing.
+    """
+
+    def __init__(
+        self, objective: Array, blocks: Sequence[tuple[Array, Array, Array]], nonnegative: Sequence[int]
+    ) -> None:
+        """Build the problem."""
+        cp = self._cp = _solver()
+        self._x, self._share = cp.Variable(len(objective)), cp.Parameter(nonneg=True)
+        listed: list[Any] = [self._x[list(nonnegative)] >= 0] if len(nonnegative) else []
+        for A, S, b in blocks:
+            value = A @ self._x + b.ravel() + (self._share * (S @ self._x) if S.any() else 0)
+            n = len(b)
+            listed.append(value >= 0 if n == 1 else cp.reshape(value, (n, n), order="C") >> 0)
+        self._problem = cp.Problem(cp.Minimize(objective @ self._x), listed)
+
+    def at(self, share: float) -> Array | None:
+        """Return the solution x for a value of the share, or None if the solver finds none.
+
+        The solution satisfies the inequalities only to the precision of the solver, so the caller must verify it.
+        """
+        self._share.value = share
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the caller verifies the solution
+            try:
+                self._problem.solve(solver=self._cp.CLARABEL, max_threads=1, time_limit=seconds_left())
+            except (self._cp.error.SolverError, ValueError, ArithmeticError):
+                return None
+            finally:
+                check_time()
+        if self._x.value is None or self._problem.status not in ("optimal", "optimal_inaccurate"):
+            return None
+        found = np.asarray(self._x.value, dtype=np.float64)
+        return found if np.isfinite(found).all() else None
+
+
+def _solver() -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import_module("clarabel")
+            return import_module("cvxpy")
+    except ImportError as error:
+        raise ProblemError(
+            f"{error.name or 'cvxpy'} is not installed, but certificates require it: pip install 'taciturn[certify]'"
+        ) from None
+
+
+Square = tuple[float, int, Array]
+"""The triple (weight, k, T) of a term weight · T'P_kT."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Inequality(Displayed):
+    """Linear matrix inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0 in matrices P_k and scalars s_j.
+
+    Args:
+        constant: symmetric matrix, (n, n).
+        squares: the triple (weight, k, T) of each term with an unknown matrix.
+        scalars: the pair (j, S) of each term with an unknown scalar; S is symmetric, (n, n).
+    """
+
+    constant: Array
+    squares: Sequence[Square] = ()
+    scalars: Sequence[tuple[int, Array]] = ()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Unknowns(Displayed):
+    """Values of the unknowns of matrix inequalities: symmetric matrices and non-negative scalars."""
+
+    matrices: tuple[Array, ...]
+    scalars: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Inequalities(Displayed):
+    """Set of linear matrix inequalities in symmetric matrices of given sizes and in scalars s ≥ 0.
+
+    Args:
+        sizes: sizes of the unknown matrices P_k.
+        scalars: number of the unknown scalars.
+        listed: the inequalities.
+    """
+
+    sizes: tuple[int, ...]
+    scalars: int
+    listed: tuple[Inequality, ...]
+
+    def minimise(self, weights: Mapping[int, float], margin: float) -> Unknowns | None:
+        """Return the solution with the least Σ weight·scalar that satisfies every inequality with a margin, or None.
+
+        Args:
+            weights: weights of the scalars by index; the others have weight 0.
+            margin: least eigenvalue that the left side of every inequality must have.
+        """
+        blocks = [(A, 0 * A, b - margin * np.eye(len(b))) for A, b in map(self.block, self.listed)]
+        objective, signed = np.zeros(blocks[0][0].shape[1]), self.signed
+        for j, weight in weights.items():
+            objective[signed[j]] = weight
+        found = Minimum(objective, blocks, signed).at(0.0)
+        return None if found is None else self.solution(found)
+
+    def shortfall(self, solution: Unknowns) -> float:
+        """Return 0 if a solution provably satisfies every inequality; otherwise the largest possible violation."""
+        if len(solution.scalars) and not solution.scalars.min() >= 0:
+            return float("inf")
+        return max((_shortfall(one, solution) for one in self.listed), default=0.0)
+
+    def raised(self, solution: Unknowns, index: int) -> Unknowns:
+        """Return a solution with one scalar increased until the scalar inequalities that contain it hold."""
+        scalars = np.array(solution.scalars)
+        for one in self.listed:
+            weight = sum(float(S[0, 0]) for j, S in one.scalars if j == index)
+            if len(one.constant) == 1 and weight > 0:
+                value = _enclosed(Doubles, one, Unknowns(solution.matrices, scalars))
+                short = float(value.radius[0, 0] - value.middle[0, 0]) / weight
+                # the enclosure of the raised sum is wider than that of this one, by the roundings of the added part
+                scalars[index] += max(0.0, short) * (1 + 16 * UNIT) + 4 * UNIT * float(scalars[index])
+        return Unknowns(solution.matrices, scalars)
+
+    def value(self, position: int, solution: Unknowns) -> Array:
+        """Return the left-hand side of an inequality, computed for a given solution."""
+        return _enclosed(Doubles, self.listed[position], solution).middle
+
+    @property
+    def signed(self) -> range:
+        """Indices of the scalars in the vector of all unknowns."""
+        first = sum(size * (size + 1) // 2 for size in self.sizes)
+        return range(first, first + self.scalars)
+
+    def solution(self, values: Array) -> Unknowns:
+        """Return a solution (matrices and scalars) from the vector of all unknowns."""
+        matrices: list[Array] = []
+        at = 0
+        for size in self.sizes:
+            rows, columns = np.triu_indices(size)
+            P = np.zeros((size, size))
+            P[rows, columns] = P[columns, rows] = values[at : at + len(rows)]
+            matrices.append(P)
+            at += len(rows)
+        return Unknowns(tuple(matrices), np.maximum(values[at:], 0.0))
+
+    def block(self, one: Inequality) -> tuple[Array, Array]:
+        """Return the coefficient matrix of the unknowns in an inequality, (n², unknowns), and its constant."""
+        n = len(one.constant)
+        starts = np.cumsum([0, *(size * (size + 1) // 2 for size in self.sizes)])
+        A = np.zeros((n, n, int(starts[-1]) + self.scalars))
+        for weight, k, T in one.squares:
+            rows, columns = np.triu_indices(self.sizes[k])
+            half = weight * T[rows].T[:, None] * T[columns].T[None]
+            both = half + half.swapaxes(0, 1)
+            A[:, :, starts[k] : starts[k + 1]] += np.where(rows == columns, half, both)
+        for j, S in one.scalars:
+            A[:, :, starts[-1] + j] += S
+        return A.reshape(n * n, -1), one.constant
+
+
+class Widest:
+    """Search for the solution with the largest common margin of inequalities that depend linearly on a parameter.
+
+    They are interpolated between two lists of the same structure.
+
+    Args:
+        first: the inequalities at share 0.
+        last: the inequalities at share 1; at other shares they are interpolated linearly.
+    """
+
+    def __init__(self, first: Inequalities, last: Inequalities) -> None:
+        """Set up the problem; the margin is the last unknown, at most 1."""
+        blocks: list[tuple[Array, Array, Array]] = []
+        for (A, b), (B, _) in zip(map(first.block, first.listed), map(last.block, last.listed), strict=True):
+            less = -np.eye(len(b)).reshape(-1, 1)
+            blocks.append((np.hstack([A, less]), np.hstack([B - A, 0 * less]), b))
+        objective = np.zeros(blocks[0][0].shape[1])
+        objective[-1] = -1.0
+        blocks.append((objective[None], 0 * objective[None], np.ones((1, 1))))
+        self._first, self._minimum = first, Minimum(objective, blocks, first.signed)
+
+    def at(self, share: float) -> Unknowns | None:
+        """Return the solution at a parameter from 0 (first list) to 1 (last list), or None if no margin is positive."""
+        found = self._minimum.at(share)
+        return None if found is None or found[-1] <= 0 else self._first.solution(found[:-1])
+
+
+def _shortfall(one: Inequality, solution: Unknowns) -> float:
+    """Return 0 if the inequality is proved; otherwise how far its least eigenvalue may be below 0."""
+    with np.errstate(all="ignore"):
+        try:
+            value = _enclosed(Doubles, one, solution)
+        except UnprovedError:
+            return float("inf")
+    if value.definite():
+        return 0.0
+    least, width = float(np.linalg.eigvalsh(value.middle)[0]), float(value.radius.sum(axis=1).max())
+    if least > -width:  # rounding could explain the violation
+        with precision(PRECISIONS[0]):
+            if _enclosed(Balls, one, solution).definite():
+                return 0.0
+    return max(width - least, float(np.finfo(np.float64).tiny))
+
+
+def _enclosed(arithmetic: type[E], one: Inequality, solution: Unknowns) -> E:
+    """Return an enclosure of the left side of an inequality for a solution.
+
+    Raises:
+        UnprovedError: a number exceeds the range of doubles.
+    """
+    value = arithmetic.exact(one.constant)
+    for weight, k, T in one.squares:
+        turned = arithmetic.exact(T)
+        value = value + (turned.T @ arithmetic.exact(solution.matrices[k]) @ turned).times(weight)
+    for j, S in one.scalars:
+        value = value + arithmetic.exact(S).times(float(solution.scalars[j]))
+    return value.symmetric()

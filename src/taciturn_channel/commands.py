@@ -1,0 +1,107 @@
+"""taciturn_channel.commands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from taciturn.cli.frame import (
+    EXAMPLE,
+    Confidence,
+    Json,
+    NoFunctions,
+    Plot,
+    Seed,
+    Settings,
+    TimeLimit,
+    Workers,
+    app,
+    complete_file,
+    complete_from,
+    load_all,
+    print_json,
+    progress_bar,
+    refuse,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@app.command(epilog=EXAMPLE + "taciturn channel two-mass --copies 100 --capacity 10")
+def channel(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE…", help="Problem files of the loops that share the channel.", autocompletion=complete_file
+        ),
+    ],
+    copies: Annotated[
+        str, typer.Option(metavar="M[,M…]", help="Number of loops of each problem, or one number for all.")
+    ],
+    capacity: Annotated[int, typer.Option(help="Largest number of sends per step, from 1 to the number of loops.")],
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            help="Scheduler: price, largest, round-robin, tdma, once-discard or random-access.",
+            autocompletion=complete_from("price", "largest", "round-robin", "tdma", "once-discard", "random-access"),
+        ),
+    ] = "price",
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: Seed = 0,
+    standard_error: Annotated[
+        float | None, typer.Option(help="Standard error of the total cost. Default: 1e-3 of the total cost.")
+    ] = None,
+    ticks: Annotated[int | None, typer.Option(help="Fixed number of simulated steps per channel.")] = None,
+    confidence: Confidence = None,
+    workers: Workers = 1,
+    time: TimeLimit = None,
+) -> None:
+    """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
+    import taciturn
+    from taciturn.analyse.limits import LEVEL
+    from taciturn.extend import answered_within, check_format, save
+    from taciturn.study.record import origin
+    from taciturn.study.workers import processes
+
+    if plot is not None:
+        check_format(plot)
+    with answered_within(time):
+        problems = load_all(files, settings, no_functions)
+        with progress_bar("sharing") as progress, processes(workers) as executor:
+            found = taciturn.share_channel(
+                problems,
+                copies=numbers_of("--copies", copies),
+                capacity=capacity,
+                scheduler=cast("Any", scheduler),
+                seed=seed,
+                standard_error=standard_error,
+                ticks=ticks,
+                confidence=LEVEL if confidence is None else confidence,
+                executor=executor,
+                progress=progress,
+            )
+    if as_json:
+        print_json(found.document(), origin(problems, seed))
+    else:
+        typer.echo(found)
+    if plot is not None:
+        save(found.plot(), plot, origin(problems, seed, found.method))
+        if not as_json:
+            typer.echo(f"picture: {plot}")
+    if not found.reached:
+        refuse("the standard error was not reached; give a larger --standard-error")
+
+
+def numbers_of(option: str, text: str) -> list[int]:
+    """Return the integers of a comma-separated list."""
+    from taciturn.errors import ProblemError
+
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ProblemError(f"{option} is {text!r}; expected integers, such as 1000 or 500,20") from None

@@ -1,0 +1,421 @@
+"""Many loops on one channel: scheduling, cost, lower bound, and comparison with periodic allocations.
+
+Many loops on one channel, with a bound below the cost of every scheduler.
+
+``share`` compares schedulers of loops in classes (``loop_classes``), at the price of a send at which their load equals
+the capacity (``prices``). ``schedulers`` combine a rule of ``access`` with the urgency of each loop; ``simulated`` runs
+the errors of all loops.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+
+from taciturn.analyse.limits import LEVEL
+from taciturn.errors import ProblemError
+from taciturn.extend import (
+    Displayed,
+    Panel,
+    Progress,
+    Series,
+    Size,
+    answered_within,
+    choice,
+    count,
+    draw,
+    in_notebook,
+    instance,
+    number,
+    pairs_text,
+    percent,
+    table_text,
+)
+from taciturn.model.estimate import Estimate
+from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.problem import Problem
+from taciturn.simulation.statistics import mean
+from taciturn.study.evaluate import SURE
+from taciturn.study.evaluation import Unit, cost_unit, rounded
+from taciturn.study.workers import idle
+from taciturn_channel.classes import allocate, gather
+from taciturn_channel.prices import DualBound
+from taciturn_channel.schedulers import SCHEDULERS, SHORTEST_STRETCH, Game, measure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SchedulerName: TypeAlias = Literal["price", "largest", "round-robin", "tdma", "once-discard", "random-access"]
+SAME = 1e-9  # relative
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Share(Displayed):
+    """Cost and rate of the loops of one problem on a shared channel.
+
+    Args:
+        name: name of the problem.
+        copies: number of its loops.
+        cost: mean cost of one loop.
+        cost_all_time: cost of one loop that sends at every check.
+        rate: mean sends per check of one loop.
+        rate_periodic: sends per check of one loop in the best periodic allocation.
+    """
+
+    name: str
+    copies: int
+    cost: Estimate
+    cost_all_time: float
+    rate: Estimate
+    rate_periodic: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Sharing(Tabular):
+    """Cost and load of loops that share a channel.
+
+    Args:
+        scheduler: rule that decides which loops send.
+        capacity: largest number of sends per step.
+        unit: unit that the costs refer to.
+        shares: results of the loops, for each problem.
+        cost: sum of the costs over all loops.
+        cost_all_time: sum of the costs if all loops could send at every check.
+        lower_bound: lower bound on the cost of any scheduler with these controllers; None if it was not requested.
+        load: successful sends per step.
+        busy: sends per step, including those that collided.
+        waiting: loops per step that requested a send and did not get one; only for schedulers with a price.
+        load_expected: sends per step if no loop had to wait; only for schedulers with a price.
+        price: price per send, common to all loops; only for schedulers with a price.
+        cost_periodic: lower bound on the cost of all periodic allocations, by their mean load.
+        cost_periodic_same_load: the same for those with no more sends than were measured.
+        cost_periodic_attained: cost of the best periodic schedule found: slots of its own for each problem, or a
+            repeated stretch of time division. If it is ``cost_periodic``, both are that of the best periodic
+            allocation.
+        ticks: number of measured steps, over all channels that were simulated together.
+        reached: whether the requested standard error was reached.
+        seed: seed of the random draws.
+        seconds: wall time; ``price_seconds`` is the part for prices, schedules and the bound.
+        notes: warnings and remarks for the reader.
+    """
+
+    heading: ClassVar[tuple[str, ...]] = (
+        "scheduler",
+        "loops",
+        "capacity",
+        "cost",
+        "load",
+        "unit",
+        "method",
+        "seed",
+        "notes",
+    )
+
+    scheduler: SchedulerName
+    capacity: int
+    unit: Unit
+    shares: tuple[Share, ...]
+    cost: Estimate
+    cost_all_time: float
+    lower_bound: DualBound | None
+    load: Estimate
+    busy: Estimate
+    waiting: Estimate | None
+    load_expected: Estimate | None
+    price: float | None
+    cost_periodic: float
+    cost_periodic_same_load: float
+    cost_periodic_attained: float
+    ticks: int
+    reached: bool
+    seed: int
+    seconds: float
+    price_seconds: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def method(self) -> str:
+        """Method that gave the costs."""
+        return self.cost.method
+
+    @property
+    def loops(self) -> int:
+        """Number of loops that share the channel."""
+        return sum(share.copies for share in self.shares)
+
+    @property
+    def consistent(self) -> bool | None:
+        """True if the loops cost no more than the best periodic allocation; None if undecided within the errors.
+
+        The margin is 4 standard errors. The cost of the best allocation is between ``cost_periodic`` and
+        ``cost_periodic_attained``.
+        """
+        above, spread = self.cost.value - self.cost_periodic, SURE * self.cost.standard_error
+        if above < -spread or above <= spread == 0:
+            return True
+        return False if self.cost.value - self.cost_periodic_attained > spread else None
+
+    @property
+    def clock_attained(self) -> bool:
+        """Whether a periodic allocation is known that attains ``cost_periodic``."""
+        return self.cost_periodic_attained <= self.cost_periodic + SAME * abs(self.cost_periodic)
+
+    def columns(self) -> Columns:
+        """Return one row per problem."""
+        return columns_of(
+            [
+                {
+                    "name": one.name,
+                    "loops": one.copies,
+                    "cost": one.cost,
+                    "cost_every_sample": one.cost_all_time,
+                    "rate": one.rate,
+                    "rate_periodic": one.rate_periodic,
+                }
+                for one in self.shares
+            ]
+        )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn channel`` prints."""
+        return sharing_text(self)
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn channel --json``."""
+        bound = self.lower_bound
+        return {
+            "scheduler": self.scheduler,
+            "loops": self.loops,
+            "capacity": self.capacity,
+            "unit": self.unit,
+            "rate_unit": "step",
+            "method": self.method,
+            "cost": self.cost.document(),
+            "cost_all_time": self.cost_all_time,
+            "cost_lower_bound": None if bound is None else bound.cost,
+            "cost_lower_bound_confidence": None if bound is None else bound.confidence,
+            "cost_periodic": _finite(self.cost_periodic),
+            "cost_periodic_same_load": _finite(self.cost_periodic_same_load),
+            "cost_periodic_attained": _finite(self.cost_periodic_attained),
+            "consistent": self.consistent,
+            "load": self.load.document(),
+            "load_expected": None if self.load_expected is None else self.load_expected.document(),
+            "busy": self.busy.document(),
+            "waiting": None if self.waiting is None else self.waiting.document(),
+            "price": self.price,
+            "problems": [
+                {
+                    "name": share.name,
+                    "copies": share.copies,
+                    "cost": share.cost.document(),
+                    "cost_all_time": share.cost_all_time,
+                    "rate": share.rate.document(),
+                    "rate_periodic": share.rate_periodic,
+                }
+                for share in self.shares
+            ],
+            "reached": self.reached,
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "notes": list(self.notes),
+        }
+
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the cost of the loops, the lower bound, the best periodic allocation, and every sample."""
+        lines = {
+            "every sample": Estimate(self.cost_all_time, 0.0, "exact"),
+            self.scheduler: self.cost,
+            ("best periodic allocation" if self.clock_attained else "bound on periodic allocations"): (
+                Estimate(self.cost_periodic, 0.0, "exact" if self.clock_attained else "bound")
+            ),
+        }
+        if self.lower_bound is not None:
+            lines["lower bound"] = Estimate(self.lower_bound.cost, 0.0, "bound")
+        bars = Series(
+            [estimate.value for estimate in lines.values()],
+            list(range(len(lines))),
+            style="bars",
+            error=[estimate.standard_error for estimate in lines.values()],
+        )
+        title = f"{self.loops} loops, at most {self.capacity} sends per step"
+        return draw([Panel([bars], f"sum of the costs per {self.unit}", title=title, names=list(lines))], ax, figsize)
+
+
+def share_channel(
+    problems: Mapping[str, Problem],
+    *,
+    copies: int | Sequence[int],
+    capacity: int,
+    scheduler: SchedulerName = "price",
+    seed: int = 0,
+    standard_error: float | None = None,
+    ticks: int | None = None,
+    confidence: float = LEVEL,
+    executor: Executor | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> Sharing:
+    """Simulate loops that share one channel with a limited number of sends per step.
+
+    Every loop has its problem's certainty-equivalent controller with an actuator that predicts. So its cost is J_i =
+    J_all,i + E[(1−σ)e'Γe] with the error e that a send resets. Only the scheduler decides which loops send. The
+    schedulers are:
+
+    * ``price``: a loop requests a send if its nearly optimal trigger at a common price per send fires; at this price
+      the expected load equals the capacity. If too many loops request a send, those whose silence costs least wait; if
+      too few do, the loops whose silence costs most use the free slots.
+    * ``largest``: the loops with the largest e'Γe send.
+    * ``once-discard``: the loops with the largest error of the input, |û − Lx̂|², send (try-once-discard).
+    * ``round-robin``: the loops send in a fixed order.
+    * ``tdma``: each loop sends at its rate in the best periodic allocation; loops with shorter intervals go first.
+    * ``random-access``: triggers at a common price request sends in randomly drawn slots, where packets can collide.
+
+    Args:
+        problems: problems by name, one for each kind of loop, with plant, cost and, for a continuous plant,
+            policy.period.
+        copies: number of loops of each problem, as a list or as one number for all.
+        capacity: sends per step, from 1 to the number of loops; for random access, the slots per step.
+        scheduler: rule that decides which loops send.
+        seed: seed of the random draws; the result depends on nothing else.
+        standard_error: absolute standard error of the sum of the costs; default: 1e-3 of this sum.
+        ticks: number of steps to measure on each channel, instead of a standard error.
+        confidence: confidence of the lower bound, if a part of it is sampled; 0 for no lower bound.
+        executor: executor that processes the kinds of loops in parallel, like the cells of ``sweep``; the result does
+            not depend on it. Default: one after the other in this process.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        The sum of the costs, with the dual lower bound and the best periodic allocation for comparison.
+
+    Raises:
+        ProblemError: the capacity is below 1 or above the number of loops, the loops have no common step or different
+            units, or no send resets the error of a problem.
+        UnstableError: an unstable loop sends too rarely to be stabilised; the message names the loop and the rate that
+            it needs.
+
+    Source: walsh2002, rivest1987, everett1963
+
+    Example:
+        >>> import taciturn
+        >>> found = share_channel({"a": taciturn.load("wiener-double-integrator")}, copies=20, capacity=4, ticks=2000)
+        >>> assert found.lower_bound is not None
+        >>> found.lower_bound.cost < found.cost.value < found.cost_periodic
+        True
+    """
+    with answered_within(time_limit):
+        began = time.perf_counter()
+        kinds = gather(problems, [copies] if isinstance(copies, int) else copies)
+        plays = SCHEDULERS[choice("scheduler", scheduler, SCHEDULERS)]
+        loops, capacity = sum(kind.count for kind in kinds), count("capacity", capacity)
+        if capacity > loops:
+            raise ProblemError(
+                f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
+            )
+        if standard_error is not None and ticks is not None:
+            raise ProblemError(f"standard_error and ticks={ticks} are both given; expected one of them")
+        standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
+        ticks = None if ticks is None else count("ticks", ticks, SHORTEST_STRETCH)
+        seed = count("seed", seed, 0)
+        if executor is not None:
+            instance("executor", executor, Executor)
+        confidence = number("confidence", confidence, 0.0, 1.0) if confidence else 0.0
+        game = Game(kinds, capacity, seed, confidence, executor, in_notebook(progress) or idle)
+        plan, bound = plays(game), game.bound
+        prepared = time.perf_counter() - began
+        measured = measure(game, plan, standard_error, ticks)
+        shares: list[Share] = []
+        for place, (kind, rate) in enumerate(zip(kinds, game.clocked.rates.tolist(), strict=True)):
+            cost = mean(measured.costs[:, place]).scaled(1 / kind.count, kind.cost_all_time)
+            got = mean(measured.sends[:, place]).scaled(1 / kind.looks)
+            shares.append(Share(kind.name, kind.count, cost, kind.cost_all_time, got, rate))
+        base = game.cost_all_time
+        load = mean(measured.sends.sum(axis=1))
+        periodic = allocate(game.sharers, max(min(load.value, capacity), 1e-9))
+        least = base + float(game.counts @ game.clocked.costs)
+        known = game.attained <= least + SAME * abs(least)
+        bounded = (
+            f"cost_periodic {least:.6g} is a lower bound by the mean load, which periodic control may not attain: "
+            "sends of loops with different intervals meet in some steps; the best periodic schedule found costs "
+            f"{game.attained:.6g} (cost_periodic_attained)"
+        )
+        return Sharing(
+            scheduler=scheduler,
+            capacity=capacity,
+            unit=cost_unit(next(iter(problems.values()))),
+            shares=tuple(shares),
+            cost=mean(measured.costs.sum(axis=1)).scaled(1.0, base),
+            cost_all_time=base,
+            lower_bound=bound,
+            load=load,
+            busy=mean(measured.busy),
+            waiting=None if plan.price is None else mean(measured.waiting),
+            load_expected=plan.load,
+            price=plan.price,
+            cost_periodic=least,
+            cost_periodic_same_load=base + float(game.counts @ periodic.costs),
+            cost_periodic_attained=game.attained,
+            ticks=measured.ticks,
+            reached=measured.reached,
+            seed=seed,
+            seconds=time.perf_counter() - began,
+            price_seconds=prepared,
+            notes=plan.notes + (() if known else (bounded,)),
+        )
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def sharing_text(found: Sharing) -> str:
+    """Return the cost of the loops on a shared channel."""
+    base, bound = found.cost_all_time, found.lower_bound
+
+    def above(cost: float) -> str:
+        if not base:
+            return ""
+        share = cost / base
+        return f"   ({percent(share - 1, 2, signed=True)})" if share < 10 else f"   ({share:.4g} times)"
+
+    lines = [
+        ("scheduler", found.scheduler),
+        ("loops", f"{found.loops}, at most {found.capacity} sends per step"),
+        ("sum of costs", f"{found.cost} per {found.unit}{above(found.cost.value)}"),
+        ("every sample", f"{base:.6g}"),
+    ]
+    if bound is not None:
+        sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
+        text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
+        lines.append(("no less than", text))
+    label, attained = "best periodic" if found.clock_attained else "periodic, bound", found.cost_periodic_attained
+    lines += [
+        (label, f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
+        *([] if found.clock_attained else [("periodic, found", f"{attained:.6g}{above(attained)}")]),
+        ("consistent", {True: "yes", False: "no", None: "undecided within the standard errors"}[found.consistent]),
+        ("load", f"{found.load} sends per step"),
+    ]
+    if found.load_expected is not None:
+        lines.append(("expected load", f"{found.load_expected} if no loop had to wait"))
+    if found.scheduler == "random-access":
+        lines.append(("on the channel", f"{found.busy} packets per step, collisions included"))
+    if found.price is not None and found.waiting is not None:
+        lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per step")]
+    rows = [
+        [
+            one.name,
+            f"{one.copies}",
+            f"{one.cost}",
+            f"{one.cost_all_time:.6g}",
+            f"{one.rate}",
+            f"{one.rate_periodic:.4g}",
+        ]
+        for one in found.shares
+    ]
+    per = "sends per check"
+    header = ["", "loops", f"cost per {found.unit}", "every sample", per, f"{label}: {per}"]
+    return "\n".join([pairs_text([*lines, *(("note", note) for note in found.notes)]), table_text(header, rows, 1)])

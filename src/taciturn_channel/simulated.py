@@ -1,0 +1,368 @@
+"""Simulation of many loops on a shared channel, where an access rule selects the loops that send at each step.
+
+Access rules that decide which loops are allowed to send on a shared channel, one class for each rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn.extend import Array, Bits, Displayed, factor
+from taciturn.model.trigger import Form
+from taciturn.program.draws import NORMAL, seed_generators, with_draws
+from taciturn.program.engine import StepwiseRunner, prepare
+from taciturn.program.ir import Builder, Program
+from taciturn.program.lower import TimeStep
+
+Places: TypeAlias = npt.NDArray[np.int64]
+ARRIVALS = float(np.exp(-1))  # new packets per slot at the largest throughput of random access
+COLLISION = 1 / (np.e - 2)  # mean number of additional packets in a collision
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Grant(Displayed):
+    """Result of an access rule in one step: which loops sent, and how many packets were on the channel.
+
+    Args:
+        sent: whether each loop sent successfully, (channels, loops).
+        busy: number of packets on the channel, including collisions, (channels,).
+    """
+
+    sent: Bits
+    busy: Array
+
+
+class Access(Protocol):
+    """An access rule of a shared channel; because it can have internal state, use one object for each simulation."""
+
+    def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
+        """Return which loops send.
+
+        Args:
+            tick: number of the step.
+            at: the loops that check their error in this step, (loops,).
+            urgency: urgency of each of these loops on each independent channel, (channels, loops); above 0, a loop
+                requests a send.
+        """
+        ...
+
+
+class MostUrgent:
+    """Access rule in which the loops with the highest urgency use all slots, even if they do not request a send.
+
+    Args:
+        capacity: sends per step.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        """Store the capacity."""
+        self.capacity = capacity
+
+    def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
+        """Grant the slots of this step to the loops with the highest urgency."""
+        sent = _lowest(-urgency, self.capacity)
+        return Grant(sent, sent.sum(axis=1).astype(np.float64))
+
+
+class RoundRobin:
+    """Access rule in which the loops take turns to send in a fixed order.
+
+    Args:
+        capacity: sends per step.
+        loops: number of loops.
+    """
+
+    def __init__(self, capacity: int, loops: int) -> None:
+        """Start with the first loop."""
+        self.capacity, self.loops = capacity, loops
+        self.turns = np.arange(loops, dtype=np.float64)
+
+    def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
+        """Grant the slots of this step to the next loops in the fixed order."""
+        sent = _lowest(self.turns[None, at], self.capacity)
+        self.turns[at[sent[0]]] += self.loops
+        return _alike(sent, len(urgency))
+
+
+class TimeDivision:
+    """Access rule in which every loop sends periodically at its own rate.
+
+    If too many sends are due, loops whose next send is earlier have priority.
+
+    Args:
+        capacity: sends per step.
+        rates: sends per step of each loop, (loops,); a loop with rate 0 never sends.
+        phases: time of the first send of each loop, as a share of its interval, (loops,).
+    """
+
+    def __init__(self, capacity: int, rates: Array, phases: Array) -> None:
+        """Plan the first sends."""
+        self.capacity = capacity
+        with np.errstate(divide="ignore"):
+            self.interval = 1 / rates
+        self.due = phases * np.where(rates > 0, self.interval, 0.0) + np.where(rates > 0, 0.0, np.inf)
+
+    def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
+        """Grant the slots of this step to the loops whose periodic sends are due."""
+        due = self.due[at]
+        ready = np.flatnonzero(due <= tick)
+        if len(ready) > self.capacity:
+            again = due[ready] + self.interval[at[ready]]
+            ready = ready[np.argsort(again, kind="stable")[: self.capacity]]
+        self.due[at[ready]] += self.interval[at[ready]]
+        sent = np.zeros((1, len(at)), dtype=np.bool_)
+        sent[0, ready] = True
+        return _alike(sent, len(urgency))
+
+
+class RandomAccess:
+    """Access rule in which loops with an urgency above 0 send in random slots; packets in the same slot collide.
+
+    All loops observe which slots were empty, used or collided. They use it to estimate the backlog n of a channel, and
+    send with the probability min(1, slots/n) (pseudo-Bayesian control of slotted ALOHA).
+
+    Args:
+        slots: slots per step.
+        seed: seed of the random draws.
+
+    Source: rivest1987
+    """
+
+    def __init__(self, slots: int, seed: int) -> None:
+        """Start with an empty channel."""
+        self.slots, self.draws, self.backlog = slots, np.random.default_rng(seed), np.zeros(1)
+
+    def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
+        """Draw a random slot for each sending loop, and return the loops whose packets do not collide."""
+        channels = len(urgency)
+        backlog = np.broadcast_to(self.backlog, channels)
+        tries = (urgency > 0) & (
+            self.draws.random(urgency.shape) * np.maximum(backlog, self.slots)[:, None] < self.slots
+        )
+        channel, loop = np.nonzero(tries)
+        slot = channel * self.slots + self.draws.integers(self.slots, size=len(channel))
+        used = np.bincount(slot, minlength=channels * self.slots)
+        alone = used[slot] == 1
+        sent = np.zeros(urgency.shape, dtype=np.bool_)
+        sent[channel[alone], loop[alone]] = True
+        collided = (used.reshape(channels, self.slots) > 1).sum(axis=1)
+        told = collided * COLLISION - (self.slots - collided)
+        self.backlog = self.slots * ARRIVALS + np.maximum(backlog + told, 0.0)
+        return Grant(sent, tries.sum(axis=1).astype(np.float64))
+
+
+def _lowest(values: Array, most: int) -> Bits:
+    """Return a mask of the lowest values in each row, at most ``most`` of them."""
+    if values.shape[1] <= most:
+        return np.ones(values.shape, dtype=np.bool_)
+    chosen = np.zeros(values.shape, dtype=np.bool_)
+    np.put_along_axis(chosen, np.argpartition(values, most - 1, axis=1)[:, :most], True, axis=1)
+    return chosen
+
+
+def _alike(sent: Bits, channels: int) -> Grant:
+    """Return the same grant on all channels."""
+    return Grant(np.broadcast_to(sent, (channels, sent.shape[1])), np.full(channels, float(sent.sum())))
+
+
+RULE_ERROR = "error"  # signal in the forms of a rule
+KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Group(Displayed):
+    """A group of identical loops with the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe.
+
+    Args:
+        F: error dynamics, (n, n).
+        noise: covariance of w ~ N(0, ·), (n, n).
+        Gamma: weight Γ, (n, n).
+        urgency: function of ``error``; a loop requests a send if it is above 0.
+        count: number of loops.
+        every: steps of the channel between two checks of a loop; the loops check in turn.
+    """
+
+    F: Array
+    noise: Array
+    Gamma: Array
+    urgency: Form
+    count: int
+    every: int = 1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Stretch(Displayed):
+    """Mean cost, sends and collisions over a number of simulated steps, for each of several independent channels.
+
+    Args:
+        cost: cost per step, summed over the loops of each group, (channels, groups).
+        sends: sends per step of each group, (channels, groups).
+        busy: sends and collisions per step, (channels,).
+        waiting: loops per step that request a send and do not get one, (channels,).
+    """
+
+    cost: Array
+    sends: Array
+    busy: Array
+    waiting: Array
+
+
+class SharedChannel:
+    """Step-by-step simulation of loops that share channels.
+
+    The cost beyond that of sending every sample comes from completed squares.
+
+    Memory and time grow linearly with the number of loops. Groups run together if they check at the same steps and
+    their programs differ only in their constants. Loop i of channel k has the draws of path i·channels + k of the seed,
+    for any grouping.
+
+    Args:
+        groups: the loops.
+        access: access rule of the channel.
+        channels: number of independent channels, each with all the loops.
+        seed: seed of the random draws.
+    """
+
+    def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
+        """Start with errors of 0."""
+        self._groups, self._access, self._channels, self._tick = groups, access, channels, 0
+        alike: dict[tuple[Hashable, int, int], list[_Turn]] = {}
+        first = 0
+        for index, group in enumerate(groups):
+            program = contend(group)
+            for phase in range(min(group.every, group.count)):
+                loops = len(range(phase, group.count, group.every))
+                turn = _Turn(index, program, np.arange(first, first + loops))
+                alike.setdefault((program.structure, group.every, phase), []).append(turn)
+                first += loops
+        self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
+
+    def run(self, ticks: int) -> Stretch:
+        """Continue the simulation for a number of steps that is a multiple of every group's check interval."""
+        channels = self._channels
+        busy, waiting = np.zeros(channels), np.zeros(channels)
+        active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
+        for tick in range(self._tick, self._tick + ticks):
+            key = tuple(tick % cohort.every == cohort.phase for cohort in self.cohorts)
+            if key not in active:
+                looking = [cohort for cohort, looks in zip(self.cohorts, key, strict=True) if looks]
+                places = np.concatenate([cohort.places for cohort in looking] or [np.arange(0)])
+                active[key] = looking, places
+            cohorts, places = active[key]
+            if not cohorts:
+                continue
+            urgency = np.concatenate([cohort.urgency for cohort in cohorts], axis=1)
+            grant = self._access.grant(tick, places, urgency)
+            busy += grant.busy
+            waiting += ((urgency > 0) & ~grant.sent).sum(axis=1)
+            end = 0
+            for cohort in cohorts:
+                cohort.look(grant.sent[:, end : (end := end + len(cohort.places))])
+        self._tick += ticks
+        cost, sends = np.zeros((channels, len(self._groups))), np.zeros((channels, len(self._groups)))
+        for cohort in self.cohorts:
+            for group, added, sent in cohort.take():
+                cost[:, group] += added / ticks
+                sends[:, group] += sent / ticks
+        return Stretch(cost, sends, busy / ticks, waiting / ticks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """Loops of a group that check at the same steps."""
+
+    group: int
+    program: Program
+    places: Places
+
+
+class Cohort:
+    """Loops of several groups that check their errors at the same steps and are simulated together.
+
+    Paths are ordered by loop, then by channel.
+    """
+
+    def __init__(self, turns: Sequence[_Turn], every: int, phase: int, channels: int, seed: int) -> None:
+        """Start with errors of 0, of which none requests a send."""
+        self.every, self.phase, self._turns, self._channels = every, phase, turns, channels
+        self.places = np.concatenate([turn.places for turn in turns])
+        states = [
+            start_loops(turn.program, len(turn.places) * channels, seed, turn.places[0] * channels) for turn in turns
+        ]
+        paths = [len(turn.places) * channels for turn in turns]
+        self._errors = StepwiseRunner([turn.program for turn in turns], paths, np.concatenate(states, axis=1))
+        self._sent = np.zeros((channels, len(self.places)))
+        self.urgency = np.full((channels, len(self.places)), -1.0)
+
+    def look(self, sent: Bits) -> None:
+        """Advance the errors of these loops to their next check, after the sends of the loops in the mask ``sent``."""
+        self._sent += sent
+        told = sent.T.astype(np.float64).reshape(1, -1)
+        self.urgency = np.ascontiguousarray(self._errors.tick(told).reshape(-1, self._channels).T)
+
+    def take(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield each group of these loops with its cost and sends since the last call, (channels,) each."""
+        added = self._errors.take_sums()[EXCESS].reshape(-1, self._channels)
+        end = 0
+        for turn in self._turns:
+            part = slice(end, end := end + len(turn.places))
+            yield turn.group, added[part].sum(axis=0), self._sent[:, part].sum(axis=1)
+        self._sent[:] = 0.0
+
+
+def contend(group: Group) -> Program:
+    """Return the program of one check of a loop on a shared channel, with the access rule's decision as an input.
+
+    It sums the cost and outputs the urgency.
+    """
+    tick = _look(group)
+    told = tick.builder.emit("greater", tick.builder.input(GRANTED), tick.builder.constant(0.0))
+    excess = _decide(tick, group, told)
+    return with_draws(tick.finish({EXCESS: excess}, {URGENCY: tick.form(group.urgency)}))
+
+
+def send_freely(group: Group) -> Program:
+    """Return the program of one check of a loop on its own channel; it sums the cost and the sends."""
+    tick = _look(group)
+    wants = tick.builder.emit("greater", tick.form(group.urgency), tick.builder.constant(0.0))
+    excess = _decide(tick, group, wants)
+    return with_draws(tick.finish({EXCESS: excess, SENT: tick.as_number(wants)}))
+
+
+def measure_freely(group: Group, looks: int, seed: int) -> tuple[Array, Array]:
+    """Return simulated sends and cost per check of loops that share no channel.
+
+    An equally long burn-in is dropped.
+    """
+    program = send_freely(group)
+    run, states = prepare(program), start_loops(program, group.count, seed)
+    found = run(run(states, looks, None).states, looks, None)
+    return found.sums[SENT] / looks, found.sums[EXCESS] / looks
+
+
+def _look(group: Group) -> TimeStep:
+    return TimeStep(Builder(), {RULE_ERROR: len(group.F)}, {}, ())
+
+
+def _decide(tick: TimeStep, group: Group, sends: int) -> int:
+    """Reset the error if it is sent, advance it by a step, and return the cost of the error that was not sent."""
+    builder, spread = tick.builder, factor(group.noise)
+    zero = builder.constant(0.0)
+    tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(RULE_ERROR)]
+    excess = tick.form(Form((KEPT,), group.Gamma))
+    tick.signals[NORMAL] = tick.supplied(NORMAL, spread.shape[1])
+    tick.signals[RULE_ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
+    return excess
+
+
+def start_loops(program: Program, paths: int, seed: int, first: int = 0) -> Array:
+    """Return the initial program states of simulated loops with errors of 0, (states, paths)."""
+    drawn = seed_generators(seed, paths, first)
+    starts = [state.start for state in program.states]
+    rows = [drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts]
+    return np.array(rows).reshape(len(rows), paths)

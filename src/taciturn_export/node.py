@@ -1,0 +1,470 @@
+"""A node of a policy as a C99 header and source file: its data, and its step as straight-line code.
+
+The constant data of a node in C, and their CRC-32, which the core checks when the node starts.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from struct import calcsize
+from typing import Any
+
+import numpy as np
+
+from taciturn import __version__
+from taciturn.errors import ProblemError
+from taciturn.extend import Displayed
+from taciturn.model.coverage import LOOPS, Coverage
+from taciturn.model.network import Network
+from taciturn.model.packets import fingerprint, packet_shapes, place_of, wire_links
+from taciturn.model.policy import Policy, longest_silence
+from taciturn.model.wire import (
+    CODES,
+    CRC_SIZE,
+    FULL_SCALE,
+    HEADER_SIZE,
+    KINDS,
+    SETPOINT,
+    TAG_SIZE,
+    Encoding,
+    PacketKind,
+)
+from taciturn.program.c import CONSTANTS, REAL, ROOT, c_literal, constant_array, print_c, print_root
+from taciturn.program.draws import seed_generators
+from taciturn.program.ir import Program
+from taciturn.program.node import Arrival, Layout, NodeProgram, first_inputs, lay_out, lower_node
+from taciturn.program.ops import Precision
+
+FORMAT = 3  # version of the data, TAC_FORMAT of the core
+UINT32_MAX = 0xFFFFFFFF
+_KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
+_ENCODED = {name: f"TAC_ENCODED_{name.upper()}" for name in CODES}
+_SIZES = ("input_count", "memory_count", "output_count", "clocks_at", "drawn_at", "drawn_count", "applied")
+_COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", "clock_count")
+
+
+def link_code(policy: Policy, link: str) -> str:
+    """Return the number of a link in C; the links of three nodes have names."""
+    named = policy.network.triangle and link != SETPOINT
+    return f"TAC_{link.upper()}_LINK" if named else f"{wire_links(policy).index(link)}u"
+
+
+@dataclass(frozen=True, repr=False)
+class NodeData(Displayed):
+    """The constant data of a node.
+
+    Args:
+        policy: policy that contains the node.
+        network: network, which defines the encoding of payloads.
+        program: program of the node.
+        layout: positions of its inputs and outputs.
+        constants: numbers that the code of its step reads.
+        precision: precision of the numbers.
+        seed: seed of the random draws.
+    """
+
+    policy: Policy
+    network: Network
+    program: NodeProgram
+    layout: Layout
+    constants: list[float] = field(hash=False)
+    precision: Precision
+    seed: int
+
+    @cached_property
+    def _shapes(self) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
+        return packet_shapes(self.policy, self.network)
+
+    @cached_property
+    def _links(self) -> tuple[str, ...]:
+        return wire_links(self.policy)
+
+    @cached_property
+    def _generator(self) -> list[int]:
+        return [int(word) for word in seed_generators(self.seed, 1).view(np.uint64).ravel()]
+
+    @cached_property
+    def _start(self) -> list[float]:
+        starts: list[Any] = [state.start for state in self.program.parts[0].states]
+        inputs, given = first_inputs(self.policy.in_units, self.layout), list[float]()
+        for one in self.layout.arrivals:
+            given += inputs[one.at + 1 : one.at + 1 + one.size] if one.kind == "measurement" else []
+        return [*(float(start) for start in starts), *given]
+
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        """Return the fields that are integers, in the order of their type."""
+        layout, program = self.layout, self.program
+        return {
+            "constant_count": len(self.constants),
+            "remembers": min(layout.remembers, UINT32_MAX),
+            "input_count": len(layout.inputs),
+            "memory_count": len(program.parts[0].states),
+            "output_count": len(program.parts[0].outputs),
+            "clocks_at": layout.clocks,
+            "drawn_at": layout.drawn.start,
+            "drawn_count": layout.drawn.stop - layout.drawn.start,
+            "applied": -1 if layout.applied is None else layout.applied.start,
+            "measurement_count": layout.measured,
+            "applied_count": 0 if layout.applied is None else layout.applied.stop - layout.applied.start,
+            "channel_count": len(layout.arrivals),
+            "send_count": len(layout.departures),
+            "clock_count": len(program.clocks),
+        }
+
+    @property
+    def crc(self) -> int:
+        """CRC-32 of all data, in the order of ``tac_check``."""
+        numbers, layout = self._numbers, self.layout
+        found = struct.pack(">I6Hh", FORMAT, *(numbers[name] for name in _SIZES))
+        found += bytes([*(numbers[name] for name in _COUNTS), len(self._shapes), self.network.protocol == "ideal"])
+        found += struct.pack(">II4Q", numbers["remembers"], numbers["constant_count"], *self._generator)
+        found += struct.pack(">Q", fingerprint(self.policy, self.network))
+        for (kind, link), (encoding, entries) in self._shapes.items():
+            found += bytes([KINDS.index(kind), self._links.index(link), list(CODES).index(encoding.name), entries])
+            found += b"".join(map(self._bytes, _steps(encoding)))
+        for one in layout.arrivals:
+            kind, link = KINDS.index(one.kind), self._links.index(one.link)
+            found += struct.pack(">6BH", kind, link, one.lag, one.part, one.size, one.acknowledged, one.at)
+            found += struct.pack(">I", self._interval(one))
+        for one in layout.departures:
+            found += struct.pack(">BBH", self._links.index(one.link), one.size, one.at)
+        for place in self.program.clocks:
+            found += np.array([*place.table, place.period, place.initial], dtype=">u2").tobytes()
+        return zlib.crc32(found + self._bytes(self._start) + self._bytes(self.constants))
+
+    def _interval(self, one: Arrival) -> int:
+        """Return the largest number of steps between packets, or 0 if it is not known or beyond the type of C."""
+        steps = longest_silence(self.network, one.link) if one.kind == "data" else None
+        return steps if steps is not None and steps <= UINT32_MAX else 0
+
+    def arrays(self) -> list[str]:
+        """Return the arrays to which the node's data point."""
+        found, layout = list[str](), self.layout
+        shapes = [
+            (kind, link, encoding, entries, self._print_steps(found, f"{kind}_{self._links.index(link)}", encoding))
+            for (kind, link), (encoding, entries) in self._shapes.items()
+        ]
+        found.append(
+            constant_array("tac_shape", "shapes", [
+                f"{{{_KIND[kind]}, {link_code(self.policy, link)}, {_ENCODED[encoding.name]}, {entries}u, {steps}}}"
+                for kind, link, encoding, entries, steps in shapes
+            ])
+        )  # fmt: skip
+        channels = [
+            f"{{{_KIND[one.kind]}, {link_code(self.policy, one.link)}, {one.lag}u, {one.part}u, {one.size}u, "
+            f"{_truth(one.acknowledged)}, {one.at}u, {self._interval(one)}u}}"
+            for one in layout.arrivals
+        ]
+        sends = [f"{{{link_code(self.policy, one.link)}, {one.size}u, {one.at}u}}" for one in layout.departures]
+        clocks: list[str] = []
+        for i, place in enumerate(self.program.clocks):
+            found.append(constant_array("uint16_t", f"clock{i}", [f"{int(value)}u" for value in place.table]))
+            clocks.append(f"{{clock{i}, {len(place.table)}u, {place.period}u, {place.initial}u}}")
+        for kind, name, values in (
+            ("tac_channel_data", "channels", channels),
+            ("tac_send_data", "sends", sends),
+            ("tac_clock_data", "clocks", clocks),
+            (REAL, CONSTANTS, self._print(self.constants)),
+            (REAL, "start", self._print(self._start)),
+        ):
+            if values:
+                found.append(constant_array(kind, name, values))
+        return found
+
+    def text(self) -> str:
+        """Return the data of the node."""
+        layout, program = self.layout, self.program
+        fields: Mapping[str, object] = {
+            "format": f"{FORMAT}u",
+            "crc": f"UINT32_C(0x{self.crc:08x})",
+            "wire": f"{{UINT64_C(0x{fingerprint(self.policy, self.network):016x}), shapes, {len(self._shapes)}u}}",
+            "channels": "channels" if layout.arrivals else "NULL",
+            "sends": "sends" if layout.departures else "NULL",
+            "clocks": "clocks" if program.clocks else "NULL",
+            "first": "first",
+            "second": "second" if len(program.parts) > 1 else "NULL",
+            "draw": "NULL" if program.draws is None else "draw",
+            "constants": CONSTANTS if self.constants else "NULL",
+            "start": "start" if self._start else "NULL",
+            "generator": "{" + ", ".join(f"UINT64_C(0x{word:016x})" for word in self._generator) + "}",
+            **{name: number if number < 0 else f"{number}u" for name, number in self._numbers.items()},
+            "lossless": _truth(self.network.protocol == "ideal"),
+        }
+        lines = "\n".join(f"  {value}, /* {field} */" for field, value in fields.items())
+        return f"static const tac_node_data data = {{\n{lines}\n}};\n"
+
+    def _print_steps(self, found: list[str], name: str, encoding: Encoding) -> str:
+        """Define the arrays of the quantisation steps of an encoding, and return their names."""
+        names = [f"{name}_per_unit", f"{name}_per_step"][: len(_steps(encoding))]
+        found += [
+            constant_array(REAL, one, self._print(steps)) for one, steps in zip(names, _steps(encoding), strict=True)
+        ]
+        return ", ".join(names or ["NULL", "NULL"])
+
+    def _print(self, values: Iterable[Any]) -> list[str]:
+        return [c_literal(float(value), self.precision) for value in values]
+
+    def _bytes(self, values: Iterable[float]) -> bytes:
+        return np.array(list(values), dtype=np.dtype(self.precision).newbyteorder(">")).tobytes()
+
+
+def _steps(encoding: Encoding) -> list[list[float]]:
+    """Return steps per unit and units per step of every entry, or nothing if an encoding has no steps."""
+    scales = encoding.full_scale if encoding.name == "int16" else ()
+    return [[FULL_SCALE / scale for scale in scales], [scale / FULL_SCALE for scale in scales]] if scales else []
+
+
+def _truth(value: bool) -> str:
+    return "true" if value else "false"
+
+
+EXPORTED = Coverage(LOOPS, "exported C code does not carry out")
+MOST = {
+    "inputs": 0xFFFF,
+    "memory": 0xFFFF,
+    "outputs": 0x7FFF,
+    "clock": 0xFFFF,
+    "packets": 0xFF,
+    "shapes": 0xFF,
+    "sends": 31,
+}  # limits of the types in the header
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CNode(Displayed):
+    """A node as C99.
+
+    Args:
+        role: name of the process, such as ``"controller"``.
+        name: name of its C type, and of its files without extension.
+        header: text of the header.
+        source: text of the source file.
+        operations: number of arithmetic and logical operations per step, including random draws.
+        constants: number of constants.
+    """
+
+    role: str
+    name: str
+    header: str
+    source: str
+    operations: int
+    constants: int
+
+
+def identifier(text: str) -> str:
+    """Return a name as a C identifier.
+
+    Example:
+        >>> identifier("two-mass"), identifier("3 tanks")
+        ('two_mass', 'p3_tanks')
+    """
+    found = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_").lower()
+    return f"p{found}" if not found or found[0].isdigit() else found
+
+
+def print_node(
+    policy: Policy,
+    role: str,
+    network: Network,
+    name: str,
+    *,
+    precision: Precision = "float64",
+    seed: int = 0,
+) -> CNode:
+    """Return a node of a policy as C99, to be compiled with the common core sources.
+
+    Args:
+        policy: policy that contains the node.
+        role: role of the node.
+        network: network, which defines the rounding of payloads.
+        name: name of the C type.
+        precision: precision of the numbers.
+        seed: seed of the random draws.
+
+    Raises:
+        ProblemError: the nodes cannot be separated, or a node exceeds a size limit of the core.
+    """
+    EXPORTED.check(policy.parts, policy.designed_for, network)
+    program = lower_node(policy, place_of(policy, role), network, precision)
+    layout = lay_out(policy, program)
+    _check_size(policy, network, program, layout)
+    parts = ("first", "second")[: len(program.parts)]
+    constants = list[float]()
+    sources = [
+        print_c(part, name, places, constants)
+        for part, name, places in zip(program.parts, parts, layout.wiring, strict=True)
+    ]
+    if program.draws is not None:
+        sources.append(print_c(program.draws, "draw", (), constants))
+    programs: list[Program] = [*program.parts, *([] if program.draws is None else [program.draws])]
+    data = NodeData(policy, network, program, layout, constants, precision, seed)
+    title = f"/* Generated by taciturn {__version__}: the {role} of a policy of kind {policy.kind}. Do not edit. */\n"
+    roots = [print_root(precision)] if any(f"{ROOT}(" in text for text in sources) else []
+    body = "\n".join([*roots, *sources, *data.arrays(), data.text(), _START.format(name=name)])
+    needs = [f"#include <{one}.h>\n" for one, word in (("math", "INFINITY"), ("string", "memcpy")) if word in body]
+    source = f'{title}{"".join(needs)}#include "{name}.h"\n\n{body}'
+    header = title + _HEADER.format(
+        guard=f"{name.upper()}_H", name=name, site=" and ".join(sorted(program.site)),
+        inputs=max(1, len(layout.inputs)), memory=max(1, len(program.parts[0].states)),
+        outputs=max(1, len(program.parts[0].outputs)), channels=max(1, len(layout.arrivals)),
+        sends=max(1, len(layout.departures)), clocks=max(1, len(program.clocks)), applied=max(1, policy.model.inputs),
+    )  # fmt: skip
+    operations, numbers = sum(p.operations for p in programs), sum(_numbers(p) for p in programs)
+    return CNode(role, name, header, source, operations, numbers)
+
+
+def _numbers(program: Program) -> int:
+    tables = [*program.tables, *(row for matrix in program.matrices for row in matrix)]
+    return len(program.constants) + sum(map(len, tables))
+
+
+def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: Layout) -> None:
+    """Raise an error if a size of the node exceeds the range of the core's integer types."""
+    shapes = packet_shapes(policy, network)
+    found = {
+        "inputs": len(layout.inputs),
+        "memory": len(program.parts[0].states),
+        "outputs": len(program.parts[0].outputs),
+        "clock": max([len(place.table) for place in program.clocks], default=0),
+        "packets": max(entries for _, entries in shapes.values()),
+        "shapes": len(shapes),
+        "sends": len(layout.departures),
+    }
+    for what, size in found.items():
+        if size > MOST[what]:
+            raise ProblemError(
+                f"the array {what!r} of a node of {policy.kind} has {size} entries; expected at most {MOST[what]} on a "
+                "device"
+            )
+
+
+def core_links(policy: Policy) -> int:
+    """Return the largest number of a link on which a node receives or sends packets with proofs, plus one.
+
+    These are the links between nodes and the link of set-points. Measurements and inputs do not pass through the core.
+    """
+    codes = wire_links(policy)
+    return 1 + max([codes.index(link) for link in (*policy.network.links, SETPOINT) if link in codes], default=0)
+
+
+@dataclass(frozen=True, repr=False)
+class CoreSizes(Displayed):
+    """The sizes for which the core is compiled.
+
+    Args:
+        links: size of the tables by link (``core_links``).
+        values: entries of the largest packet.
+        datagram: bytes of the largest datagram, with its tag.
+        waiting: early packets of each link that a node stores, a power of two.
+        single: whether numbers have single precision.
+    """
+
+    links: int
+    values: int
+    datagram: int
+    waiting: int
+    single: bool
+
+    @staticmethod
+    def of(policy: Policy, network: Network, waiting: int, precision: Precision) -> CoreSizes:
+        """Return the sizes that the nodes of a policy need."""
+        shapes = packet_shapes(policy, network).values()
+        payload = max(calcsize(CODES[encoding.name]) * entries for encoding, entries in shapes)
+        return CoreSizes(
+            links=core_links(policy),
+            values=max(1, *(entries for _, entries in shapes)),
+            datagram=HEADER_SIZE + payload + CRC_SIZE + TAG_SIZE,
+            waiting=waiting,
+            single=precision == "float32",
+        )
+
+    @property
+    def suffix(self) -> str:
+        """The ending of the names of all functions, so that files compiled with different sizes do not link."""
+        precision = "float32" if self.single else "float64"
+        return f"{precision}_{self.links}_{self.values}_{self.datagram}_{self.waiting}"
+
+    def text(self, title: str, named: bool = True) -> str:
+        """Return the header ``taciturn_config.h``; without ``named``, for libraries that are loaded."""
+        return _CONFIG.format(
+            mark=title, single=int(self.single), links=self.links, values=self.values, datagram=self.datagram,
+            waiting=self.waiting, sized=f"name##_{self.suffix}" if named else "name",
+        )  # fmt: skip
+
+
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows as a Markdown table, whose header is the first row."""
+    head, *rest = rows
+    return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rest]) + "\n"
+
+
+_CONFIG = """{mark}
+#ifndef TACITURN_CONFIG_H
+#define TACITURN_CONFIG_H
+
+#define TAC_FLOAT32 {single}    /* 1: numbers are floats */
+#define TAC_LINKS {links}      /* links on which nodes receive or send have smaller numbers */
+#define TAC_VALUES {values}     /* numbers in the largest packet */
+#define TAC_DATAGRAM {datagram}   /* bytes of the largest datagram, with its tag */
+#define TAC_WAITING {waiting}    /* buffered early packets of each link, a power of two */
+
+/* The name of a function for the linker. */
+#define TAC_SIZED(name) {sized}
+
+#endif
+"""
+_HEADER = """#ifndef {guard}
+#define {guard}
+
+#include "taciturn.h"
+
+#define {name}_start TAC_SIZED({name}_start)
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+/* All memory of the node at the site of {site}. */
+typedef struct {{
+  tac_node node;
+  tac_channel channels[{channels}];
+  tac_real inputs[{inputs}];
+  tac_real memory[{memory}];
+  tac_real outputs[{outputs}];
+  tac_real input[{applied}];
+  uint32_t sequences[{sends}];
+  uint16_t places[{clocks}];
+}} {name};
+
+/* Start the node before its first step, and return it: see tac_start. NULL: its data are damaged; see tac_check. */
+tac_node *{name}_start({name} *self, uint32_t epoch, uint16_t loop, tac_key key);
+
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
+_START = """tac_node *{name}_start({name} *self, uint32_t epoch, uint16_t loop, tac_key key)
+{{
+  if (!tac_check(&data)) {{
+    return NULL;
+  }}
+  self->node.data = &data;
+  self->node.channels = self->channels;
+  self->node.inputs = self->inputs;
+  self->node.memory = self->memory;
+  self->node.outputs = self->outputs;
+  self->node.input = self->input;
+  self->node.sequences = self->sequences;
+  self->node.places = self->places;
+  tac_start(&self->node, epoch, loop, key);
+  return &self->node;
+}}
+"""

@@ -1,0 +1,190 @@
+"""Sizes of exported nodes in bytes, compiled for a Cortex-M or for this machine."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal, NamedTuple
+
+from taciturn.errors import ProblemError
+from taciturn_export.folder import CORE_SOURCES, FLAGS, CFolder
+
+Optimisation = Literal["-O2", "-Os"]
+PACKAGES = {  # Debian packages
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+    "arm-none-eabi-size": "binutils-arm-none-eabi",
+    "arm-none-eabi-nm": "binutils-arm-none-eabi",
+    "qemu-system-arm": "qemu-system-arm",
+    "cc": "gcc libc6-dev",
+    "size": "binutils",
+    "nm": "binutils",
+}
+PATIENCE = 60.0  # time limit of a tool in seconds
+LONGEST = 500  # characters of a tool's output that an error message quotes
+
+
+class Target(NamedTuple):
+    """A processor, and the tools that compile for it.
+
+    Args:
+        processor: name of the processor.
+        flags: compiler flags.
+        prefix: prefix of the names of its tools.
+    """
+
+    processor: str
+    flags: tuple[str, ...]
+    prefix: str = "arm-none-eabi-"
+
+    @property
+    def compiler(self) -> str:
+        """Name of the compiler."""
+        return f"{self.prefix}gcc" if self.prefix else "cc"
+
+
+CORTEX_M3 = Target("Cortex-M3", ("-mcpu=cortex-m3", "-mthumb"))
+CORTEX_M4F = Target(
+    "Cortex-M4F", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
+)  # its floating-point unit supports single precision only
+HOST = Target(platform.machine(), (), "")  # this machine
+
+
+class Sizes(NamedTuple):
+    """The size of a part of a program in bytes; constants between instructions count as code.
+
+    Args:
+        code: size of the instructions.
+        constants: size of the constants in read-only memory.
+        memory: size of the variables.
+    """
+
+    code: int
+    constants: int
+    memory: int
+
+
+def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") -> dict[str, Sizes]:
+    """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic).
+
+    Args:
+        target: the processor.
+        folder: folder with the nodes.
+        level: optimisation level.
+
+    Raises:
+        ProblemError: the compiler is missing.
+    """
+    with TemporaryDirectory() as name:
+        into = Path(name)
+        folder.write(into)
+        compile_sources(target, [name for name in folder.sources if name != "selfcheck.c"], into, level)
+        symbols = call_tool(f"{target.prefix}nm", ["-S", "selfcheck_data.o"], into).splitlines()
+        known = {words[3]: int(words[1], 16) for words in map(str.split, symbols) if len(words) == 4}
+        found = {
+            node.role: _sections(target, into, [node.name])._replace(memory=known[f"memory_of_{node.name}"])
+            for node in folder.nodes
+        }
+        return {**found, "core": _sections(target, into, [Path(name).stem for name in CORE_SOURCES])}
+
+
+def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
+    """Return the sizes of the nodes on a Cortex-M, or on this machine if it has no Cortex-M compiler, or None.
+
+    Args:
+        folder: folder with the nodes, which are compiled with optimisation for size.
+
+    Returns:
+        The processor and the sizes of each node and of the ``"core"``, or None if no compiler is installed.
+
+    Raises:
+        ProblemError: the compiler reports an error.
+    """
+    targets = (CORTEX_M4F if folder.single else CORTEX_M3, HOST)
+    target = next((target for target in targets if shutil.which(target.compiler)), None)
+    return None if target is None else (target.processor, measure_sizes(target, folder, "-Os"))
+
+
+def compile_sources(
+    target: Target, sources: Sequence[str], into: Path, level: Optimisation, flags: Sequence[str] = ()
+) -> list[str]:
+    """Compile C files in a folder, with warnings as errors, and return the names of the objects.
+
+    Args:
+        target: the processor.
+        sources: names of the C files.
+        into: their folder.
+        level: optimisation level.
+        flags: further flags.
+
+    Raises:
+        ProblemError: the compiler is missing, or it reports an error.
+    """
+    warned = [flag for flag in FLAGS.split() if not flag.startswith("-O")]
+    call_tool(target.compiler, [*warned, "-Werror", level, *target.flags, *flags, "-c", *sources], into)
+    return [Path(name).with_suffix(".o").name for name in sources]
+
+
+def find_tool(name: str) -> str:
+    """Return the path of a compiler or an emulator.
+
+    Raises:
+        ProblemError: the tool is missing; the message names the packages that contain it.
+    """
+    found = shutil.which(name)
+    if found is None:
+        raise ProblemError(
+            f"{name} is missing; expected this program on the path; install it with: apt install {PACKAGES[name]}"
+        )
+    return found
+
+
+def call_tool(tool: str, arguments: Sequence[str], folder: Path, patience: float = PATIENCE) -> str:
+    """Run a tool in a folder, and return its output.
+
+    Args:
+        tool: name of the tool.
+        arguments: its arguments.
+        folder: folder in which it runs.
+        patience: time limit in seconds.
+
+    Raises:
+        ProblemError: the tool is missing, fails, or exceeds the time limit.
+    """
+    command = [find_tool(tool), *arguments]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=patience,
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
+    except subprocess.TimeoutExpired:
+        raise ProblemError(
+            f"{tool} has not finished after {patience:g} s; use a self-check with fewer steps, or reduce the load on "
+            "this machine"
+        ) from None
+    if done.returncode != 0:
+        said = " ".join((done.stdout + done.stderr).split()) or f"code {done.returncode}"
+        if "will not fit in region" in said:
+            raise ProblemError("the program is larger than the board's 4 MiB; expected a self-check with fewer steps")
+        if "rdimon.specs" in said:
+            said = f"the C library is missing; install it with: apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
+        raise ProblemError(f"{tool} fails ({said[:LONGEST]}); correct the reported cause, and run again")
+    return done.stdout
+
+
+def _sections(target: Target, into: Path, stems: Sequence[str]) -> Sizes:
+    sizes = [0, 0, 0]
+    for line in call_tool(f"{target.prefix}size", ["-A", *(f"{stem}.o" for stem in stems)], into).splitlines():
+        for kind, begins in enumerate(((".text",), (".rodata",), (".data", ".bss"))):
+            if line.startswith(begins):
+                sizes[kind] += int(line.split()[1])
+    return Sizes(*sizes)

@@ -1,0 +1,383 @@
+"""Sweeps: evaluations of a problem over a grid of its values, as labelled arrays.
+
+The result of a sweep as a table for pandas, CSV files and LaTeX.
+
+Grids of problems, computed on many processors, stored, and continued after a stop.
+
+``sweep`` builds the grid and returns labelled arrays (``table``: as text). ``cells`` computes its blocks on
+``workers``, whose code must be the same (``identity``), and keeps each result in a ``store``.
+"""
+
+from __future__ import annotations
+
+import math
+import platform
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from taciturn.errors import ProblemError, TaciturnError
+from taciturn.extend import Progress, answered_within, in_notebook, per_unit, wrapped_text
+from taciturn.model.estimate import Estimate
+from taciturn.model.result import Columns, Tabular
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
+from taciturn.simulation.average import check_effort
+from taciturn.study.evaluation import Evaluation
+from taciturn.study.points import (
+    LARGEST,
+    Cell,
+    Cells,
+    Effort,
+    Refusal,
+    check_confidence,
+    check_grid,
+    label_of,
+    labels_of,
+    path_of,
+    run_cells,
+)
+from taciturn.study.record import Store, digest, encode, origin
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+TAKEN = ("drop", "method", "tolerance")  # argument names of the selection methods of labelled arrays
+
+
+def sweep(
+    problem: Studied,
+    over: Mapping[str, Sequence[object]],
+    *,
+    executor: Executor | None = None,
+    store: str | Path | None = None,
+    seed: int = 0,
+    standard_error: float | None = None,
+    steps: int | None = None,
+    confidence: float | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> xarray.Dataset:
+    """Return cost and rates of a problem's policy over a grid, one dimension per name.
+
+    The seed of a cell is derived from ``seed`` and the cell's values only, so a cell gives the same result in every
+    grid, in every order and on every worker. A cell without an answer contains NaN or an empty string; the variable
+    ``refusal`` gives the reason, and a warning reports the number of such cells.
+
+    Args:
+        problem: the problem in which each cell changes the named keys.
+        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid.
+        executor: executor that runs blocks of cells: threads, processes, ``dask.distributed``'s
+            ``Client.get_executor()``, ``mpi4py.futures.MPIPoolExecutor``, or any other; default: one cell after the
+            other in this process, on all processors.
+        store: folder with one file per cell; a second run computes only the cells that are missing or belong to another
+            problem or version.
+        seed: seed of all random draws, at least 0.
+        standard_error: absolute standard error of each cost; default: 1e-4 of the cost.
+        steps: number of steps of each simulation, instead of a standard error.
+        confidence: confidence of a lower bound on the cost of any scheduling, in cells that have one; default: no lower
+            bound.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised; the cells that
+            are stored remain.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        A dataset with ``cost``, ``cost_standard_error``, ``rate_LINK``, … over the swept names;
+        its attributes contain units, problem, version, seed, methods and machine.
+
+    Raises:
+        ProblemError: no values are given, a value is given twice, a key is unknown, the data are inconsistent, the
+            store cannot be used, or the executor fails; finished cells stay in the store.
+
+    Example:
+        >>> from taciturn import load
+        >>> found = sweep(load("double-integrator"), {"kind": ["consistent"], "period": [0.25, 0.5]})
+        >>> bool(found.cost.sel(period=0.25) < found.cost.sel(period=0.5))
+        True
+    """
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, steps)
+        listed = check_grid(over)
+        for name in listed:
+            if path_of(name) == ["policy", "seed"]:
+                raise ProblemError(
+                    "seed is not a key of a problem; expected one sweep for each seed (--seed, seed=), with the same "
+                    "store"
+                )
+            if name in TAKEN:
+                raise ProblemError(f"the dimension name {name} is reserved by xarray; expected policy.{name}")
+        axes = {name: labels_of(name, values) for name, values in listed.items()}
+        _check_axes(problem, listed, confidence)
+        cells = _Grid(listed, seed)
+        label = label_of(problem)
+        table = _Table(cells.shape)
+        kept = None if store is None else Store(store, label)
+        bar = in_notebook(progress)
+        for index, answer in run_cells(problem, cells, Effort(standard_error, confidence, steps), executor, kept, bar):
+            table.put(index, cells[index].seed, answer)
+        table.tell(cells)
+        methods = ", ".join(sorted(table.methods))
+        told = {name: str(value) for name, value in origin(problem, seed, methods).items()}
+        return table.dataset(axes, label | told | {"machine": f"{platform.machine()}, {platform.system()}"})
+
+
+def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confidence: float | None) -> None:
+    """Design the policy at the first and last value of every name, to report mistakes before cells run.
+
+    Raises:
+        TaciturnError: every one of these designs fails, or none of them has the requested lower bound; the message is
+            that of the first.
+    """
+    first = {name: values[0] for name, values in listed.items()}
+    checked = [first] + [first | {name: values[-1]} for name, values in listed.items() if len(values) > 1]
+    problems: list[Problem] = []
+    wrong: list[TaciturnError] = []
+    for values in checked:
+        try:
+            problems.append(problem.changed(values))
+            problems[-1].designed()
+        except TaciturnError as error:
+            wrong.append(error)
+    if len(wrong) == len(checked):
+        raise wrong[0]
+    check_confidence(problems, confidence)
+
+
+class _Grid:
+    """The cells of a grid, created on demand, since there may be millions; the last name varies fastest.
+
+    Args:
+        listed: the values of each name.
+        seed: seed of the sweep.
+    """
+
+    def __init__(self, listed: dict[str, list[object]], seed: int) -> None:
+        """Store the values; no cell is created yet."""
+        self.shape = tuple(len(values) for values in listed.values())
+        self._listed, self._seed = listed, seed
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return math.prod(self.shape)
+
+    def __getitem__(self, index: int, /) -> Cell:
+        """Return the cell at an index."""
+        values: dict[str, object] = {}
+        for name, listed in reversed(self._listed.items()):
+            index, place = divmod(index, len(listed))
+            values[name] = listed[place]
+        values = dict(reversed(values.items()))
+        return Cell(values, _seed_of(self._seed, values))
+
+
+def _seed_of(seed: int, values: Mapping[str, object]) -> int:
+    """Return the seed of a cell, which ``taciturn evaluate --seed`` accepts."""
+    stated = {".".join(path_of(name)): _as_float(value) for name, value in values.items()}
+    words = np.frombuffer(bytes.fromhex(digest(encode(stated))), dtype=np.uint32)
+    return int(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words[:4])).generate_state(1)[0])
+
+
+def _as_float(value: object) -> object:
+    """Return a value with integers converted to floats and −0 to 0."""
+    if isinstance(value, list):
+        return [_as_float(one) for one in cast("list[object]", value)]
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= LARGEST:
+        return value
+    return float(value) + 0.0
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A variable of the result: its value in an answer (or None), its unit, and the value that replaces None."""
+
+    of: Callable[[Evaluation], float | str | None]
+    unit: Callable[[Evaluation], str] = lambda found: ""
+    missing: float | str = math.nan
+
+
+def _per(found: Evaluation) -> str:
+    return f"cost {per_unit(found.unit)}"
+
+
+def _sends(found: Evaluation) -> str:
+    return f"sends per {found.rate_unit}"
+
+
+COLUMNS = {
+    "cost": _Column(lambda found: found.cost.value, _per),
+    "cost_standard_error": _Column(lambda found: found.cost.standard_error, _per),
+    "cost_error": _Column(lambda found: found.cost.error, _per),
+    "cost_method": _Column(lambda found: found.cost.method, missing=""),
+    "cost_all_time": _Column(lambda found: found.cost_all_time, _per),
+    "cost_bound": _Column(lambda found: found.cost_bound, _per),
+    "cost_bound_at_rate": _Column(lambda found: found.cost_bound_at_rate, _per),
+    **{
+        f"linearisation_{name}": _Column(lambda found, name=name: getattr(found.linearisation, name, None), _per)
+        for name in ("cost_all_time", "cost_bound")
+    },
+    "cost_periodic_same_rate": _Column(lambda found: found.cost_periodic_same_rate, _per),
+    "cost_lower_bound": _Column(lambda found: None if found.lower_bound is None else found.lower_bound.cost, _per),
+    "mean_interval": _Column(
+        lambda found: None if found.mean_interval is None else found.mean_interval.value, lambda found: "s"
+    ),
+    "steps": _Column(lambda found: found.steps, missing=0),
+    "reached": _Column(lambda found: found.reached, missing=False),
+    "rate_lowest": _Column(lambda found: None if found.rate_bounds is None else found.rate_bounds[0], _sends),
+    "rate_highest": _Column(lambda found: None if found.rate_bounds is None else found.rate_bounds[1], _sends),
+}
+
+
+def _rates(found: Evaluation) -> dict[str, _Column]:
+    """Return the columns of the rate of each link."""
+    return {
+        f"rate_{link}{suffix}": _Column(lambda found, link=link, part=part: getattr(found.rates[link], part), _sends)
+        for link in sorted(found.rates)
+        for suffix, part in (("", "value"), ("_standard_error", "standard_error"))
+    }
+
+
+def _violated(found: Evaluation) -> dict[str, _Column]:
+    """Return the columns of the probabilities that limits are violated."""
+    if found.violations is None:
+        return {}
+    units = {"violation_within": f"per {found.violations.window}"}
+
+    def column(name: str, part: str) -> _Column:
+        return _Column(
+            lambda found: None if found.violations is None else getattr(found.violations.records()[name], part),
+            lambda _: units.get(name, "share of the steps"),
+        )
+
+    parts = (("", "value"), ("_standard_error", "standard_error"))
+    return {f"{name}{suffix}": column(name, part) for name in found.violations.records() for suffix, part in parts}
+
+
+class _Table:
+    """The columns of a sweep, filled as answers arrive."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape, size = shape, math.prod(shape)
+        self.refusals, self.seeds = np.full(size, "", dtype=object), np.zeros(size, dtype=np.int64)
+        self.columns: dict[str, np.ndarray[Any, Any]] = {}
+        self.units: dict[str, str] = {}
+        self.refused: list[int] = []
+        self.methods: set[str] = set()
+
+    def put(self, index: int, seed: int, answer: Evaluation | Refusal) -> None:
+        """Write the answer of a cell to the columns of the result."""
+        self.seeds[index] = seed
+        if isinstance(answer, Refusal):
+            self.refusals[index] = str(answer.error)
+            self.refused.append(index)
+            return
+        self.methods.add(answer.method)
+        for name, column in (COLUMNS | _rates(answer) | _violated(answer)).items():
+            value = column.of(answer)
+            if value is None:
+                continue
+            if name not in self.columns:
+                kind = object if isinstance(value, str) else np.asarray(column.missing).dtype
+                self.columns[name] = np.full(len(self.seeds), column.missing, dtype=kind)
+                self.units[name] = column.unit(answer)
+            elif self.units[name] != column.unit(answer):
+                raise ProblemError(
+                    f"the grid mixes {self.units[name]} and {column.unit(answer)}; expected one unit: use two sweeps"
+                )
+            self.columns[name][index] = value
+
+    def tell(self, cells: Cells) -> None:
+        """Warn about cells without an answer.
+
+        Raises:
+            ProblemError: no cell has an answer.
+        """
+        if not self.refused:
+            return
+        first = min(self.refused)
+        where = ", ".join(f"{name}={value}" for name, value in cells[first].values.items())
+        sentence = f"{len(self.refused)} of {len(cells)} cells have no answer, first at {where}: {self.refusals[first]}"
+        if len(self.refused) == len(cells):
+            raise ProblemError(sentence)
+        warnings.warn(sentence, stacklevel=3)
+
+    def dataset(self, axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]) -> xarray.Dataset:
+        """Return the results over the grid as a data set, with variables in the order of ``COLUMNS``, then rates."""
+        import xarray
+
+        held = self.columns | {"seed": self.seeds, "refusal": self.refusals}
+        ordered = [name for name in (*COLUMNS, *(key for key in held if key not in COLUMNS)) if name in held]
+        units = {name: {"units": unit} for name, unit in self.units.items() if unit}
+        whole = {name: (tuple(axes), held[name].reshape(self.shape), units.get(name, {})) for name in ordered}
+        return xarray.Dataset(whole, coords=dict(axes), attrs=dict(attributes))
+
+
+class SweepTable(Tabular):
+    """The result of a sweep as a table, with one row per cell and one column per name.
+
+    Args:
+        result: the labelled arrays that ``sweep`` returned, or that were read from its file.
+    """
+
+    def __init__(self, result: xarray.Dataset) -> None:
+        """Store the result."""
+        self.result = result
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the number of values for each name of the grid."""
+        return {str(name): size for name, size in self.result.sizes.items()}
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn sweep`` prints."""
+        return sweep_text(self.result)
+
+    def about(self) -> dict[str, object]:
+        """Return the attributes of the result: version, seed, digest of the problem, units."""
+        units = {name: array.attrs["units"] for name, array in self.result.items() if "units" in array.attrs}
+        return {**self.result.attrs, "units": "; ".join(f"{name}: {unit}" for name, unit in units.items())}
+
+    def columns(self) -> Columns:
+        """Return the columns; a value and its standard error are one estimate, and missing values are None."""
+        frame: Any = self.to_pandas()  # pandas' types are incomplete
+        found: dict[str, list[Any]] = {
+            name: [None if one != one else one for one in frame[name].tolist()] for name in frame
+        }
+        for name in [name for name in found if f"{name}_standard_error" in found]:
+            parts = zip(found[name], found.pop(f"{name}_standard_error"), found["cost_method"], strict=True)
+            found[name] = [None if value is None else Estimate(value, error, how) for value, error, how in parts]
+        return found
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a data frame; its ``attrs`` are the attributes of the result.
+
+        Raises:
+            ProblemError: pandas is not installed.
+        """
+        frame = self.result.to_dataframe().reset_index()
+        frame.attrs.update(self.result.attrs)
+        return frame
+
+
+def sweep_text(found: xarray.Dataset) -> str:
+    """Return the grid of a sweep, and the cells with the smallest and the largest cost."""
+    grid = " × ".join(f"{name} ({size})" for name, size in found.sizes.items())
+    refused = int((found.refusal != "").sum())
+    parts = [f"{found.refusal.size} cells over {grid}: {found.refusal.size - refused} evaluated, {refused} refused"]
+    ends = () if refused == found.refusal.size else (("smallest", found.cost.argmin), ("largest", found.cost.argmax))
+    for name, find in ends:
+        at = found.isel(find(...))
+        where = ", ".join(f"{key} = {at[key].item()}" for key in found.sizes)
+        cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
+        rates = [
+            f"{at[key].item():.4g} {at[key].units} ({key[5:]})"
+            for key in map(str, found.data_vars)
+            if key.startswith("rate_") and f"{key}_standard_error" in found
+        ]
+        parts.append(f"{name} cost {cost} at {where}; {', '.join(rates)}")
+    return "\n".join(map(wrapped_text, parts))

@@ -1,0 +1,411 @@
+"""Servers that run nodes over UDP, either in lockstep (virtual time) or in real time.
+
+In lockstep, every node sends a mark when it has finished a step, and begins a step when it has received the marks of
+all nodes that send to it. Packets are therefore never late, and the same seeds give the same run. In real time, a node
+with a sensor begins a step when the measurement arrives. Any other node begins a step when its packet has arrived, or
+at an absolute deadline.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.model.packets import plant_link
+from taciturn.model.wire import EITHER, LARGEST, SETPOINT
+from taciturn.nodes.clock import JUMPED, LATE, Phase
+from taciturn.nodes.inbox import AHEAD, USABLE, Window
+from taciturn.nodes.node import Node, Values, check_seal, sealed
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.endpoint import Address, check_plant, peers_by_link
+from taciturn_udp.service import IDLE, Outbox, Port, Reception, Say, Storage, Told, Turns, drive, log_line, take_until
+
+LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
+PATIENT = 4096  # largest number of measurements that wait for their step
+REMEMBERED = 100_000  # number of last steps whose lateness is reported
+UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
+SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
+
+
+class NodeServer:
+    """A server that runs the nodes of one role, one node for each loop, on one socket.
+
+    Args:
+        nodes: nodes, one per loop, in order.
+        wire: encoder and decoder of the packets.
+        endpoint: socket of the nodes.
+        peer: address that the nodes send packets to, a node or a relay, for all links or by link; None if they send no
+            packets.
+        plant: address of the plant; None if the nodes contain neither sensor nor actuator.
+        tick: real seconds per step; default: lockstep.
+        wait: fraction of a step for which a node waits for a packet of the step, in real time.
+        heartbeat: steps without a packet on a link after which a node sends a mark, in real time.
+        keep: storage to which the state is saved after every step; for a single node only.
+        told: function called with the log line of each step.
+        say: function called once with a message if packets of another policy or key are rejected.
+        clock: function that returns the time in seconds, from any origin.
+        draw: function that returns the random number of a challenge; default: one of the operating system.
+
+    Raises:
+        ProblemError: a peer, a plant or a key is missing, a peer or a plant is not needed, or the saved state is not
+            valid for this node.
+    """
+
+    def __init__(
+        self,
+        nodes: Sequence[Node],
+        wire: Wire,
+        endpoint: Port,
+        *,
+        peer: Address | Mapping[str, Address] | None = None,
+        plant: Address | None = None,
+        tick: float | None = None,
+        wait: float = 0.5,
+        heartbeat: int = 1,
+        keep: Storage | None = None,
+        told: Told | None = None,
+        say: Say | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        draw: Callable[[], int] | None = None,
+    ) -> None:
+        """Check that all addresses are given, and continue from a saved state if there is one."""
+        first = nodes[0]
+        if not (first.measures or first.listens):
+            raise ProblemError(
+                f"the {first.role} of this {first.policy.kind} neither measures nor uses what others send, so nothing "
+                "tells it when a step begins; expected a policy that uses the measurements, such as another weight of "
+                "the queries of a sensor"
+            )
+        self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
+        check_plant(f"node {first.role}", plant, first.measures or first.actuates)
+        peers = peers_by_link(f"node {first.role}", peer, [*first.program.sends, *first.acknowledges])
+        self._plant = plant_link(first.policy, first.role)
+        if self._plant is not None and plant is not None:
+            peers[self._plant] = plant
+        self._tick, self._wait = tick, wait
+        self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
+        self.phase = Phase(tick or 1.0)
+        links = [*first.program.sends, *first.inbox.links, *([] if self._plant is None else [self._plant])]
+        self.reception = Reception(wire, endpoint, first.role, links, say, draw)
+        self.refused = self.reception.refused
+        self.arrived: Counter[str] = Counter()  # number of new data packets, by link
+        self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
+        self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
+        self._measured = [Window() for _ in nodes]
+        self._outbox = Outbox(wire, endpoint, peers, len(nodes))
+        self._held: set[int] = set()  # loops whose overflow was reported
+        self._lateness: deque[float] = deque(maxlen=REMEMBERED)
+        self._clock, self._began, self._cpu = clock, clock(), time.process_time()
+        self._patience = (tick or 0.0) * (first.watchdog or 0)
+        self._expires = self._began + self._patience  # when the watchdog expires unless a step is executed
+        self._turned, self._confirmed = self._began, 0  # time of the last turn, and confirmations of the phase until it
+        self._strayed = 0.0  # seconds that have passed unexpectedly since a packet confirmed the phase
+        self._physical = 0
+        self.measured = 0  # measurements that were stored for their step
+        kept = None if keep is None else keep.read()
+        if kept is not None:
+            self._take_up(kept)
+        self._unused = [self._unusable(node) for node in nodes]
+
+    def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Execute steps until ``ticks`` steps are done or the server is stopped, and return the report."""
+        drive(
+            self.endpoint,
+            self.turns(lambda: stopped() or (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes))),
+        )
+        return self.report()
+
+    def turns(self, ended: Callable[[], bool]) -> Turns:
+        """Execute the steps that may begin, whenever datagrams arrive or the time has come for which this waits."""
+        while not ended():
+            until = self._until()
+            touched = self._take((yield until))
+            now = self._clock()
+            self._notice(now, until)
+            for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
+                self._go_on(node, now)
+            self._expire(now)
+
+    def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Receive packets until stopped, without executing further steps, and return the report."""
+        take_until(self.endpoint, self._take, stopped)
+        return self.report()
+
+    def report(self) -> dict[str, Any]:
+        """Return the counters so far."""
+        counters, reasons = self._outbox.counters.copy(), Counter[str]()
+        for node in self.nodes:
+            counters += node.counters
+            reasons += node.reasons
+        found: dict[str, Any] = {
+            "role": self.nodes[0].role,
+            "loops": len(self.nodes),
+            "tick": max(node.tick for node in self.nodes),
+            "counters": dict(counters),
+            "arrived": dict(self.arrived),
+            "waiting": sum(node.waiting for node in self.nodes),
+            "refused": dict(self.refused),
+            "proofs": dict(self.reception.counters),
+            "physical": self._physical,
+            "measurements": self.measured,
+            "datagrams": self.endpoint.counted,
+            "degraded": dict(reasons),
+            "seconds": round(self._clock() - self._began, 3),
+            "cpu_seconds": round(time.process_time() - self._cpu, 3),
+        }
+        if self._lateness:
+            late = np.percentile(1e3 * np.array(self._lateness), SHARES)
+            names = ("p50", "p95", "p99", "max")
+            found["lateness_ms"] = {name: round(float(value), 3) for name, value in zip(names, late, strict=True)}
+            found["clock_jumps"] = self.phase.jumps
+        return found
+
+    def _take(self, datagrams: Sequence[bytes]) -> set[int]:
+        """Store received packets, and return the numbers of their loops."""
+        return self._take_from(zip(datagrams, self.endpoint.senders, strict=True))
+
+    def _take_from(self, received: Iterable[tuple[bytes, Address]]) -> set[int]:
+        now, touched = self._clock(), set[int]()
+        for packet, sender in self.reception.packets(received):
+            if packet.loop >= len(self.nodes):
+                self.refused["misdirected"] += 1
+            elif self._admits(packet, sender, now):
+                self._sort(packet, now)
+                touched.add(packet.loop)
+        return touched
+
+    def _admits(self, packet: Packet, sender: Address, now: float) -> bool:
+        """Return whether a packet may be sorted; answer a challenge, and store the proof in an answer."""
+        node = self.nodes[packet.loop]
+        along = packet.link in node.program.sends  # whether the packets of this node travel along the link
+        sends = along or packet.link in node.acknowledges or (packet.link == self._plant and node.actuates)
+        if packet.kind in EITHER and (packet.back != along or (packet.kind == "challenge" and not sends)):
+            self.refused["misdirected"] += 1
+            return False
+        if packet.kind == "challenge":
+            self._outbox.send([self.reception.answer(packet, node.epoch, node.tick)])
+            self._outbox.repeat(packet.loop, now, packet.link)
+            return False
+        if packet.kind == "answer":
+            if self.reception.accepts(packet):
+                node.inbox.forget(packet.link)
+                if packet.link == self._plant:
+                    self._measured[packet.loop] = Window()
+            return False
+        return self.reception.admits(packet, sender)
+
+    def _sort(self, packet: Packet, now: float) -> None:
+        """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
+        loop, node = packet.loop, self.nodes[packet.loop]
+        if packet.link in self.wire.plant and packet.link != SETPOINT:
+            self._physical += 1
+            news = self._measured[loop].admit(packet.epoch, packet.sequence)
+            if packet.kind != "measurement" or packet.link != self._plant or not node.measures:
+                self.refused["misplaced"] += 1
+            elif news != "new":
+                self.refused[news] += 1
+                self._answer_again(loop, now, news == "duplicate")
+            elif self._begins(packet, now) and len(self._measurements[loop]) < PATIENT:
+                self._measurements[loop][packet.tick] = packet.values
+                self.measured += 1
+            else:
+                self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
+            return
+        repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
+        self._note(packet, node.sort_in(packet), now, repeated)
+
+    def _note(self, packet: Packet, handling: str, now: float, repeated: bool) -> None:
+        """Draw the conclusions from a packet that a node has sorted in: it may correct the clock, and ends silence."""
+        loop, node = packet.loop, self.nodes[packet.loop]
+        # acknowledgements arrive after their step, so they do not count; a packet far ahead shows a late phase
+        if packet.link in node.program.hears and self._tick is not None and handling in USABLE | {"ahead"}:
+            self.phase.hear(packet.tick, now)
+        if handling not in USABLE:
+            self._answer_again(loop, now, repeated)
+            return
+        if packet.link in node.program.hears:
+            self._expires = now + self._patience
+        if packet.kind == "data":
+            self.arrived[packet.link] += 1
+            if self._told is not None:
+                self._news[loop].setdefault(packet.link, []).append(packet.sequence)
+
+    def _begins(self, packet: Packet, now: float) -> bool:
+        """Return whether the step of a measurement can have begun and has not been executed."""
+        last = self.nodes[packet.loop].tick
+        if self._tick is not None:
+            return self.phase.hear(packet.tick, now) and packet.tick > last
+        return last < packet.tick <= last + AHEAD or last < 0  # the plant may be ahead of a sensor that starts late
+
+    def _answer_again(self, loop: int, now: float, asked: bool) -> None:
+        """Send the packets of the last steps again, as they may have been dropped."""
+        if asked and self._tick is None:
+            self._outbox.repeat(loop, now)
+
+    def _go_on(self, node: Node, now: float) -> None:
+        """Execute the steps that may begin."""
+        while (tick := self._next(node, now)) is not None:
+            loop = node.loop
+            measurement = self._measurements[loop].pop(tick, None)
+            known, overflowed = node.silent_links, node.counters["overflowed"]
+            packets, given = node.step(tick, measurement)
+            self._report_silence(node, known)
+            if node.counters["overflowed"] > overflowed:
+                self._report_overflow(node)
+            out = list(packets)
+            out += node.mark(0 if self._tick is None else self._heartbeat)
+            if given is not None:
+                out.append(self._input(node, tick, given))
+            self._outbox.keep(loop, out)
+            self._save(node)
+            self._outbox.send(out)
+            if self._tick is not None and self.phase.known:
+                self._lateness.append(self._clock() - self.phase.begins(tick))
+            if self._told is not None:
+                news, self._news[loop] = self._news[loop], {}
+                several = loop if len(self.nodes) > 1 else None
+                self._told(log_line(node, measurement, packets, given, news, several))
+            now = self._clock()
+            self._expires = now + self._patience
+
+    @property
+    def _unsure(self) -> bool:
+        """Whether the process was suspended, or its clock has jumped, and no packet has shown which."""
+        return self._tick is not None and not self.nodes[0].measures and self._strayed > JUMPED * self._tick
+
+    def _notice(self, now: float, until: float) -> None:
+        """Add up the time that has passed beyond that for which the server waited, until a packet confirms the phase.
+
+        The process was suspended, or its clock has jumped. After too much of it the node begins no step, because a node
+        that runs ahead of time would have to wait until its steps come.
+        """
+        if self.phase.confirmations > self._confirmed:
+            self._strayed = min(self._strayed, self.phase.late)
+        else:
+            passed, knew = now - max(until, self._turned), not self._unsure
+            self._strayed += passed if passed > LATE * self.phase.tick else 0.0
+            if knew and self._unsure:
+                self._expires = now + self._patience
+        self._turned, self._confirmed = now, self.phase.confirmations
+
+    def _next(self, node: Node, now: float) -> int | None:
+        """Return the step that a node may begin now, or None."""
+        tick, loop = node.tick + 1, node.loop
+        if self._tick is None:
+            # before the first datagram arrives, the peers may not run yet, and packets would be lost
+            heard = all(node.inbox.finished(link, tick - lag) for link, lag in node.listens.items())
+            heard = heard and self.endpoint.received > 0
+            heard = heard and node.inbox.given(tick)
+            return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
+        if node.measures:
+            known = self._measurements[loop]
+            return min(known) if known else None
+        if not self.phase.known or self._unsure:
+            return None
+        prompt = [link for link, lag in node.listens.items() if lag == 0]
+
+        def settled(tick: int) -> bool:
+            return bool(prompt) and all(node.inbox.settled(link, tick) for link in prompt)
+
+        come = node.tick
+        while come >= 0 and settled(come + 1):  # a slow clock may be behind the packets
+            come += 1
+        tick = self._coming(node.tick, max(self.phase.now(now), come))
+        return tick if settled(tick) or now >= self.phase.begins(tick) + self._wait * self._tick else None
+
+    def _coming(self, last: int, present: int) -> int:
+        """Return the step that follows the last one in real time: the present step at the start, or if it is late."""
+        return present if last < 0 or last + 1 < present - LEFT_BEHIND else last + 1
+
+    def _expire(self, now: float) -> None:
+        """Apply the safe inputs if no step was executed and nothing usable arrived for so long; then repeat them."""
+        if not self._patience or now < self._expires:
+            return
+        for node in self.nodes:
+            known = node.silent_links
+            given = node.expire()
+            self._report_silence(node, known)
+            if given is not None:  # its number is before those of all later steps, whose inputs the plant prefers
+                tick = node.tick + 1
+                out = [self._input(node, tick, given)]
+                self._outbox.keep(node.loop, out)
+                self._outbox.send(out)
+        self._expires = now + self._patience
+
+    def _input(self, node: Node, tick: int, given: Values) -> Packet:
+        """Return the packet that carries the input of a step to the plant."""
+        assert self._plant is not None, "a node that applies inputs has a link with the plant"
+        return Packet("input", self._plant, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)
+
+    def _report_overflow(self, node: Node) -> None:
+        """Print, the first time for each node, that it holds because its numbers are too large."""
+        if self._say is not None and node.loop not in self._held:
+            self._held.add(node.loop)
+            self._say(
+                f"step {node.tick} of the {node.role} has results that are not finite or beyond {LARGEST:.2g}: the "
+                "node keeps its last input, sends no data in such steps, starts its memory again, and is degraded; "
+                "expected measurements and packets in the range for which the policy was designed: is a sensor broken?"
+            )
+
+    def _report_silence(self, node: Node, known: Sequence[str]) -> None:
+        """Print on which links a node has received nothing usable, except those that were silent before."""
+        silent = [link for link in node.silent_links if link not in known]
+        if self._say is None or not silent:
+            return
+        unused = self._unusable(node)
+        news = unused - self._unused[node.loop]
+        self._unused[node.loop] = unused
+        found = ", ".join(f"{number} {name}" for name, number in news.items()) or "none"
+        steps = min(node.limits.get(link, node.watchdog or 0) for link in silent)
+        self._say(
+            f"the {node.role} has received no usable packet on the link {' and '.join(silent)} for {steps} steps and "
+            f"is degraded (packets discarded since the start or the last such message: {found}); expected a packet or "
+            "a mark in that time: is the sender running, and is the link intact?"
+        )
+
+    def _unusable(self, node: Node) -> Counter[str]:
+        """Return the numbers of packets that a node did not use."""
+        return Counter({name: node.counters[name] for name in UNUSABLE}) + self.refused
+
+    def _until(self) -> float:
+        """Return the time until which to wait for datagrams."""
+        idle = self._clock() + IDLE
+        if self._patience:
+            idle = min(idle, self._expires)
+        if self._tick is None or self.nodes[0].measures or not self.phase.known or self._unsure:
+            return idle
+        tick = self._coming(min(node.tick for node in self.nodes), self.phase.now(self._clock()))
+        return min(idle, self.phase.begins(tick) + self._wait * self._tick)
+
+    def _save(self, node: Node) -> None:
+        """Save the state of the node, if a storage is given."""
+        if self._keep is None:
+            return
+        kept = {
+            "node": node.save(),
+            "measured": self._measured[0].save(),
+            "outbox": self._outbox.save(),
+            "sessions": self.reception.save(),
+        }
+        self._keep.write(json.dumps(sealed(kept)).encode())
+
+    def _take_up(self, state: bytes) -> None:
+        try:
+            kept = json.loads(state)
+            self.nodes[0].restore(kept["node"])  # which names a state of another release, policy or node
+            check_seal(kept, f"the saved state {self._keep}")
+            self._measured[0].restore(kept["measured"])
+            self._outbox.restore(kept["outbox"])
+            self.reception.restore(kept["sessions"])
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise ProblemError(
+                f"the saved state {self._keep} cannot be read ({error}); expected a saved state of this node"
+            ) from None
+        if self._tick is None:
+            self._outbox.repeat(0, self._began)  # the process may have ended after saving and before sending

@@ -1,0 +1,304 @@
+"""Servers for the environment of nodes on UDP: the simulated plant, and relays that emulate links."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+from taciturn.extend import Array
+from taciturn.model.wire import BACK, PROOFS
+from taciturn.nodes.inbox import AHEAD, Window
+from taciturn.nodes.node import Values
+from taciturn.nodes.packet import Packet, Wire
+from taciturn_udp.endpoint import Address, peers_by_link
+from taciturn_udp.relay import EmulatedLink
+from taciturn_udp.service import IDLE, QUIET, Port, Reception, Say, Told, Turns, drive
+
+WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's first and each further message
+
+
+class Physical(Protocol):
+    """Interface of a plant that advances one step at a time, such as ``taciturn.nodes.plant.SimulatedPlant``."""
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        ...
+
+    @property
+    def tick_length(self) -> float:
+        """Seconds per step; 1 if the problem does not specify them."""
+        ...
+
+    @property
+    def measurement(self) -> Values:
+        """Measurement y of the current step, (p,)."""
+        ...
+
+    @property
+    def state(self) -> Array:
+        """State x, (n,)."""
+        ...
+
+    def move(self, inputs: Sequence[float]) -> float:
+        """Apply these inputs for one step, and return the cost of the step."""
+        ...
+
+
+class _Inputs:
+    """The inputs that one process sends to a plant.
+
+    Args:
+        places: indices of these inputs among the inputs of the plant.
+    """
+
+    def __init__(self, places: Sequence[int]) -> None:
+        self.places, self.values = places, (0.0,) * len(places)
+        self.forget()
+
+    def forget(self) -> None:
+        """Hold the last values, and accept the packets of an epoch of any number."""
+        self.window, self.waiting = Window(), dict[int, Packet]()  # by step: a node may be one step ahead
+        self.given = -1, -1  # epoch and step number of the last packet that was applied
+
+    def apply(self, packet: Packet) -> None:
+        """Apply an input from now on."""
+        self.values, self.given = packet.values, (packet.epoch, packet.tick)
+
+
+class PlantServer:
+    """A server for plants, which sends their measurements to the sensor and receives their inputs.
+
+    Args:
+        plants: plants, one per loop, in order.
+        wire: encoder and decoder of the packets.
+        endpoint: socket that receives the inputs.
+        sensor: address of the node that receives the measurements, or the addresses by link of the plant.
+        tick: real seconds per step; default: lockstep.
+        told: function called with the log line of each step.
+        say: function called with a message if no input arrives in lockstep, or if packets of another policy or key are
+            rejected.
+        clock: function that returns the time in seconds, from any origin.
+        epoch: number that increases with every start; default: the system time in seconds.
+        draw: function that returns the random number of a challenge; default: one of the operating system.
+
+    Raises:
+        ProblemError: the keys contain none for the plant link.
+    """
+
+    def __init__(
+        self,
+        plants: Sequence[Physical],
+        wire: Wire,
+        endpoint: Port,
+        sensor: Address | Mapping[str, Address] | None,
+        *,
+        tick: float | None = None,
+        told: Told | None = None,
+        say: Say | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        epoch: int | None = None,
+        draw: Callable[[], int] | None = None,
+    ) -> None:
+        """Start before the first step."""
+        self.plants, self.wire, self.endpoint = plants, wire, endpoint
+        self._sensors = peers_by_link("the plant", sensor, [link for link, ends in wire.plant.items() if ends.outputs])
+        self._tick, self._told, self._say = tick, told, say
+        applied = {link: ends.inputs for link, ends in wire.plant.items() if ends.inputs}
+        self._inputs = [{link: _Inputs(places) for link, places in applied.items()} for _ in plants]
+        self._shift = 0  # number of the first step, which nodes that already run determine
+        self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
+        self.taken = 0  # inputs that were applied or stored for their step
+        self.costs: list[list[float]] = [[] for _ in plants]
+        self.reception = Reception(wire, endpoint, "plant", list(wire.plant), say, draw)
+        self.refused = self.reception.refused
+        self.largest = 0.0  # largest absolute entry of a state
+        self.held = 0  # steps without a new input, in which the last input was held
+        self.again = 0  # measurements sent again
+
+    def run(self, ticks: int, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Execute ``ticks`` steps, or fewer if stopped, and return the report."""
+        drive(self.endpoint, self.turns(ticks, stopped))
+        return self.report()
+
+    def turns(self, ticks: int, stopped: Callable[[], bool]) -> Turns:
+        """Execute ``ticks`` steps, or fewer if stopped, waiting for datagrams in between."""
+        zero = self._clock()
+        for count in range(ticks):
+            if stopped():
+                break
+            self._now = count + self._shift
+            self._measure(self._now)
+            if self._tick is None:
+                yield from self._await(self._now, stopped)
+            else:
+                yield from self._wait(zero + (count + 1) * self._tick)
+            self._shift = self._now - count
+            tick = self._now
+            for loop, plant in enumerate(self.plants):
+                self._adopt(loop, tick)
+                before, given = plant.state, self.given(loop)
+                self.held += any(one.given[1] < tick for one in self._inputs[loop].values())
+                self.costs[loop].append(plant.move(given))
+                after = plant.state.tolist()
+                self.largest = max(self.largest, *map(abs, after))
+                if self._told is not None:
+                    line = {
+                        "timestamp": tick * plant.tick_length,
+                        "tick": tick,
+                        "role": "plant",
+                        "loop": loop,
+                    }
+                    line |= {
+                        "from": before.tolist(),
+                        "x": after,
+                        "u": list(given),
+                        "cost": self.costs[loop][-1],
+                    }
+                    self._told(line)
+
+    def report(self) -> dict[str, Any]:
+        """Return the counters so far."""
+        return {
+            "role": "plant",
+            "tick": max(len(costs) for costs in self.costs) - 1,
+            "held": self.held,
+            "largest_state": self.largest,
+            "measured_again": self.again,
+            "inputs": self.taken,
+            "refused": dict(self.refused),
+            "proofs": dict(self.reception.counters),
+            "datagrams": self.endpoint.counted,
+        }
+
+    def given(self, loop: int) -> Values:
+        """Return the input that a plant has at present, (m,)."""
+        values = [0.0] * self.plants[loop].inputs
+        for one in self._inputs[loop].values():
+            for place, value in zip(one.places, one.values, strict=True):
+                values[place] = value
+        return tuple(values)
+
+    def _measure(self, tick: int, again: bool = False, asked: str | None = None) -> None:
+        """Send the measurements of a step, perhaps only of loops of which an input has not arrived, or of one link."""
+        for loop, plant in enumerate(self.plants):
+            if again and self._complete(loop, tick):
+                continue
+            for link, to in self._sensors.items() if asked is None else [(asked, self._sensors[asked])]:
+                y = tuple(plant.measurement[i] for i in self.wire.plant[link].outputs)
+                packet = Packet("measurement", link, tick, tick & 0xFFFFFFFF, y, self._epoch, loop)
+                self.endpoint.send(self.wire.encode(packet), to)
+
+    def _complete(self, loop: int, tick: int) -> bool:
+        """Return whether all inputs of a step have arrived."""
+        return all(tick in one.waiting for one in self._inputs[loop].values())
+
+    def _adopt(self, loop: int, tick: int) -> None:
+        """Apply the inputs of a step from now on that have arrived and whose sender has not started again since."""
+        for one in self._inputs[loop].values():
+            packet = one.waiting.pop(tick, None)
+            if packet is not None and (packet.epoch, packet.tick) > one.given:
+                one.apply(packet)
+
+    def _await(self, tick: int, stopped: Callable[[], bool]) -> Turns:
+        """Wait for the inputs of a step; send the measurement again while no input arrives."""
+        remind = self._clock() + WAITED
+        while not all(self._complete(loop, tick) for loop in range(len(self.plants))) and not stopped():
+            found = yield self._clock() + IDLE
+            self._take(found)
+            if not found:
+                self.again += 1
+                self._measure(tick, again=True)
+            if self._say is not None and self._clock() >= remind:
+                remind += WAITED_AGAIN
+                behind = ", ".join(f"{host}:{port}" for host, port in self._sensors.values())
+                self._say(
+                    f"the plant still waits for the input of step {tick} from the nodes behind {behind}: "
+                    "are all nodes running, were they started after the last run ended, and do they use the same "
+                    "problem file?"
+                )
+
+    def _wait(self, until: float) -> Turns:
+        """Receive inputs until a given time."""
+        while self._clock() < until:
+            self._take((yield until))
+
+    def _take(self, datagrams: Sequence[bytes]) -> None:
+        for packet, sender in self.reception.packets(zip(datagrams, self.endpoint.senders, strict=True)):
+            if packet.loop >= len(self.plants) or not self._expects(packet):
+                self.refused["misdirected"] += 1
+            elif self._admits(packet, sender):
+                self._sort(packet)
+
+    def _expects(self, packet: Packet) -> bool:
+        """Return whether nodes send such packets to the plant. Only a node that receives measurements challenges it."""
+        if packet.kind == "challenge" and packet.link not in self._sensors:
+            return False
+        return packet.link in self.wire.plant and (packet.kind in BACK or (packet.kind in PROOFS and packet.back))
+
+    def _admits(self, packet: Packet, sender: Address) -> bool:
+        """Return whether an input may be sorted; answer a challenge, and store the proof in an answer."""
+        if packet.kind == "challenge":
+            answer = self.reception.answer(packet, self._epoch, self._now)
+            self.endpoint.send(self.wire.encode(answer), self._sensors[packet.link])
+            self._measure(self._now, again=True, asked=packet.link)
+            return False
+        if packet.kind == "answer":
+            if self.reception.accepts(packet):
+                self._inputs[packet.loop][packet.link].forget()
+            return False
+        return self.reception.admits(packet, sender)
+
+    def _sort(self, packet: Packet) -> None:
+        """Store an input for its step; apply a late input immediately unless a later one has been applied."""
+        one = self._inputs[packet.loop][packet.link]
+        news = one.window.admit(packet.epoch, packet.sequence)
+        if self._tick is not None and not self.taken and news == "new" and packet.tick > self._now + 1:
+            self._now = packet.tick  # the nodes run already, and this plant has started again
+        if news != "new":
+            self.refused[news] += 1
+        elif packet.tick > self._now + AHEAD:
+            self.refused["ahead"] += 1
+        elif packet.tick >= self._now:
+            one.waiting[packet.tick] = packet
+            self.taken += 1
+        elif (packet.epoch, packet.tick) > one.given:
+            one.apply(packet)
+            self.taken += 1
+        else:
+            self.refused["late"] += 1
+
+
+def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
+    """Forward datagrams to a peer over an emulated link until stopped, and return the report.
+
+    Datagrams from the peer, such as challenges, go back without impairments to the last other sender.
+    """
+    client: Address | None = None
+
+    def carry(until: float) -> bool:
+        nonlocal client
+        found = endpoint.receive(until if link.due is None else min(until, link.due))
+        now, out = time.monotonic(), list[bytes]()
+        for datagram, sender in zip(found, endpoint.senders, strict=True):
+            if sender != peer:
+                client = sender
+                out += link.take(datagram, now)
+            elif client is not None:
+                endpoint.send(datagram, client)
+                link.counters["sent back"] += 1
+        for datagram in out + link.release(now):
+            endpoint.send(datagram, peer)
+        return bool(found)
+
+    while not stopped():
+        carry(time.monotonic() + IDLE)
+    while carry(time.monotonic() + QUIET):
+        pass
+    return {
+        "role": "relay",
+        "counters": dict(link.counters),
+        "pending": link.pending,
+        "datagrams": endpoint.counted,
+    }

@@ -1,0 +1,223 @@
+"""A link that drops, delays, duplicates, reorders and corrupts packets, reproducibly for a given seed.
+
+The impairments of a packet depend only on the seed and its place (sequence number, step and loop), not on its arrival
+time. Therefore a run can be repeated, and its packet drops can be predicted (``Fate.lost``).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.extend import Displayed, count, instance, number
+from taciturn.model.losses import LossLaw
+from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
+
+_WORD = (1 << 64) - 1
+_LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT = range(1, 9)
+MARK, ANSWER = KINDS.index("mark"), KINDS.index("answer")
+
+
+@dataclass(frozen=True, repr=False)
+class Fate(Displayed):
+    """The impairments that a link applies to packets.
+
+    Args:
+        seed: seed of the random draws.
+        loss: probability that a packet is dropped, in [0, 1].
+        burst: law of bursty losses, used instead of ``loss``.
+        delay: delay of every packet and every mark, in seconds.
+        jitter: largest additional random delay, in seconds.
+        hold: delay of every packet in steps, counted by the marks on the link; for runs in virtual time.
+        duplicate: probability that a packet is delivered twice.
+        reorder: probability that a packet is delivered after its successor.
+        corrupt: probability that one to three bits of a packet are inverted.
+        outage: (first, end): every packet of a step in first ≤ step < end is dropped.
+
+    Raises:
+        ProblemError: a probability is outside [0, 1], a time is negative, loss and burst are both given, or an outage
+            ends before it begins.
+
+    Example:
+        >>> [k for k in range(20) if Fate(seed=1, loss=0.2).lost(k, tick=k)]
+        [0, 1, 5, 12, 16, 19]
+    """
+
+    seed: int = 0
+    loss: float = 0.0
+    burst: LossLaw | None = None
+    delay: float = 0.0
+    jitter: float = 0.0
+    hold: int = 0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+    outage: tuple[int, int] | None = None
+    _last: tuple[int, int] = field(default=(-1, 0), init=False, repr=False, compare=False)  # step, its state
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        count("seed", self.seed, 0)
+        count("hold", self.hold, 0)
+        for name in ("loss", "duplicate", "reorder", "corrupt"):
+            number(name, getattr(self, name), 0.0, 1.0, closed=True)
+        for name in ("delay", "jitter"):
+            number(name, getattr(self, name), 0.0, 3600.0, closed=True)
+        if self.burst is not None:
+            instance("burst", self.burst, LossLaw)
+            if self.loss > 0:
+                raise ProblemError("loss and burst are both given; expected only one of them")
+        if self.outage is not None and not 0 <= self.outage[0] < self.outage[1]:
+            raise ProblemError(f"the outage is {self.outage}; expected (first, end) with 0 <= first < end")
+
+    def uniform(self, purpose: int, index: int) -> float:
+        """Return a number in [0, 1) that depends on seed, purpose and index alone."""
+        return uniform(self.seed, purpose, index)
+
+    def lost(self, sequence: int, tick: int, loop: int = 0) -> bool:
+        """Return whether a packet is dropped; bursts and outages affect all loops that share the link."""
+        if self.outage is not None and self.outage[0] <= tick < self.outage[1]:
+            return True
+        chance = self.loss if self.burst is None else float(self.burst.losses[self._state_at(self.burst, tick)])
+        return self.uniform(_LOSS, of_loop(sequence, loop)) < chance
+
+    def _state_at(self, burst: LossLaw, tick: int) -> int:
+        """Return the state of the link in a step, from the last earlier step at which all histories coincide."""
+        known, state = self._last
+        reached = tuple(range(len(burst.losses)))  # the state in this step, for each state in an earlier step
+        for back in range(tick, 0, -1):
+            if back == known:
+                break
+            # one draw moves each state; if all lead to the same one, earlier steps are irrelevant
+            reached = tuple(reached[after] for after in burst.move(self.uniform(_TURN, back)))
+            if len(set(reached)) == 1:
+                state = 0
+                break
+        else:
+            state = int(burst.pick(np.array([self.uniform(_FIRST, 0)]))[0])
+        object.__setattr__(self, "_last", (tick, reached[state]))
+        return reached[state]
+
+
+class EmulatedLink:
+    """A link that transforms a sequence of datagrams, without sockets; the caller provides the time.
+
+    Args:
+        fate: impairments of the link.
+    """
+
+    def __init__(self, fate: Fate) -> None:
+        """Start without packets on the link."""
+        self.fate = fate
+        self.counters: Counter[str] = Counter()
+        self._waiting: list[tuple[float, int, bool, bytes]] = []  # due time, order, whether it is a mark, datagram
+        self._held: list[tuple[int, bytes]] = []  # step of the mark that releases it, datagram
+        self._swapped: bytes | None = None
+        self._order = 0
+
+    @property
+    def due(self) -> float | None:
+        """The time at which the next datagram is due, or None if no datagram is waiting."""
+        return min(self._waiting)[0] if self._waiting else None
+
+    @property
+    def pending(self) -> int:
+        """Number of datagrams on the link, excluding marks."""
+        waiting = sum(not mark for _, _, mark, _ in self._waiting)
+        return waiting + len(self._held) + (self._swapped is not None)
+
+    def take(self, datagram: bytes, now: float) -> list[bytes]:
+        """Accept a datagram, and return the datagrams that leave the link immediately.
+
+        A mark reports that all packets of its step were sent before it. Marks and answers to challenges are never
+        dropped. They are delayed by ``delay``, or longer if a packet sent before them is. They overtake only packets
+        that ``hold`` or ``reorder`` delays. A malformed packet is dropped.
+        """
+        if len(datagram) < HEADER_SIZE:
+            self.counters["foreign"] += 1
+            return []
+        sequence, kind, loop, tick = read_place(datagram)
+        if kind in (MARK, ANSWER):
+            self.counters["marks" if kind == MARK else "answers"] += 1
+            free = [old for let, old in self._held if let <= tick]
+            self._held = [(let, old) for let, old in self._held if let > tick]
+            if not self._waiting and self.fate.delay == 0.0:
+                return [*self._out(free), datagram]
+            last = max((due for due, *_ in self._waiting), default=now)
+            self._wait([datagram], max(now + self.fate.delay, last), mark=True)
+            return self._out(free)
+        self.counters["received"] += 1
+        fate = self.fate
+        if fate.lost(sequence, tick, loop):
+            self.counters["lost"] += 1
+            return []
+        sequence = of_loop(sequence, loop)
+        if fate.uniform(_HARM, sequence) < fate.corrupt:
+            self.counters["corrupted"] += 1
+            datagram = flip_bits(datagram, fate.seed, sequence)
+        copies = [datagram]
+        if fate.uniform(_DOUBLE, sequence) < fate.duplicate:
+            self.counters["duplicated"] += 1
+            copies.append(datagram)
+        if fate.uniform(_SWAP, sequence) < fate.reorder and self._swapped is None:
+            self.counters["reordered"] += 1
+            self._swapped, *copies = copies
+        elif self._swapped is not None:
+            copies.append(self._swapped)
+            self._swapped = None
+        return self._send(copies, sequence, tick, now)
+
+    def release(self, now: float) -> list[bytes]:
+        """Return the datagrams that are due."""
+        due = sorted(entry for entry in self._waiting if entry[0] <= now)
+        self._waiting = [entry for entry in self._waiting if entry[0] > now]
+        self._out([datagram for _, _, mark, datagram in due if not mark])
+        return [datagram for *_, datagram in due]
+
+    def _send(self, copies: list[bytes], sequence: int, tick: int, now: float) -> list[bytes]:
+        fate = self.fate
+        if fate.hold:
+            self._held += [(tick + fate.hold, datagram) for datagram in copies]
+            return []
+        if fate.delay == 0.0 and fate.jitter == 0.0:
+            return self._out(copies)
+        self._wait(copies, now + fate.delay + fate.jitter * fate.uniform(_WAIT, sequence))
+        return []
+
+    def _wait(self, datagrams: list[bytes], due: float, mark: bool = False) -> None:
+        for datagram in datagrams:
+            self._waiting.append((due, self._order, mark, datagram))
+            self._order += 1
+
+    def _out(self, datagrams: list[bytes]) -> list[bytes]:
+        self.counters["delivered"] += len(datagrams)
+        return datagrams
+
+
+def uniform(seed: int, purpose: int, index: int) -> float:
+    """Return a number in [0, 1) that depends on its arguments alone (SplitMix64 [steele2014])."""
+    return _mix(_mix(seed * 0xD1342543DE82EF95 + purpose) + index * 0x9E3779B97F4A7C15) / 2.0**64
+
+
+def flip_bits(datagram: bytes, seed: int, index: int) -> bytes:
+    """Return a datagram of which one to three bits are inverted."""
+    harmed = bytearray(datagram)
+    for i in range(1 + int(3 * uniform(seed, _BIT, 4 * index))):
+        place = int(8 * len(harmed) * uniform(seed, _BIT, 4 * index + 1 + i))
+        harmed[place // 8] ^= 1 << place % 8
+    return bytes(harmed)
+
+
+def of_loop(sequence: int, loop: int) -> int:
+    """Return a number that identifies a packet among the packets of all loops."""
+    return sequence | loop << 32
+
+
+def _mix(z: int) -> int:
+    z &= _WORD
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & _WORD
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & _WORD
+    return z ^ (z >> 31)

@@ -1,0 +1,428 @@
+"""Functions that all network processes share: printing of the address, the log of steps, and the end on request.
+
+Reception of datagrams: decoding, and with a key the proof that their sender is running.
+
+A tag shows that a packet was once sent by a holder of the key, but not when. Therefore a process accepts the packets of
+an epoch only after their sender has answered a *challenge*:
+
+1. A packet of an epoch without proof arrives. The receiver discards it, and sends a challenge with a random number
+   (nonce) to the address from which the packet came.
+2. The sender answers with the nonce, its epoch, and the first step whose packets are still valid: that before its
+   last one. It then sends the packets of these steps again, so that a discarded packet is not lost.
+3. The receiver accepts all packets of this epoch from this step on. An answer is valid once, as the next challenge has
+   another nonce.
+
+The epoch of an answer may also be smaller than the last one, so a device without a clock may draw it at random.
+Without keys, anybody can send packets, and a larger epoch replaces a smaller one without a challenge.
+
+Sending of the packets of nodes, and their repetition if they may have been dropped or discarded.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeAlias
+
+from taciturn.errors import ProblemError
+from taciturn.extend import delete_parts, read_bytes, why_unreadable, write_whole
+from taciturn.model.policy import Policy
+from taciturn.model.wire import BACK, HEADER_SIZE, OFFSETS, PROOFS, VERSION
+from taciturn.nodes.inbox import packet_of
+from taciturn.nodes.node import Node, Values
+from taciturn.nodes.packet import Packet, Wire
+from taciturn.program.ops import text_of
+from taciturn_udp.endpoint import Address, Endpoint, parse_address
+
+Turns: TypeAlias = Generator[float, Sequence[bytes], None]
+Told: TypeAlias = Callable[[Mapping[str, Any]], None]
+Say: TypeAlias = Callable[[str], None]
+LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
+IDLE = 0.25  # seconds between checks for a stop request
+WAIT = 0.3, 0.55  # default fractions of a step for which controller and actuators wait
+LARGEST = 2**26  # bytes of a saved state
+QUIET = 0.05  # seconds without datagrams after which no more are expected
+
+
+def say_where(name: str, address: Address) -> None:
+    """Print to standard error the address that a process listens on."""
+    say(f"the {name} {LISTENS} {address[0]}:{address[1]}")
+
+
+def say(sentence: str) -> None:
+    """Print a message to standard error."""
+    print(f"taciturn: {sentence}", file=sys.stderr, flush=True)
+
+
+def disagreement(name: str, why: str, keyed: bool, sender: Address, datagram: bytes) -> str | None:
+    """Return a message if a datagram is rejected because the sender has another policy, key or release, else None."""
+    version = datagram[OFFSETS["version"]] if len(datagram) > HEADER_SIZE else VERSION
+    if why == "foreign" and version != VERSION:
+        return (
+            f"the {name} refuses packets of version {version} of the wire format from {sender[0]}:{sender[1]}; "
+            f"expected version {VERSION}: run the same release of taciturn on both sides, and export firmware again"
+        )
+    others = {"foreign": "of another policy, or with a key on one side only,", "forged": "of another key"}
+    others |= {"malformed": "too short for the tag of a key"} if keyed else {}
+    if why not in others:
+        return None
+    return f"the {name} refuses packets {others[why]} from {sender[0]}:{sender[1]}: same problem file and --key?"
+
+
+class Port(Protocol):
+    """Interface of the socket of a server: ``taciturn_udp.endpoint.Endpoint``, or one in virtual time."""
+
+    received: int
+    senders: list[Address]
+
+    @property
+    def address(self) -> Address:
+        """The address that the socket listens on."""
+        ...
+
+    @property
+    def counted(self) -> dict[str, int | None]:
+        """The counters of datagrams sent and received."""
+        ...
+
+    def send(self, datagram: bytes, to: Address) -> None:
+        """Send a datagram."""
+        ...
+
+    def receive(self, until: float | None) -> list[bytes]:
+        """Return the received datagrams; wait for the first one until a time of the server's clock."""
+        ...
+
+
+class Storage(Protocol):
+    """A place that keeps the state of a node while its process does not run."""
+
+    def read(self) -> bytes | None:
+        """Return the saved state, or None if there is none."""
+        ...
+
+    def write(self, state: bytes) -> None:
+        """Replace the saved state, completely or not at all."""
+        ...
+
+
+class FileStorage:
+    """A saved state in a file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        ProblemError: the folder of the file does not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Check that the folder exists, and delete incomplete files, which a killed process has left."""
+        if not path.parent.is_dir():
+            raise ProblemError(
+                f"the state cannot be saved in {path.parent}, which is not a folder; expected an existing folder"
+            )
+        self._path = path
+        delete_parts(path)
+
+    def __str__(self) -> str:
+        """Return the name of the file."""
+        return str(self._path)
+
+    def read(self) -> bytes | None:
+        """Return the content of the file, or None if it does not exist."""
+        try:
+            return read_bytes(self._path, LARGEST)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise ProblemError(
+                f"the saved state {self._path} cannot be read ({why_unreadable(error)}); expected a saved state of "
+                "this node"
+            ) from None
+
+    def write(self, state: bytes) -> None:
+        """Write the file atomically."""
+        write_whole(self._path, state)
+
+
+def usual_wait(policy: Policy, role: str) -> float:
+    """Return the fraction of a step for which a node waits; the controller sends before its receivers act."""
+    return WAIT[role != policy.network.controller]
+
+
+def drive(port: Port, turns: Turns) -> None:
+    """Run a server, which yields the time until which it waits for datagrams, and is sent those that arrive."""
+    found: Sequence[bytes] | None = None
+    try:
+        while True:
+            found = port.receive(next(turns) if found is None else turns.send(found))
+    except StopIteration:
+        return
+
+
+def take_until(endpoint: Port, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
+    """Receive datagrams until stopped, and then those that were sent before the stop."""
+    while not stopped():
+        take(endpoint.receive(time.monotonic() + IDLE))
+    while found := endpoint.receive(time.monotonic() + QUIET):
+        take(found)
+
+
+@contextmanager
+def logged(target: str | None, part: int | None = None) -> Generator[Told | None]:
+    """Yield a function that writes JSON lines to a file, to standard output (``-``), or to ``udp://HOST:PORT``.
+
+    Args:
+        target: the file, ``-``, or ``udp://HOST:PORT``; None for no log.
+        part: size in bytes at which a file is renamed to ``name_of_part`` and a new file begins, so that another
+            process can read and delete it; the file grows further while the previous part still exists.
+    """
+    if target is None:
+        yield None
+    elif target.startswith("udp://"):
+        to = parse_address("--log", target.removeprefix("udp://"))
+        with Endpoint(("0.0.0.0", 0)) as endpoint:
+            yield lambda line: endpoint.send(json.dumps(line).encode(), to)
+    elif target == "-":
+        yield lambda line: print(json.dumps(line), flush=True)
+    else:
+        with closing(_Log(Path(target), part)) as log:
+            yield log.write
+
+
+def log_line(
+    node: Node,
+    measurement: Values | None,
+    packets: Sequence[Packet],
+    given: Values | None,
+    arrived: Mapping[str, list[int]],
+    loop: int | None,
+) -> dict[str, Any]:
+    """Return the log line of a step: its inputs and outputs, and the sequence numbers that have arrived by link."""
+    line: dict[str, Any] = {
+        "timestamp": node.tick * (node.policy.model.dt or 1.0),
+        "tick": node.tick,
+        "role": node.role,
+    }
+    if loop is not None:
+        line["loop"] = loop
+    if measurement is not None:
+        line["y"] = list(measurement)
+    for link in node.program.sends:
+        line[f"sent_{link}"] = int(any(packet.kind == "data" and packet.link == link for packet in packets))
+    for link in node.program.hears:
+        line[f"arrived_{link}"] = arrived.get(link, [])
+    line |= {text_of(option).replace(" ", "_"): value for option, value in node.options.items()}
+    line["memory"] = node.memory
+    if given is not None:
+        line["u"] = list(given)
+    line |= {"degraded": int(node.degraded), "reasons": dict(node.reasons)}
+    line |= {"silent": int(node.silent), "silent_links": list(node.silent_links)}
+    return line | {"waiting": node.waiting}
+
+
+def name_of_part(log: Path) -> Path:
+    """Return the name of the complete part of a log."""
+    return log.with_name(f"{log.name}.1")
+
+
+class _Log:
+    """A file of JSON lines, perhaps in parts; ``logged`` describes the arguments."""
+
+    def __init__(self, path: Path, part: int | None) -> None:
+        self._path, self._part = path, part
+        self._file = path.open("a", encoding="utf-8")
+
+    def write(self, line: Mapping[str, Any]) -> None:
+        """Write one line to the log, and complete the current part of the log if it is large enough."""
+        print(json.dumps(line), file=self._file, flush=True)
+        if self._part is not None and self._file.tell() >= self._part and not name_of_part(self._path).exists():
+            self._file.close()
+            self._path.replace(name_of_part(self._path))
+            self._file = self._path.open("a", encoding="utf-8")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+VALID = 2  # last steps of a sender whose packets are valid after its answer, and which it sends again
+UNANSWERED = 64  # challenges without an answer after which a message says so
+
+
+@dataclass
+class _Session:
+    """The state of a sender: its proven epoch, its first valid step, and the nonce of an open challenge."""
+
+    epoch: int | None = None
+    first: int = 0
+    nonce: int | None = None
+    unanswered: int = 0
+
+
+class Reception:
+    """The received datagrams of a process, which receives from one sender on each link of a loop.
+
+    Args:
+        wire: encoder and decoder of the packets.
+        port: socket of the process.
+        name: name of the process in messages.
+        links: links on which the process sends or receives.
+        say: function called with messages: about packets of another policy or key, about a sender that does not
+            answer, and about changed keys.
+        draw: function that returns a new nonce of 64 bits; default: the random numbers of the operating system.
+
+    Raises:
+        ProblemError: the keys contain none for one of the links.
+    """
+
+    def __init__(
+        self,
+        wire: Wire,
+        port: Port,
+        name: str,
+        links: Iterable[str],
+        say: Say | None = None,
+        draw: Callable[[], int] | None = None,
+    ) -> None:
+        """Start without proofs."""
+        if wire.keys is not None:
+            wire.keys.check(name, links)
+        self._wire, self._port, self._name = wire, port, name
+        self._say, self._draw = say, draw or (lambda: secrets.randbits(64))
+        self.refused: Counter[str] = Counter()  # datagrams that are not used, by reason
+        self.counters: Counter[str] = Counter()  # challenges sent and answered, proofs received, answers not asked for
+        self._known: dict[tuple[str, int], _Session] = {}
+
+    def packets(self, received: Iterable[tuple[bytes, Address]]) -> Iterator[tuple[Packet, Address]]:
+        """Yield the packets of received datagrams, and their senders; refuse invalid datagrams."""
+        changed = None if self._wire.keys is None else self._wire.keys.renew()
+        if changed is not None:
+            self._tell(changed)
+        for datagram, sender in received:
+            packet = self._wire.decode(datagram)
+            if isinstance(packet, Packet):
+                yield packet, sender
+                continue
+            self.refused[packet] += 1
+            sentence = disagreement(self._name, packet, self._wire.keyed, sender, datagram)
+            if sentence is not None and self.refused[packet] == 1:
+                self._tell(sentence)
+
+    def admits(self, packet: Packet, sender: Address) -> bool:
+        """Return whether the sender of a packet has proven that it is running; if not, challenge it."""
+        if not self._wire.keyed:
+            return True
+        session = self._known.setdefault((packet.link, packet.loop), _Session())
+        if packet.epoch == session.epoch:
+            if packet.tick < session.first:
+                self.refused["replayed"] += 1
+            return packet.tick >= session.first
+        self.refused["unproven"] += 1
+        if session.nonce is None:
+            session.nonce = self._draw()
+        back = packet.kind not in BACK and not packet.back
+        asked = Packet("challenge", packet.link, 0, 0, loop=packet.loop, back=back, nonce=session.nonce)
+        self._port.send(self._wire.encode(asked), sender)
+        self.counters["challenges"] += 1
+        session.unanswered += 1
+        if session.unanswered == UNANSWERED:
+            self._tell(
+                f"the {self._name} has discarded {UNANSWERED} packets on the {packet.link} link, because "
+                f"{sender[0]}:{sender[1]} does not answer its challenges; expected an answer from the running sender: "
+                "are these recorded packets, or does a firewall stop datagrams to that address?"
+            )
+        return False
+
+    def accepts(self, answer: Packet) -> bool:
+        """Store the proof in an answer, and return whether it begins another epoch; discard any other answer."""
+        session = self._known.get((answer.link, answer.loop))
+        if session is None or session.nonce is None or session.nonce != answer.nonce:
+            self.counters["unasked"] += 1
+            return False
+        self.counters["proofs"] += 1
+        other = session.epoch != answer.epoch
+        session.epoch, session.first, session.nonce, session.unanswered = answer.epoch, answer.tick, None, 0
+        return other
+
+    def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
+        """Return the answer of a process that has executed step ``tick`` last (-1: none), and count it."""
+        self.counters["answered"] += 1
+        return answer_to(challenge, epoch, tick)
+
+    def save(self) -> list[list[Any]]:
+        """Return the proofs as values that JSON can represent."""
+        return [[*name, session.epoch, session.first] for name, session in self._known.items()]
+
+    def restore(self, saved: list[list[Any]]) -> None:
+        """Continue from saved proofs."""
+        for link, loop, epoch, first in saved:
+            self._known[link, loop] = _Session(epoch, first)
+
+    def _tell(self, sentence: str) -> None:
+        if self._say is not None:
+            self._say(sentence)
+
+
+def answer_to(challenge: Packet, epoch: int, tick: int) -> Packet:
+    """Return the answer of a sender that has executed step ``tick`` last (-1: none)."""
+    assert challenge.kind in PROOFS
+    first = max(tick + 1 - VALID, 0)
+    return Packet("answer", challenge.link, first, 0, (), epoch, challenge.loop, not challenge.back, challenge.nonce)
+
+
+class Outbox:
+    """The packets of the last steps of the nodes of a process, one node for each loop.
+
+    Args:
+        wire: encoder of the packets.
+        port: socket of the process.
+        peers: address that receives the packets of each link.
+        loops: number of nodes.
+    """
+
+    def __init__(self, wire: Wire, port: Port, peers: Mapping[str, Address], loops: int) -> None:
+        """Start without packets."""
+        self._wire, self._port, self._peers = wire, port, peers
+        # in lockstep a node may be one step ahead of its receiver, which then lacks the packets of two steps
+        self._last = [deque[list[Packet]](maxlen=VALID) for _ in range(loops)]
+        self.counters: Counter[str] = Counter()  # packets sent again, by kind and link
+        self._repeated: dict[tuple[int, str | None], float] = {}  # time of the last repetition, by loop and link
+
+    def keep(self, loop: int, packets: list[Packet]) -> None:
+        """Remember the packets of a step."""
+        self._last[loop].append(packets)
+
+    def send(self, packets: Sequence[Packet]) -> None:
+        """Send packets to the other ends of their links."""
+        for packet in packets:
+            self._port.send(self._wire.encode(packet), self._peers[packet.link])
+
+    def repeat(self, loop: int, now: float, link: str | None = None) -> None:
+        """Send the packets of the last steps again, in their order: of one link, or of all links.
+
+        The rate is limited, so that an attacker who repeats a datagram does not cause many others.
+        """
+        if now - self._repeated.get((loop, link), -QUIET) < QUIET:
+            return
+        self._repeated[loop, link] = now
+        for sent in self._last[loop]:
+            again = [packet for packet in sent if link in (None, packet.link)]
+            self.counters.update(f"sent again {packet.kind} {packet.link}" for packet in again)
+            self.send(again)
+
+    def save(self) -> list[list[list[Any]]]:
+        """Return the packets of the first node as values that JSON can represent."""
+        return [[list(packet) for packet in sent] for sent in self._last[0]]
+
+    def restore(self, saved: list[list[list[Any]]]) -> None:
+        """Continue from saved packets."""
+        self._last[0].extend([packet_of(entry) for entry in sent] for sent in saved)
