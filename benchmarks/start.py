@@ -24,8 +24,8 @@ COMMAND = ["evaluate", "two-mass-lqg", "--standard-error", "1e-4"]
 COMMANDS = {
     IMPORT: ["-c", "import numpy, scipy.linalg"],
     "python: taciturn.evaluate, standard error 1e-4": ["-c", ANSWER],
-    "taciturn --help": ["-m", "taciturn.cli", "--help"],
-    f"taciturn {' '.join(COMMAND)}": ["-m", "taciturn.cli", *COMMAND],
+    "taciturn --help": ["-m", "taciturn", "--help"],
+    f"taciturn {' '.join(COMMAND)}": ["-m", "taciturn", *COMMAND],
 }
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -26,9 +27,11 @@ def tree(path: Path) -> ast.Module:
 
 @cache
 def homes() -> dict[str, str]:
-    """Return the module of each name that ``taciturn`` imports when it is asked for."""
+    """Return the module of each name that ``taciturn`` imports when it is asked for, also of the packages beside it."""
     text = (ROOT / "src" / "taciturn" / "__init__.py").read_text(encoding="utf-8")
-    return dict(re.findall(r'^    "(\w+)": "([\w.]+)",$', text, re.MULTILINE))
+    own = {name: f"taciturn.{place}" for name, place in re.findall(r'^    "(\w+)": "([\w.]+)",$', text, re.MULTILINE)}
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    return own | {name: place.partition(":")[0] for name, place in stated["taciturn.functions"].items()}
 
 
 @cache
@@ -55,7 +58,7 @@ def imported(path: Path) -> frozenset[Path]:
             names.add(f"taciturn.{node.attr}")
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.startswith("taciturn"):
             names.add(node.value.partition(":")[0])  # what a test starts as a process, or patches
-    public = {f"taciturn.{homes()[name]}" for name in (one.partition(".")[2] for one in names) if name in homes()}
+    public = {homes()[name] for name in (one.partition(".")[2] for one in names) if name in homes()}
     found = {file for name in names | public for file in above(name)} - {path}
     if path.name.startswith("test_"):
         found |= {folder / "conftest.py" for folder in path.parents if (folder / "conftest.py").exists()}

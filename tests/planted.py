@@ -40,23 +40,23 @@ class Planted:
 DEFECTS = {
     # of the sort that users found
     "the input that a disturbance needs does not move between samples": Planted(
-        "lqg/regulation.py", "noise = np.vstack([-X, np.eye(q), -U])", "noise = np.vstack([-X, np.eye(q), 0 * U])"
+        "lqg/discrete.py", "noise = np.vstack([-X, np.eye(q), -U])", "noise = np.vstack([-X, np.eye(q), 0 * U])"
     ),
     "a link that is beyond the table of keys has none": Planted(
-        "export/core/taciturn_inbox.c", "TAC_FORGED : verdict;", "TAC_OK : verdict;"
+        "../taciturn_export/core/taciturn_inbox.c", "TAC_FORGED : verdict;", "TAC_OK : verdict;"
     ),
     "start values have the order of a set": Planted(
-        "design/set_point.py",
+        "base/given_controller.py",
         'names = [name for name in ("command", HELD, "input") if name in signals]',
         'names = list({"command", HELD, "input"} & signals)',
     ),
     "one link that is heard is enough for the watchdog": Planted(
-        "runtime/node.py",
+        "nodes/node.py",
         "return tuple(link for link in self._heard_at if self._unheard or link in late)",
         "return tuple(link for link in self._heard_at if self._unheard or len(late) == len(self._heard_at))",
     ),
     "saved states are restored whatever they hold": Planted(
-        "runtime/seals.py", "if saved.get(SEAL) != _digest(", "if saved.get(SEAL) is None and None != _digest("
+        "nodes/node.py", "if saved.get(SEAL) != _digest(", "if saved.get(SEAL) is None and None != _digest("
     ),
     # of designs
     "the bound at a rate counts nine tenths of what silence adds": Planted(
@@ -68,7 +68,7 @@ DEFECTS = {
         "design/bounds.py", "LARGEST_PARAMETER, closed=True) * cost", "LARGEST_PARAMETER, closed=True) * cost * 1.02"
     ),
     "a link with bursts starts in the good state": Planted(
-        "model/bursts/gilbert_elliott.py",
+        "model/losses.py",
         "return np.array([1 - self.share_bad, self.share_bad])",
         "return np.array([1.0, 0.0])",
     ),
@@ -76,36 +76,36 @@ DEFECTS = {
         "model/saturation.py", "before[i] + float(self.rate[i]))", "before[i] + 1.01 * float(self.rate[i]))"
     ),
     "an estimate is not counted from the operating point": Planted(
-        "model/coordinates.py", "found[ESTIMATE] = point.x", "found[ESTIMATE] = 0.99 * point.x"
+        "model/policy.py", "found[ESTIMATE] = point.x", "found[ESTIMATE] = 0.99 * point.x"
     ),
     # of the engine
     "copies of paths are too heavy": Planted(
-        "simulation/splitting.py",
+        "simulation/violations.py",
         "return np.power(float(COPIES), -self._level.astype(np.float64))",
         "return np.power(float(COPIES), -0.98 * self._level.astype(np.float64))",
     ),
     "a difference of the fast build is a sum": Planted(
-        "program/_llvm_body.py", 'if op.name == "sub" and first:', 'if op.name == "subtract" and first:'
+        "program/llvm.py", 'if op.name == "sub" and first:', 'if op.name == "subtract" and first:'
     ),
     "printed C adds for subtract": Planted("program/c.py", '"sub": ("-", REAL)', '"sub": ("+", REAL)'),
     "a node rounds its products": Planted("program/python.py", '"mul": "*"', '"mul": "* (1 + 2**-52) *"'),
     # of estimates and studies
     "a budget may be missed by 1 %": Planted(
-        "study/tuning/goal.py", "return found.value - self.budget, ", "return found.value - 1.01 * self.budget, "
+        "study/goal.py", "return found.value - self.budget, ", "return found.value - 1.01 * self.budget, "
     ),
     "the window of a receiver admits duplicates": Planted(
-        "runtime/window.py", "elif self.seen >> behind & 1:", "elif self.seen >> behind & 1 and behind < 900:"
+        "nodes/inbox.py", "elif self.seen >> behind & 1:", "elif self.seen >> behind & 1 and behind < 900:"
     ),
     "replayed packets are admitted in C": Planted(
-        "export/core/taciturn_inbox.c",
+        "../taciturn_export/core/taciturn_inbox.c",
         "if (window->begun && epoch < window->epoch) {",
         "if (window->begun && epoch + 1U < window->epoch) {",
     ),
     "probabilities of the renewal equations lose a tail": Planted(
-        "renewal/_renewal_equations.py", "REACH = 8.0", "REACH = 3.0"
+        "renewal/quadrature.py", "REACH = 8.0", "REACH = 3.0"
     ),
     "periodic control pays twice for noise between samples": Planted(
-        "study/fair.py", "unseen + noise_cost", "unseen + 2 * noise_cost"
+        "study/periodic.py", "unseen + noise_cost", "unseen + 2 * noise_cost"
     ),
     "intervals of periodic control forget the noise between samples": Planted(
         "lqg/periodic.py", "+ stretch.noise_cost", "+ 0.9 * stretch.noise_cost"

@@ -44,11 +44,11 @@ ANY = re.compile("|".join(TERMS), re.IGNORECASE)
 FRAMED = re.compile("|".join(PATTERNS))
 EXCEPT = {  # (files, the pattern's suggestion): why
     ("src/taciturn_twins/*", "finite-horizon run"): "a robot has a mission",
-    ("src/taciturn/export/*.py", "step, or sampling instant"): "C source with a variable of this name",
-    ("src/taciturn/export/*.py", "periodic (time-triggered) control"): "C source with a member of this name",
-    ("src/taciturn/runtime/*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
-    ("src/taciturn/*/*/world*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
-    ("src/taciturn/export/*.py", "finite-horizon run"): "a template with a placeholder of this name",
+    ("src/taciturn_export/*.py", "step, or sampling instant"): "C source with a variable of this name",
+    ("src/taciturn_export/*.py", "periodic (time-triggered) control"): "C source with a member of this name",
+    ("src/taciturn_udp/*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
+    ("src/taciturn_worlds/*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
+    ("src/taciturn_export/*.py", "finite-horizon run"): "a template with a placeholder of this name",
     ("src/taciturn/program/llvm.py", "step, or sampling instant"): "source in LLVM's language with labels of this name",
 }
 

@@ -39,17 +39,17 @@ OWN = {  # files that the library itself wrote or contains, or of the operating 
     "devices.py": "C files of this package",
     "fmu.py": "C files of this package",
     "folder.py": "C files of this package, and the first line of regular files",
-    "identity.py": "Python files of this package",
     "kind.py": "Python files of installed packages",
     "live.py": "a picture of a process that it started",
-    "logs.py": "logs of processes that it started",
+    "run.py": "logs of processes that it started",
     "namespaces.py": "/proc",
-    "passed.py": "a problem of the process that started this one",
+    "bare.py": "a problem of the process that started this one",
     "rover.py": "models of this package",
     "server.py": "pages of this package",
     "service.py": "logs, which it writes",
+    "workers.py": "Python files of this package",
     "steps.py": "logs of processes that it started",
-    "_matlab.py": "after check_regular, by the libraries of these formats",
+    "files.py": "after check_regular, by the libraries of these formats",
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 from imports import tree
 
 import taciturn
-from taciturn.design.kind import own_kinds
+from taciturn.design.catalogue import own_kinds
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "taciturn"

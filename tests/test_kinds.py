@@ -14,7 +14,8 @@ import pytest
 
 import taciturn
 from taciturn import PID, ContinuousPlant, Cost, Jumps, Network, Plant, Problem
-from taciturn.design.kind import CATALOGUE, Kind
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import Kind
 from taciturn.model.disturbance import follow
 from taciturn.model.signals import ExternalDisturbance, RandomSteps, Timetable
 from taciturn.problem.draft import example_of

@@ -69,7 +69,7 @@ def test_the_package_runs_without_the_repository(package: Path, tmp_path: Path) 
         ("export", "two-mass-lqg", "--c", "device"),
     ):
         done = subprocess.run(
-            [sys.executable, "-P", "-m", "taciturn.cli", *arguments],
+            [sys.executable, "-P", "-m", "taciturn", *arguments],
             cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr

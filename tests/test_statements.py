@@ -11,7 +11,7 @@ import pytest
 
 import taciturn
 from taciturn import load
-from taciturn.design.kind import CATALOGUE, own_kinds
+from taciturn.design.catalogue import CATALOGUE, own_kinds
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

@@ -17,7 +17,7 @@ import numpy as np
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, Policy, Problem, close
 from taciturn._modes import root
 from taciturn.analyse.limits import resets
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.disturbance import Reference

@@ -48,7 +48,7 @@ _HOME = {
 }
 _ADDED = "taciturn.functions"  # entry points of functions that packages beside this one add, such as taciturn.sweep
 _BESIDE = ("certify", "export_c", "export_fmu", "run_network", "share_channel", "sweep")
-__all__ = ["__version__", "design", *_BESIDE, *_HOME]  # noqa: F822  # all of them are imported when asked for
+__all__ = ["__version__", "design", *_BESIDE, *_HOME]  # noqa: F822  # pyright: ignore[reportUnsupportedDunderAll]  # all of them are imported when asked for
 
 
 def __getattr__(name: str) -> Any:

@@ -1,15 +1,6 @@
-"""The command line as ``python -m taciturn``.
+"""The command line as ``python -m taciturn``."""
 
-``python -m taciturn.cli``.
-"""
-
-from __future__ import annotations
-
-from taciturn.cli.frame import main
-
-if __name__ == "__main__":
-    main()
-
+from taciturn.cli import main
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""taciturn_bench.commands."""
+"""The command ``taciturn bench``."""
 
 from __future__ import annotations
 

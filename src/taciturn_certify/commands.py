@@ -1,4 +1,4 @@
-"""taciturn_certify.commands."""
+"""The command ``taciturn certify``."""
 
 from __future__ import annotations
 

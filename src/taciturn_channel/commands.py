@@ -1,4 +1,4 @@
-"""taciturn_channel.commands."""
+"""The command ``taciturn channel``."""
 
 from __future__ import annotations
 

@@ -21,7 +21,6 @@ from taciturn.cli.frame import (
     print_json,
     progress_bar,
 )
-from taciturn.extend import WIDTH, pairs_text
 
 if TYPE_CHECKING:
     from taciturn_export.sizes import Sizes
@@ -57,6 +56,7 @@ def export(
     """Export a policy as C99 for devices, or as an FMU for other simulators, with bit-identical decisions."""
     import taciturn
     from taciturn.errors import ProblemError
+    from taciturn.extend import WIDTH, pairs_text
     from taciturn.study.record import origin
     from taciturn_export.folder import CFolder
     from taciturn_export.sizes import measure_somewhere

@@ -1,4 +1,4 @@
-"""taciturn_sweep.commands."""
+"""The command ``taciturn sweep``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from taciturn.cli.frame import (
     progress_bar,
     refuse,
 )
-from taciturn.extend import remark
 
 if TYPE_CHECKING:
     import xarray
@@ -62,7 +61,7 @@ def sweep(
 ) -> None:
     """Evaluate a grid of problems on many processors, and store each result when it is finished."""
     import taciturn
-    from taciturn.extend import answered_within
+    from taciturn.extend import answered_within, remark
     from taciturn.model.result import check_table, save_table
     from taciturn.problem.matrices import parse_grid
     from taciturn.study.record import save_whole

@@ -28,7 +28,6 @@ from taciturn.cli.frame import (
     print_json,
     progress_bar,
 )
-from taciturn.extend import load_plugin, until_stopped
 
 if TYPE_CHECKING:
     from taciturn.model.losses import LossLaw
@@ -182,6 +181,8 @@ def network(
     if world is not None:
         others = {"--ticks": ticks, "--real-time": real_time, "--tick": tick, "--loss": loss}
         others |= {"--namespaces": namespaces, "--seed": seed, "--key": key}
+        from taciturn.extend import load_plugin
+
         run_world = load_plugin("taciturn.worlds", "faults", "--world")
         run_world(problem, world, [name for name, value in others.items() if value], as_json)
         return
@@ -270,7 +271,7 @@ def node(
 ) -> None:
     """Run one node of a problem over UDP until it is interrupted, then print its counters."""
     import taciturn
-    from taciturn.extend import number
+    from taciturn.extend import number, until_stopped
     from taciturn.model.packets import links_to
     from taciturn.nodes.keys import read_keys
     from taciturn.nodes.node import Node
@@ -344,6 +345,7 @@ def plant(
     seed: Seed = 0,
 ) -> None:
     """Simulate the plant of a problem for nodes that run as other processes."""
+    from taciturn.extend import until_stopped
     from taciturn.nodes.keys import read_keys
     from taciturn.nodes.packet import Wire
     from taciturn.nodes.plant import SimulatedPlant
@@ -391,6 +393,7 @@ def relay(
     seed: Seed = 0,
 ) -> None:
     """Emulate a link that drops, delays, duplicates, reorders or corrupts packets, reproducibly for a given seed."""
+    from taciturn.extend import until_stopped
     from taciturn_udp.endpoint import LARGEST_OF_ALL, Endpoint, parse_address
     from taciturn_udp.plant import relay as carry
     from taciturn_udp.relay import EmulatedLink, Fate

@@ -50,7 +50,7 @@ class Process:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         """Start the process."""
-        command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
+        command = [*before, sys.executable, "-m", "taciturn", *arguments]
         self._name = name
         known = {variable: value for variable, value in os.environ.items() if variable != KEY}
         secret = {} if key is None else {KEY: key.hex() if isinstance(key, bytes) else key.text()}

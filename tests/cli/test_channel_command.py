@@ -147,7 +147,7 @@ def test_ctrl_c_ends_it_with_all_its_workers(tmp_path: Path) -> None:
     for i, name in enumerate(names):
         text = PLANT.replace("1.2", f"1.{i + 1}") + COST + '[policy]\nkind = "all-time"\n'
         Path(name).write_text(text, encoding="utf-8")
-    command = [sys.executable, "-m", "taciturn.cli", "channel", *names, "--copies", "20", "--capacity", "60"]
+    command = [sys.executable, "-m", "taciturn", "channel", *names, "--copies", "20", "--capacity", "60"]
     running = subprocess.Popen(
         [*command, "--workers", "2"],
         preexec_fn=in_a_terminal,

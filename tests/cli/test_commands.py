@@ -26,9 +26,7 @@ PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
 
 def execute(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command line as a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "taciturn.cli", *arguments], capture_output=True, text=True, check=False
-    )
+    return subprocess.run([sys.executable, "-m", "taciturn", *arguments], capture_output=True, text=True, check=False)
 
 
 def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
@@ -78,7 +76,7 @@ def test_a_refusal_is_one_line_and_exit_code_2() -> None:
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:
     """``taciturn … | head -1`` prints no traceback."""
-    shell = f"{sys.executable} -m taciturn.cli --help | true"
+    shell = f"{sys.executable} -m taciturn --help | true"
     done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
     assert done.stderr == ""
 
@@ -87,7 +85,7 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
 @pytest.mark.parametrize("words", ["show two-mass", "--help"])
 def test_every_command_ends_well_if_its_reader_leaves_early(words: str) -> None:
     """Exit code 0, as if the reader had left after the last line, also if nothing was read."""
-    shell = f"({sys.executable} -m taciturn.cli {words}; echo $? >&2) | true"
+    shell = f"({sys.executable} -m taciturn {words}; echo $? >&2) | true"
     done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
     assert done.stderr == "0\n"
 
@@ -112,7 +110,7 @@ def test_streams_that_are_closed_or_full_change_only_what_is_printed(
     """The exit code is the same, a refusal is one sentence where it can be written, and there is no traceback."""
     if "/dev/full" in words and not Path("/dev/full").exists():
         pytest.skip("no /dev/full here")
-    shell = f"{sys.executable} -m taciturn.cli {words}"
+    shell = f"{sys.executable} -m taciturn {words}"
     done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == code
     assert "Traceback" not in done.stderr
@@ -123,7 +121,7 @@ def test_streams_that_are_closed_or_full_change_only_what_is_printed(
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_is_told_in_one_sentence() -> None:
     """And once."""
-    shell = f"{sys.executable} -m taciturn.cli --help > /dev/full"
+    shell = f"{sys.executable} -m taciturn --help > /dev/full"
     done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "No space left on device" in done.stderr
@@ -132,7 +130,7 @@ def test_a_full_disk_is_told_in_one_sentence() -> None:
 def test_a_terminal_without_mathematics_still_gets_its_text(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     """Letters that its encoding lacks are escaped."""
     monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
-    command = [sys.executable, "-m", "taciturn.cli", "show", write()]
+    command = [sys.executable, "-m", "taciturn", "show", write()]
     done = subprocess.run(command, capture_output=True, encoding="latin-1", check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "J \\u2264 (1+" in done.stdout

@@ -14,7 +14,7 @@ from cli.conftest import Run
 
 from taciturn.cli import frame
 from taciturn.cli.frame import EXAMPLE, GROUPS, app
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 
 COMMANDS = sorted(name for names in GROUPS.values() for name in names)
 

@@ -212,7 +212,7 @@ def test_the_terminals_of_the_page_talk(tmp_path: Path, typed: str, monkeypatch:
     processes = [Process(command) for command in others]
     for process in processes:
         process.expect()
-    command = [sys.executable, "-m", "taciturn.cli", *plant]
+    command = [sys.executable, "-m", "taciturn", *plant]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
     assert done.returncode == 0, done.stderr
     reports = [process.stop() for process in processes]

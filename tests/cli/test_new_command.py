@@ -20,7 +20,7 @@ from terminals import in_a_terminal
 
 import taciturn
 from taciturn import ProblemError
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.problem.draft import Draft, offered_kinds
 
 WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
@@ -302,7 +302,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_asked(ask: 
 def test_at_a_real_terminal_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
     """A wrong answer is asked again; Ctrl-C ends with a sentence, exit code 130 and an empty folder."""
     above, below = pty.openpty()
-    command = [sys.executable, "-m", "taciturn.cli", "new"]
+    command = [sys.executable, "-m", "taciturn", "new"]
     with subprocess.Popen(
         command, cwd=tmp_path, stdin=below, stdout=below, stderr=below, start_new_session=True, preexec_fn=_control
     ) as process:

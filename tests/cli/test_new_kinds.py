@@ -8,7 +8,7 @@ import pytest
 from cli.conftest import Ask
 
 import taciturn
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 
 STEP = ("discrete", "0.5", "1.1", "1", "yes", "0.1", "2", "1")  # a scalar, as far as its cost
 ORDINARY = ("periodic", "remote-lqg", "consistent", "mixed", "downsampled", "stochastic")  # one of each sort

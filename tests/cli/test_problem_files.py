@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 
 if TYPE_CHECKING:
     from conftest import Run, Write

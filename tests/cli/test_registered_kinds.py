@@ -147,7 +147,7 @@ def test_a_wrong_registration_is_refused_when_it_is_asked_for(
     """In one sentence; other kinds are not affected."""
     (name,) = entries
     code = (
-        "from taciturn.design.kind import CATALOGUE\nfrom taciturn.problem.parameters import find_kind\n"
+        "from taciturn.design.catalogue import CATALOGUE\nfrom taciturn.problem.parameters import find_kind\n"
         f"print(len(CATALOGUE), find_kind('periodic').name)\nfind_kind({name!r})"
     )
     env = installed(tmp_path / "site", entries)
@@ -161,7 +161,7 @@ def test_two_packages_with_a_kind_of_the_same_name_are_named(tmp_path: Path) -> 
     """Neither is preferred."""
     installed(tmp_path / "site", {"decaying": "decaying:KIND"})
     env = installed(tmp_path / "site", {"decaying": "decaying:KIND"}, "other")
-    code = "from taciturn.design.kind import CATALOGUE\nCATALOGUE['decaying']"
+    code = "from taciturn.design.catalogue import CATALOGUE\nCATALOGUE['decaying']"
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     assert "the policy kind decaying is registered by the package" in done.stderr.splitlines()[-1]
 
@@ -261,7 +261,7 @@ def test_entry_points_that_are_no_text_leave_all_other_packages_as_they_are(tmp_
     env = installed(site, {"decaying": "decaying:KIND"})
     installed(site, {"other": "other:KIND"}, "broken")
     (site / "broken-1.0.dist-info" / "entry_points.txt").write_bytes("[taciturn.kinds]".encode("utf-16"))
-    code = "from taciturn.design.kind import CATALOGUE\nprint(CATALOGUE['decaying'].name)\n"
+    code = "from taciturn.design.catalogue import CATALOGUE\nprint(CATALOGUE['decaying'].name)\n"
     code += "from taciturn import load\nprint(load('rover').kind)"
     run = [sys.executable, "-c", code]
     done = subprocess.run(run, env=env, capture_output=True, text=True, check=True)

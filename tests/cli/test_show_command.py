@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.steps import Send

@@ -66,7 +66,7 @@ def handles_signals(process: int) -> bool:
 def heard(arguments: Sequence[str], seconds: float, numbers: Sequence[signal.Signals], at: Path) -> tuple[int, str]:
     """Return exit code and standard error of a command that receives signals like the job of a terminal."""
     with subprocess.Popen(
-        [sys.executable, "-m", "taciturn.cli", *arguments],
+        [sys.executable, "-m", "taciturn", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -128,7 +128,7 @@ def test_a_second_ctrl_c_prints_no_traceback(name: str, tmp_path: Path) -> None:
 def test_a_relay_ends_with_the_code_of_the_signal(tmp_path: Path) -> None:
     """The quick case of the tables above: a server, which prints its report first."""
     with subprocess.Popen(
-        [sys.executable, "-m", "taciturn.cli", "relay", "--peer", "127.0.0.1:9"],
+        [sys.executable, "-m", "taciturn", "relay", "--peer", "127.0.0.1:9"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

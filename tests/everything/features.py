@@ -17,7 +17,7 @@ from zlib import crc32
 import numpy as np
 from everything.draft import Array, Draft, Elsewhere, Tables, begin, need, rows, unneeded
 
-from taciturn.design.kind import CATALOGUE, own_kinds
+from taciturn.design.catalogue import CATALOGUE, own_kinds
 
 STEP = 0.2  # seconds per step of a continuous plant
 HORIZON = 12

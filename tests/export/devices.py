@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 import pytest
 
-import taciturn
+import taciturn_export
 from taciturn.model.network import Network
 from taciturn.model.packets import inputs_at, outputs_at, packet_shapes, wire_links
 from taciturn.model.policy import Policy
@@ -28,7 +28,7 @@ from taciturn_export.folder import CORE_SOURCES
 from taciturn_export.node import CoreSizes, core_links, print_node
 from taciturn_worlds.devices import ACCESS, COUNTERS, Key
 
-CORE = Path(taciturn.__file__).parent / "export" / "core"
+CORE = Path(taciturn_export.__file__).parent / "core"
 HERE = Path(__file__).parent
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
 WAITING = 4  # steps that a packet may be early

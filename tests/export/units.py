@@ -13,7 +13,7 @@ import numpy as np
 from export.devices import HERE, needs_compiler
 from fmpy.simulation import instantiate_fmu
 
-import taciturn
+import taciturn_export
 from taciturn.loop import Loop
 from taciturn.model.packets import wire_links
 from taciturn.program import numpy as interpreter
@@ -24,7 +24,7 @@ from taciturn_export.fmu import Fmu, Version, may_lose, print_fmu, tick_length
 from taciturn_export.folder import RecordedRun, drawn_by_the_policy, record_loop
 from taciturn_export.node import identifier
 
-FMI = Path(taciturn.__file__).parent / "export" / "fmi"
+FMI = Path(taciturn_export.__file__).parent / "fmi"
 SEED = 3
 _TYPES = {"Float64": "Float64", "Real": "Real", "Boolean": "Boolean", "UInt64": "UInt64", "Integer": "Integer"}
 

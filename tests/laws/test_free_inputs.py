@@ -10,7 +10,7 @@ from counts import few
 
 import taciturn
 from taciturn import Cost, Plant, TaciturnError, design
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.lqg.periodic import Held
 from taciturn.problem import Problem
 from taciturn.problem.draft import example_of, suggest_value

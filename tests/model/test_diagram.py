@@ -13,7 +13,7 @@ from catalogue import MISSIONS, POLICIES, outputs
 from systems import make_system
 
 from taciturn import Cost, Plant, Policy, design, load
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.model.diagram import PLAIN, Diagram, Link, Place
 from taciturn.model.packets import packet_shapes, roles
 from taciturn.model.steps import Send

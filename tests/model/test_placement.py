@@ -13,7 +13,8 @@ import pytest
 
 import taciturn
 from taciturn import PID, Cost, Plant, design
-from taciturn.design.kind import CATALOGUE, placed
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import placed
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.controller import PIDLoops
 from taciturn.model.link import LinkLaw

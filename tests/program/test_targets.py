@@ -259,7 +259,7 @@ def test_vectors_that_are_not_there_are_refused() -> None:
         OLD.limited("avx512")
     with pytest.raises(ProblemError, match="'sse9'; expected one of avx512, avx2, baseline"):
         NEW.limited("sse9")
-    command = [sys.executable, "-m", "taciturn.cli", "evaluate", "two-mass-lqg"]
+    command = [sys.executable, "-m", "taciturn", "evaluate", "two-mass-lqg"]
     environment = {**os.environ, VECTORS: "wide"}
     answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert answer.returncode == 2

@@ -115,7 +115,7 @@ def run(case: Case, folder: Path, program: str = "", foreign: Sequence[str] = ()
     senders = {link: role_at(policy, START[link]) for link in ends}
     names = ["plant", *roles(policy), *(f"relay {link}" for link in ends)]
     at = {name: f"127.0.0.1:{port}" for name, (_, port) in zip(names, free_addresses(len(names)), strict=True)}
-    library = [sys.executable, "-m", "taciturn.cli"]
+    library = [sys.executable, "-m", "taciturn"]
     changes = [text for name, value in case.changes.items() for text in ("--set", f"{name}={written(value)}")]
     common = [*changes, "--seed", str(SEED), *key]
 

@@ -14,11 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from test_house import SATELLITES
 
 import taciturn
-import taciturn_boards
-import taciturn_thesis
-import taciturn_twins
 from taciturn._display import LONGEST, Displayed
 from taciturn.model.result import Tabular
 from taciturn_sweep.sweep import SweepTable
@@ -127,7 +125,7 @@ def test_an_object_shows_itself_in_a_line_and_in_a_notebook(name: str) -> None:
 def test_every_public_class_of_data_shows_itself_by_one_mechanism() -> None:
     """No public dataclass keeps the repr that lists every entry of its matrices."""
     data: set[type] = set()
-    packages = (taciturn, taciturn_boards, taciturn_thesis, taciturn_twins)
+    packages = [importlib.import_module(name) for name in ("taciturn", *SATELLITES)]
     for module in (one for home in packages for one in pkgutil.walk_packages(home.__path__, f"{home.__name__}.")):
         path = module.name.split(".")[1:]
         if path[0] not in ("cli", "program") and not any(part.startswith("_") for part in path):

@@ -99,7 +99,7 @@ def test_a_run_finds_the_same_packets_in_parts(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc")
 def test_the_nodes_of_a_killed_run_end(tmp_path: Path) -> None:
     """They would write their logs for ever."""
-    command = [sys.executable, "-m", "taciturn.cli", "network", "two-mass", "--real-time", "--ticks", "1000000"]
+    command = [sys.executable, "-m", "taciturn", "network", "two-mass", "--real-time", "--ticks", "1000000"]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL, env={**os.environ, "TMPDIR": str(tmp_path)}) as running:
         until = time.monotonic() + 120
         while not list(tmp_path.glob("*/controller.jsonl")) and time.monotonic() < until:

@@ -95,8 +95,7 @@ def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.Lo
 def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the old one kept stays."""
     swept(tmp_path)
-    for module in ("taciturn.study.points", "taciturn_sweep.sweep"):
-        monkeypatch.setattr(f"{module}.__version__", "0.0.9")
+    monkeypatch.setattr("taciturn.study.points.__version__", "0.0.9")
     seen = computed(monkeypatch)
     with pytest.warns(UserWarning, match=r"was filled by another version .*, now 0\.0\.9"):
         swept(tmp_path)
@@ -246,7 +245,7 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
     Store(tmp_path / "damaged", {"problem": "1"})
 
 
-COMMAND = [sys.executable, "-m", "taciturn.cli", "sweep", "two-mass-lqg", "--over", "actuation=hold,model"]
+COMMAND = [sys.executable, "-m", "taciturn", "sweep", "two-mass-lqg", "--over", "actuation=hold,model"]
 
 
 def run_with_files_of(most: int, folder: Path) -> subprocess.CompletedProcess[str]:

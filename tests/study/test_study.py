@@ -9,7 +9,7 @@ import pytest
 
 import taciturn
 from taciturn import Network, Plant
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.study.periodic import clock_of
 from taciturn_thesis.reproduce import reproduce
 

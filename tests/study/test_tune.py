@@ -12,7 +12,7 @@ from counts import few
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.problem.parameters import check_parameters

@@ -14,7 +14,7 @@ from used import BURST, FULL, KINDS, LINKS, PROPERTIES, mark, table, uses_of
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, close, design
-from taciturn.design.kind import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Received, Send

@@ -217,7 +217,7 @@ def test_what_is_vendored_is_what_the_list_says() -> None:
     """Every file by its digest, with version and licence."""
     text = (ROOT / "THIRD_PARTY.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"`((?:src|docs)/[^`]+)` \| `(\w{64})`", text))
-    places = "src/taciturn_twins/web/uPlot*", "src/taciturn/export/fmi/*", "docs/_static/fonts/*"
+    places = "src/taciturn_twins/web/uPlot*", "src/taciturn_export/fmi/*", "docs/_static/fonts/*"
     vendored = [path for place in places for path in ROOT.glob(place)]
     assert set(listed) == {str(path.relative_to(ROOT)) for path in vendored}
     for name, digest in listed.items():

@@ -150,7 +150,7 @@ def complete_from(*words: str) -> Callable[[str], list[str]]:
 
 def complete_kind(incomplete: str) -> list[str]:
     """Return the policy kinds with this prefix; no kind is imported."""
-    from taciturn.design.kind import CATALOGUE
+    from taciturn.design.catalogue import CATALOGUE
 
     return complete_from(*CATALOGUE)(incomplete)
 

@@ -14,7 +14,6 @@ import typer
 
 from taciturn._process import remark
 from taciturn.cli.frame import EXAMPLE, Kind, app
-from taciturn.problem.matrices import parse_number
 
 if TYPE_CHECKING:
     from taciturn.design.kind import Kind as PolicyKind
@@ -242,6 +241,7 @@ class _Interview:
     def _ask_time(self, dt: float | None) -> None:
         from taciturn._arrays import number
         from taciturn.errors import ProblemError
+        from taciturn.problem.matrices import parse_number
 
         told = None if self.given is None else self.given.dt
         if dt is not None and told is not None and dt != told:
@@ -300,6 +300,7 @@ class _Interview:
         """Ask for the network; packets may be dropped if one of these kinds fits the plant and the cost."""
         from taciturn._arrays import number
         from taciturn.errors import ProblemError
+        from taciturn.problem.matrices import parse_number
 
         def read_protocol(text: str) -> str:
             word = text.lower()
@@ -328,6 +329,7 @@ class _Interview:
     def _ask_policy(self, kind: PolicyKind | None) -> dict[str, Any]:
         """Ask for the goal, and for the parameters of its policy."""
         from taciturn.problem.draft import needed_parameters, over_losses, suggest_value
+        from taciturn.problem.matrices import parse_number
         from taciturn.problem.parameters import check_parameter
 
         if kind is None and self.draft.network:

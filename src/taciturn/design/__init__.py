@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from taciturn.design.kind import CATALOGUE, own_kinds
+from taciturn.design.catalogue import CATALOGUE, own_kinds
 
 if TYPE_CHECKING:  # for type checkers and editors; the functions are found by the catalogue
     from taciturn.design.kinds.absolute import absolute as absolute

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import pkgutil
 import re
 import sys
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -29,7 +28,6 @@ import numpy as np
 
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
-from taciturn._plugins import find_plugins, load_entry, package_of
 from taciturn.design.several_nodes import JointSets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.link import LinkLaw
@@ -274,69 +272,6 @@ def code_digest(module: str) -> str:
     for file in files:
         read.update(file.read_bytes() if file.is_file() else b"")
     return read.hexdigest()
-
-
-GROUP = "taciturn.kinds"
-
-
-class Catalogue(Mapping[str, "Kind"]):
-    """The policy kinds by name; an iteration gives the names, and imports no kind."""
-
-    def __iter__(self) -> Iterator[str]:
-        """Return the names: those of this package, then those of other packages, each in alphabetical order."""
-        own = own_kinds()
-        return iter((*own, *(name for name in find_plugins(GROUP) if name not in own)))
-
-    def __len__(self) -> int:
-        """Return the number of kinds."""
-        return sum(1 for _ in self)
-
-    def __contains__(self, name: object) -> bool:
-        """Return whether there is a kind with this name."""
-        return name in own_kinds() or name in find_plugins(GROUP)
-
-    def __getitem__(self, name: str, /) -> Kind:
-        """Return the record of a kind.
-
-        Raises:
-            KeyError: if there is no such kind.
-            ProblemError: if two packages register this kind, or the record cannot be imported.
-        """
-        return _kind(name)
-
-
-CATALOGUE: Mapping[str, Kind] = Catalogue()
-
-
-@cache
-def own_kinds() -> tuple[str, ...]:
-    """Return the names of the kinds of this package, from the files of the folder ``kinds``."""
-    folder = str(Path(__file__).parent / "kinds")
-    return tuple(sorted(module.name.replace("_", "-") for module in pkgutil.iter_modules([folder])))
-
-
-@cache
-def _kind(name: str) -> Kind:
-    from importlib.metadata import EntryPoint
-
-    entries = find_plugins(GROUP).get(name, ())
-    if name in own_kinds():
-        entries = (EntryPoint(name, f"taciturn.design.kinds.{name.replace('-', '_')}:KIND", GROUP), *entries)
-    if len(entries) > 1:
-        raise ProblemError(
-            f"the policy kind {name} is registered by {' and by '.join(map(package_of, entries))}; expected one kind "
-            "of this name: rename the kind, or remove a package"
-        )
-    if not entries:
-        raise KeyError(name)
-    found = load_entry(entries[0], f"the policy kind {name}")
-    if not isinstance(found, Kind) or found.name != name:
-        got = f"the kind {found.name}" if isinstance(found, Kind) else f"a {type(found).__name__}"
-        raise ProblemError(
-            f"the policy kind {name} needs {entries[0].value} of {package_of(entries[0])}, which is {got}; expected a "
-            f"Kind with the name {name}"
-        )
-    return found
 
 
 Value = TypeVar("Value")

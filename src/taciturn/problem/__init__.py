@@ -33,16 +33,8 @@ from taciturn._modes import pace
 from taciturn._plugins import problem_folders
 from taciturn._progress import OutOfTime
 from taciturn._text import backslash_text
-from taciturn.design.kind import (
-    CATALOGUE,
-    AnyPolicy,
-    Kind,
-    expect_ideal_links,
-    own_kinds,
-    placed,
-    renamed_keys,
-    three_nodes,
-)
+from taciturn.design.catalogue import CATALOGUE, own_kinds
+from taciturn.design.kind import AnyPolicy, Kind, expect_ideal_links, placed, renamed_keys, three_nodes
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.controller import Kept

@@ -18,7 +18,8 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, is_definite
 from taciturn._display import Displayed
 from taciturn._modes import pace, radius
-from taciturn.design.kind import CATALOGUE, Kind, Setting
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import Kind, Setting
 from taciturn.design.kinds.all_time import all_time
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.lqg.riccati import regulate_continuous
@@ -37,7 +38,7 @@ def needed_parameters(kind: Kind, continuous: bool) -> tuple[str, ...]:
     """Return the required parameters of a policy kind for a discrete or continuous plant.
 
     Example:
-        >>> from taciturn.design.kind import CATALOGUE
+        >>> from taciturn.design.catalogue import CATALOGUE
         >>> needed_parameters(CATALOGUE["lqg"], continuous=True)
         ('period', 'theta')
     """

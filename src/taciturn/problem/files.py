@@ -33,8 +33,8 @@ LARGEST = 2**27  # bytes of all variables of a file: a matrix of 4096 states
 CHUNK = 2**16  # bytes that are expanded at a time in order to count them
 
 
-@dataclass(frozen=True)
-class Foreign:
+@dataclass(frozen=True, repr=False)
+class Foreign(Displayed):
     """A variable that is not an array, such as a MATLAB object, a structure or text."""
 
     kind: str

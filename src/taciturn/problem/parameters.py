@@ -9,7 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, expect_unmasked, quoted
-from taciturn.design.kind import CATALOGUE, Kind
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.problem.schema import Rows, ValidationError, ours, suggest, validate
 

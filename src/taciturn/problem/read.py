@@ -21,7 +21,8 @@ from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._text import backslash_text
 from taciturn.base.given_controller import cost_as_kept
-from taciturn.design.kind import CATALOGUE, Kind, own_kinds
+from taciturn.design.catalogue import CATALOGUE, own_kinds
+from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import regulator_equations
 from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops

@@ -134,8 +134,8 @@ DOUBLINGS = 12  # 2^12 powers of a map decide which directions it reaches
 AGES = 20_000  # most checks without a send
 
 
-@dataclass(frozen=True, eq=False)
-class White:
+@dataclass(frozen=True, eq=False, repr=False)
+class White(Displayed):
     """Error process x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, the error is not sent and costs x'Γx.
 
     Args:
@@ -151,8 +151,8 @@ class White:
     rows: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Data:
+@dataclass(frozen=True, eq=False, repr=False)
+class Data(Displayed):
     """Error process that a send resets, with its trigger scaled to the threshold 1.
 
     Args:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.quadrature import legendre
 
@@ -21,8 +22,8 @@ TAPER = 8  # power in the exponent of the window that ends the Fourier sum
 RESOLVED = 1e-6  # largest characteristic function at the highest frequency, relative to its maximum
 
 
-@dataclass(frozen=True)
-class Fineness:
+@dataclass(frozen=True, repr=False)
+class Fineness(Displayed):
     """Numbers of nodes in the tables that represent the probability density of an error increment.
 
     Args:
@@ -38,8 +39,8 @@ class Fineness:
     times: int = 200
 
 
-@dataclass(frozen=True, eq=False)
-class CompoundPoissonNoise:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompoundPoissonNoise(Displayed):
     """Noise in a two-dimensional error between two checks: normally distributed jumps at Poisson times.
 
     Args:
@@ -126,8 +127,8 @@ def _coefficients(values: Array) -> Array:
     return found.reshape(values.shape)
 
 
-@dataclass(frozen=True, eq=False)
-class Rays:
+@dataclass(frozen=True, eq=False, repr=False)
+class Rays(Displayed):
     """Probability density p of a two-dimensional error increment, as a function of the distance ρ from 0 along rays.
 
     The probability of an area element is ρ p(ρ) dρ dθ.

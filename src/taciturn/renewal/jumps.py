@@ -19,6 +19,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array, number, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import root
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.model.plant import JumpNoise
@@ -39,8 +40,8 @@ MOST = 20_000  # checks at which a survival function is computed
 STEADY = 1e-12  # relative change of the decay factor per check below which the factor counts as constant
 
 
-@dataclass(frozen=True, eq=False)
-class Sums:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sums(Displayed):
     """Renewal equations of an error with jumps, as integrals over the error increment in a period with a jump.
 
     Each row starts at one node, the last row at the error 0.
@@ -129,8 +130,8 @@ MOST_NODES_OF_PLANE = 1600
 POWER_OF_DISTANCE = 16  # power of the distance (relative to the truncation), whose mean shows how far errors come
 
 
-@dataclass(frozen=True)
-class PlaneGrid:
+@dataclass(frozen=True, repr=False)
+class PlaneGrid(Displayed):
     """Numbers of quadrature nodes for a two-dimensional error.
 
     Args:
@@ -391,8 +392,8 @@ MOST_NODES_OF_LINE = 1000
 FADED = 9.0  # frequency times the smallest standard deviation at which the characteristic function is negligible
 
 
-@dataclass(frozen=True)
-class Line:
+@dataclass(frozen=True, repr=False)
+class Line(Displayed):
     """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold.
 
     Args:

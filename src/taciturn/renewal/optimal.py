@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, array, number, semidefinite, square
+from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages, check_time
 from taciturn.renewal.chain import AGES, Chain, NoQuadratureError, Renewal, White, unsent_covariance, whiten
 from taciturn.renewal.gaussian import intervals
@@ -45,8 +46,8 @@ STRIDE = 1.0  # length of the first step to a minimum, in noise standard deviati
 LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
 
 
-@dataclass(frozen=True, eq=False)
-class ContinuationRegion:
+@dataclass(frozen=True, eq=False, repr=False)
+class ContinuationRegion(Displayed):
     """Set of errors for which the optimal scheduler does not send, because silence costs less than a send.
 
     The set is U(x) < 0, where U is the cost of silence minus that of a send. For the weights m_i of the trigger and the

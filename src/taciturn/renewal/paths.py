@@ -108,8 +108,8 @@ def _certain_root(weight: Array) -> Array:
     return np.asarray(vectors[:, certain] * np.sqrt(values[certain]), dtype=np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class SampledInterval:
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledInterval(Displayed):
     """Estimated distribution and cost of the interval between two sends, from one randomisation.
 
     Args:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from numpy.polynomial.legendre import leggauss
 
 from taciturn._arrays import Array, frozen, symmetrised
+from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Stages
 from taciturn.renewal.chain import NoQuadratureError, White
 
@@ -49,8 +50,8 @@ class Region(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Ellipsoid:
+@dataclass(frozen=True, eq=False, repr=False)
+class Ellipsoid(Displayed):
     """Ellipsoid Σ_i m_i x_i² ≤ 1 of the errors x that are not sent.
 
     Args:
@@ -68,8 +69,8 @@ class Ellipsoid:
         return -chord, chord
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorRegion:
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorRegion(Displayed):
     """Bounded region that contains nearly all unsent errors: on each axis, an interval that depends on the outer axes.
 
     Args:
@@ -92,8 +93,8 @@ class ErrorRegion:
         return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
 
 
-@dataclass(frozen=True, eq=False)
-class AxisNodes:
+@dataclass(frozen=True, eq=False, repr=False)
+class AxisNodes(Displayed):
     """Coordinates of nested quadrature nodes on one axis.
 
     Args:
@@ -121,8 +122,8 @@ class AxisNodes:
         return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])
 
 
-@dataclass(frozen=True, eq=False)
-class QuadratureNodes:
+@dataclass(frozen=True, eq=False, repr=False)
+class QuadratureNodes(Displayed):
     """Quadrature nodes of a symmetric region; only one node of each pair ±x is stored.
 
     Args:
@@ -262,8 +263,8 @@ LEAST = 1e-11  # least relative residual
 DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 
-@dataclass(frozen=True, eq=False)
-class CheckMatrix:
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckMatrix(Displayed):
     """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another.
 
     Args:
@@ -290,8 +291,8 @@ class CheckMatrix:
         return CheckMatrix(self.entries.T).settled(known)
 
 
-@dataclass(frozen=True)
-class QuadratureEffort:
+@dataclass(frozen=True, repr=False)
+class QuadratureEffort(Displayed):
     """Requested accuracy of a quadrature, and limits on its computation.
 
     Args:
@@ -436,8 +437,8 @@ ROUNDING = 1e-14  # relative rounding error per check of the mean interval
 USELESS = 0.01  # relative error above which an answer is rejected
 
 
-@dataclass(frozen=True, eq=False)
-class System:
+@dataclass(frozen=True, eq=False, repr=False)
+class System(Displayed):
     """Discretised renewal equations: the distribution of the unsent error after one check, and the map of a check.
 
     Args:
@@ -455,8 +456,8 @@ class System:
     cost: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
+@dataclass(frozen=True, eq=False, repr=False)
+class Solved(Displayed):
     """Solution of the renewal equations: send rate, excess cost, and the expected time and cost until the next send.
 
     Args:
@@ -486,8 +487,8 @@ class Solved:
         return max(abs(self.rate - previous.rate) / self.rate, excess)
 
 
-@dataclass(frozen=True, eq=False)
-class SolutionPair:
+@dataclass(frozen=True, eq=False, repr=False)
+class SolutionPair(Displayed):
     """Solutions of the renewal equations on fine and on coarser nodes, and the error estimated from their difference.
 
     Args:
