@@ -30,7 +30,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 class Names(SphinxDirective):
-    """Everything that a module offers; modules that are listed one a line get a section each."""
+    """What a module publishes; modules that are listed one a line get a section each."""
 
     optional_arguments = 1
     has_content = True
@@ -39,12 +39,13 @@ class Names(SphinxDirective):
         """Parse what the package says of itself."""
         if self.arguments:
             return self.parse_text_to_nodes(listing(self.arguments[0]))
-        return [self._section(module) for module in self.content]
+        return [self._section(entry) for entry in self.content]
 
-    def _section(self, module: str) -> nodes.section:
+    def _section(self, entry: str) -> nodes.section:
+        module = entry.partition(":")[0]
         section = nodes.section("", nodes.title(module, module), names=[nodes.fully_normalize_name(module)])
         self.state.document.note_implicit_target(section)
-        section += self.parse_text_to_nodes(f"{told(import_module(module))}\n\n{listing(module)}")
+        section += self.parse_text_to_nodes(f"{told(import_module(module))}\n\n{listing(entry)}")
         return section
 
 

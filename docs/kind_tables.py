@@ -7,8 +7,8 @@ from inspect import Parameter
 
 from taciturn import problem
 from taciturn.analyse import switched
-from taciturn.design.kind import Kind
 from taciturn.design.catalogue import CATALOGUE, own_kinds
+from taciturn.design.kind import Kind
 from taciturn.design.kinds.distributed import MOST_SETS
 from taciturn.lqg import lossy
 from taciturn.model import cost, link, signals

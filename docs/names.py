@@ -16,12 +16,16 @@ MARKUP = (":", "..", "* ", ">>>")  # what follows it may be indented and no form
 SHORTER = {r"TypeAliasForwardRef\('(\w+)'\)": r"\1", r"<factory>|<function .*?>+": "..."}
 
 
-def public(module: str) -> dict[str, object]:
-    """Return the functions and classes that a module offers, by name: those it lists, or else those it defines.
+def public(entry: str) -> dict[str, object]:
+    """Return the functions and classes that an entry of the reference lists, by name.
 
+    An entry is a module and, after a colon, the names that are published; without them, all that the module offers.
     What ``taciturn`` or ``taciturn.design`` offers, or another module defines for its users, is listed there.
     """
+    module, _, stated = entry.partition(":")
     home = import_module(module)
+    if stated:
+        return {name: getattr(home, name) for name in stated.split()}
     front = module in ("taciturn", "taciturn.design")
     found: dict[str, object] = {}
     for name in getattr(home, "__all__", vars(home)):
@@ -34,9 +38,9 @@ def public(module: str) -> dict[str, object]:
     return found
 
 
-def listing(module: str) -> str:
-    """Return what a page says of a module, in Markdown: its names with their first sentences, then each in full."""
-    names = public(module)
+def listing(entry: str) -> str:
+    """Return what a page says of an entry, in Markdown: its names with their first sentences, then each in full."""
+    names, module = public(entry), entry.partition(":")[0]
     rows = [f"| {{py:obj}}`{name} <{module}.{name}>` | {told(value)} |" for name, value in names.items()]
     blocks = [
         f".. auto{'class' if inspect.isclass(value) else 'function'}:: {module}.{name}\n"

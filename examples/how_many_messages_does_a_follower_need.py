@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 import taciturn
 from taciturn.lqg.discrete import discretise
-from taciturn.model.policy import Policy
 from taciturn.model.steps import Acknowledged, Assign, Decide, Location, Received, Send
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
@@ -35,9 +34,9 @@ def follow(limits: list[float], loss: float, replies: bool) -> tuple[float, floa
     )
     ages = np.arange(len(limits))  # steps since the last message that counts
     age = Location("age", np.column_stack([np.minimum(ages + 1, ages[-1]), 0 * ages]), "sensor", counts)
-    car = frozenset({"controller", "actuator"})
-    policy = Policy("follow", steps, discretise(pair, gap, PERIOD).plant, taciturn.Theory(settling=100), (car,), (age,),
-                    {}, PERIOD, taciturn.Network("tcp" if replies else "udp", sensor_loss=loss))  # fmt: skip
+    car, link = frozenset({"controller", "actuator"}), taciturn.Network("tcp" if replies else "udp", sensor_loss=loss)
+    model, theory = discretise(pair, gap, PERIOD).plant, taciturn.Theory(settling=100)
+    policy = taciturn.Policy("follow", steps, model, theory, (car,), (age,), {}, PERIOD, link)
     found = taciturn.average(taciturn.close(pair, policy, cost=gap), steps=1_000_000)
     rate, off = found.rates["sensor"].value * (2 - loss if replies else 1), 100 * np.sqrt(found.cost.value)
     return rate, off, 100**2 * found.cost.standard_error / (2 * off)

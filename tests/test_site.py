@@ -35,9 +35,12 @@ def names() -> ModuleType:
 def listed(names: ModuleType) -> dict[str, object]:
     """Return what the pages of the reference list, by name."""
     text = "".join(path.read_text(encoding="utf-8") for path in sorted(DOCS.glob("reference*.md")))
-    modules = [name for block in re.findall(r"```\{names\}(.*?)```", text, re.DOTALL) for name in block.split()]
+    blocks = re.findall(r"```\{names\}(.*?)```", text, re.DOTALL)
+    entries = [line.strip() for block in blocks for line in block.splitlines() if line.strip()]
+    modules = [entry.partition(":")[0] for entry in entries]
     assert len(modules) == len(set(modules))
-    return {f"{module}.{name}": value for module in modules for name, value in names.public(module).items()}
+    found = [(entry.partition(":")[0], names.public(entry)) for entry in entries]
+    return {f"{module}.{name}": value for module, public in found for name, value in public.items()}
 
 
 def test_the_reference_lists_every_public_name(listed: dict[str, object]) -> None:

@@ -47,22 +47,14 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
 
 
 def square(name: str, value: ArrayLike, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only finite square matrix.
-
-    Raises:
-        ProblemError: the value is not numeric, not finite, or not square.
-    """
+    """Return ``value`` as a read-only finite square matrix."""
     result = array(name, value, (None, None), meaning)
     rows, columns = result.shape
     return result if rows == columns else array(name, value, (rows, rows), meaning)
 
 
 def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only symmetric matrix.
-
-    Raises:
-        ProblemError: the asymmetry exceeds 1e-9 of the entries, or of the largest entries that the diagonal allows.
-    """
+    """Return ``value`` as a read-only symmetric matrix."""
     result = array(name, value, (size, size), meaning)
     if np.array_equal(result, result.T):
         return result
@@ -80,11 +72,7 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
 
 
 def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only symmetric positive semidefinite matrix.
-
-    Raises:
-        ProblemError: an eigenvalue is negative.
-    """
+    """Return ``value`` as a read-only symmetric positive semidefinite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
     if exceeds(scaled, -DEFINITENESS_TOLERANCE):
@@ -99,11 +87,7 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
 
 
 def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
-    """Return ``value`` as a read-only symmetric positive definite matrix.
-
-    Raises:
-        ProblemError: an eigenvalue is not positive.
-    """
+    """Return ``value`` as a read-only symmetric positive definite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
     if exceeds(scaled, DEFINITENESS_TOLERANCE):
@@ -176,11 +160,7 @@ def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
 
 
 def flag(name: str, value: object) -> bool:
-    """Return ``value`` if it is True or False.
-
-    Raises:
-        ProblemError: it is something else.
-    """
+    """Return ``value`` if it is True or False."""
     if not isinstance(value, bool):
         raise ProblemError(f"{name} is {quoted(value)}; expected true or false")
     return value

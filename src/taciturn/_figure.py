@@ -118,11 +118,7 @@ def _separate(axis: Any, panel: Panel) -> None:
 
 
 def _check_canvas(ax: Any, figsize: Any, panels: int) -> list[Any]:
-    """Return the given axes, or an empty list for a new figure.
-
-    Raises:
-        ProblemError: as for ``draw``.
-    """
+    """Return the given axes, or an empty list for a new figure."""
     if figsize is not None:
         if ax is not None:
             raise ProblemError(

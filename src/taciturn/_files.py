@@ -69,9 +69,6 @@ def open_regular(path: Path) -> Generator[BinaryIO]:
     """Open a file of the user's for reading, without waiting for the other end of a pipe.
 
     Every file that a user names is opened here, or checked by ``check_regular`` if a library opens it by its name.
-
-    Raises:
-        OSError: the file cannot be opened, or is a device, a pipe or a folder.
     """
     check_regular(path)  # before it is opened, since opening a device may have effects
     with open(path, "rb", opener=_open_at_once) as file:

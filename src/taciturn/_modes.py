@@ -49,12 +49,7 @@ def largest_cycle(A: Array) -> float:
 
 
 def closure(found: Bits, leads: Bits) -> Bits:
-    """Return the given states and all states that they affect, directly or through other states.
-
-    Args:
-        found: the states, (n,).
-        leads: entry (i, j) is true if state j affects state i directly, (n, n).
-    """
+    """Return the given states and all states that they affect, directly or through other states."""
     while not found.all():
         more = found | leads[:, found].any(axis=1)
         if (more == found).all():
@@ -170,13 +165,6 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
 
     The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
     with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-
-    Returns:
-        Powers of two, (n,) and (m,); no entry of A/s·s' is much larger than the largest mean of A along a cycle.
     """
     balanced = balancing(A)
     off = np.abs(A - np.diag(np.diag(A)))
@@ -198,13 +186,7 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
 
 
 def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Array:
-    """Return G with G G' = matrix and one column per nonzero eigenvalue, independently of the units.
-
-    Args:
-        matrix: (n, n), semidefinite up to rounding.
-        beside: a covariance whose rounding errors the matrix may contain, (n, n); default: the matrix itself.
-        crumb: eigenvalue per row, relative to this covariance, below which a direction counts as rounding.
-    """
+    """Return G with G G' = matrix and one column per nonzero eigenvalue, independently of the units."""
     spread = np.diag(matrix if beside is None else beside)
     scale = np.sqrt(np.where(spread > NO_VARIANCE, spread, 0.0))
     inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
@@ -300,12 +282,6 @@ def growth(move: Callable[[Array], Array], moments: Array) -> float:
 
     The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
     these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
-
-    Args:
-        move: the moments after a step, from those before it; maps moments to moments.
-        moments: moments of a distribution with a density, such as ``normal_moments``.
-
-    Source: saad2011
     """
     size, earlier, paces = 0.0, 0.0, [math.inf, math.inf]  # logarithms
     for step in range(STEPS + 1):

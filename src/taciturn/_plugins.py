@@ -55,11 +55,7 @@ def load_plugin(group: str, name: str, purpose: str) -> Any:
 
 
 def load_entry(entry: EntryPoint, purpose: str) -> Any:
-    """Import the object of an entry point; ``purpose`` is the beginning of the message if this fails.
-
-    Raises:
-        ProblemError: the import fails.
-    """
+    """Import the object of an entry point; ``purpose`` is the beginning of the message if this fails."""
     try:
         return entry.load()
     except (Exception, SystemExit) as error:  # whatever the code of the package raises

@@ -47,11 +47,7 @@ class Ending:
         self._told = threading.Lock()
 
     def hear(self, number: int, _frame: FrameType | None = None) -> None:
-        """Handle a signal in the main thread.
-
-        Raises:
-            Interrupted: the signal is the first one, and no server stops by itself.
-        """
+        """Handle a signal in the main thread."""
         raises, self.raises = self.raises and not self.serves, False
         self._note(number)
         if raises:
@@ -111,9 +107,6 @@ def ends_on_signals() -> Generator[Ending]:
 
     An inner block uses the outer one. A signal that the process ignored before, as SIGHUP under ``nohup``, stays
     ignored.
-
-    Raises:
-        SystemExit: a signal arrived during the block; its code is 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP.
     """
     global _present
     if _present is not None or threading.current_thread() is not threading.main_thread():

@@ -32,17 +32,11 @@ class NoTimeLeft(Exception):  # noqa: N818
 
 @dataclass(frozen=True)
 class _Limit:
-    """A time limit.
+    """A time limit."""
 
-    Args:
-        end: time at which it passes.
-        seconds: the limit that a user has stated.
-        early: whether the best answer so far is to be returned when it passes.
-    """
-
-    end: float
-    seconds: float
-    early: bool
+    end: float  # time at which it passes
+    seconds: float  # the limit that a user has stated
+    early: bool  # whether the best answer so far is to be returned when it passes
 
 
 _limit: ContextVar[_Limit | None] = ContextVar("time limit", default=None)
@@ -111,13 +105,7 @@ def answered_within(seconds: float | None, early: bool = False) -> Generator[Non
 
 
 class Stages:
-    """The progress of a stage of a computation, mapped to an interval of the overall progress.
-
-    Args:
-        progress: callback that receives the fraction done of the whole computation, or None.
-        low: overall progress at the start of the stage.
-        high: overall progress at the end of the stage.
-    """
+    """The progress of a stage of a computation, mapped to an interval of the overall progress."""
 
     def __init__(self, progress: Progress | None, low: float = 0.0, high: float = 1.0) -> None:
         """Start with a progress of 0."""

@@ -243,17 +243,11 @@ NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 class Lost(NamedTuple):
-    """Modes of which it is known whether they decay, the fastest ones first, with their multiplicities.
+    """Modes of which it is known whether they decay, the fastest ones first, with their multiplicities."""
 
-    Args:
-        growing: those outside the stability limit.
-        staying: those on the limit.
-        decaying: those inside.
-    """
-
-    growing: Modes
-    staying: Modes
-    decaying: Modes
+    growing: Modes  # those outside the stability limit
+    staying: Modes  # those on the limit
+    decaying: Modes  # those inside
 
     @property
     def lasting(self) -> Modes:
@@ -265,18 +259,13 @@ NONE = Lost(*(np.zeros(0, dtype=np.complex128) for _ in range(3)))
 
 
 class Limit(NamedTuple):
-    """The edge of the modes that count as decaying.
+    """The edge of the modes that count as decaying."""
 
-    Args:
-        continuous: whether time is continuous: the edge is the imaginary axis, and otherwise the unit circle.
-        discount: α, by which the cost of a later step counts less: the edge is the circle of radius 1/√α, or in
-            continuous time the line Re λ = −ln α/(2h).
-        period: h, the period of the steps in continuous time.
-    """
-
-    continuous: bool
+    continuous: bool  # whether time is continuous: the edge is the imaginary axis, and otherwise the unit circle
+    # α, by which the cost of a later step counts less: the edge is the circle of radius 1/√α, or in continuous time
+    # the line Re λ = −ln α/(2h)
     discount: float = 1.0
-    period: float = 1.0
+    period: float = 1.0  # h, the period of the steps in continuous time
 
     def __str__(self) -> str:
         """Return the edge as text."""
@@ -343,14 +332,7 @@ class Limit(NamedTuple):
 
 
 def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
-    """Return the modes of A that the input through B does not move.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        limit: the edge of the modes that count as decaying.
-        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
-    """
+    """Return the modes of A that the input through B does not move."""
     if not len(A) or reaches_all(A, B):
         return NONE
     leads = np.asarray(A != 0, dtype=np.bool_)
@@ -374,13 +356,6 @@ def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: boo
     """Return the modes of A that the input through B does not move and on which combinations of states depend.
 
     They are the modes of A on the states modulo those that the input reaches and those that never show.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        rows: the combinations, (any, n).
-        limit: the edge of the modes that count as decaying.
-        rounded: whether modes that rounding the entries may have moved off the limit count as modes on it.
     """
     F, hidden = rational(A), kernel(reachable(A.T, rows.T).transpose())
     return _of_block(_beyond(F, within(F, basis(beside(rational(B), hidden)))), limit, rounded)
@@ -460,12 +435,7 @@ def _roots(polynomial: fmpq_poly) -> list[tuple[acb, int]]:
 
 
 def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
-    """Return how many different roots are their own mirror images; None if this precision does not tell.
-
-    Args:
-        common: a polynomial that has the mirror images of its roots as roots.
-        limit: the mirror.
-    """
+    """Return how many different roots are their own mirror images; None if this precision does not tell."""
     roots, count = [root for root, _ in _roots(common)] if common.degree() else [], 0
     for k, root in enumerate(roots):
         near = [j for j, other in enumerate(roots) if limit.image(root).overlaps(other)]

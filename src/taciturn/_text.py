@@ -56,12 +56,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
 
 
 def ordinal(number: int) -> str:
-    """Return a number as an ordinal.
-
-    Example:
-        >>> [ordinal(number) for number in (1, 2, 3, 4, 11, 22)]
-        ['1st', '2nd', '3rd', '4th', '11th', '22nd']
-    """
+    """Return a number as an ordinal."""
     last = 0 if number // 10 % 10 == 1 else number % 10
     return str(number) + {1: "st", 2: "nd", 3: "rd"}.get(last, "th")
 
@@ -144,11 +139,8 @@ def ending_text(path: Path) -> str:
 
 
 def backslash_text(path: str, error: str = "") -> str:
-    """Return what an error message adds if backslashes of a path were escapes in TOML, as in ``"C:\\new.csv"``, or "".
-
-    Args:
-        path: a path that a problem file names.
-        error: message of the TOML parser, if the file was not valid.
+    """Return what an error message adds if backslashes of a path were escapes in TOML, as in ``"C:\\new.csv"``, or
+    "".
     """
     if path.isprintable() and not any(word in error for word in ("Unescaped", "hex value", "Escaped")):
         return ""

@@ -39,11 +39,7 @@ from taciturn.program.tracing import trace
 
 
 def check_plants(problem: Discrete, policy: Policy) -> None:
-    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant.
-
-    Raises:
-        ProblemError: such a property is an input limit, a function, or the initial covariance for an average cost.
-    """
+    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant."""
     plant, model = problem.plant, policy.model
     begun = policy.cost is not None and policy.cost.mission
     ignored = {

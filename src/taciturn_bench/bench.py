@@ -39,23 +39,17 @@ FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "N
 
 @dataclass(frozen=True, repr=False)
 class Bench(Tabular):
-    """Measured speeds and ratios.
-
-    Args:
-        machine: processor, vector instructions and versions.
-        speeds: steps per second of processor time on one thread, by contestant; medians of the rounds.
-        ratios: ratios of these speeds, and the ratio of the wall times with one and with two threads.
-        compile_seconds: compile times of the innovations form, without and with the cache on disk.
-        variance_ratios: variance reductions of the estimators, per step.
-    """
+    """Measured speeds and ratios."""
 
     heading: ClassVar[tuple[str, ...]] = ("machine", "ratios")
 
-    machine: Mapping[str, str] = field(hash=False)
-    speeds: Mapping[str, float] = field(hash=False)
+    machine: Mapping[str, str] = field(hash=False)  # processor, vector instructions and versions
+    speeds: Mapping[str, float] = field(hash=False)  # steps per second of processor time on one thread, by contestant
+    # ratios of these speeds, and the ratio of the wall times with one and with two threads
     ratios: Mapping[str, float] = field(hash=False)
+    # compile times of the innovations form, without and with the cache on disk
     compile_seconds: Mapping[str, float] = field(hash=False)
-    variance_ratios: Mapping[str, float] = field(hash=False)
+    variance_ratios: Mapping[str, float] = field(hash=False)  # variance reductions of the estimators, per step
 
     def columns(self) -> Columns:
         """Return one row per contestant."""
@@ -77,18 +71,7 @@ class Bench(Tabular):
 
 
 def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
-    """Measure the simulation engine and the estimators on the two-mass loop, in alternating rounds.
-
-    Args:
-        rounds: number of rounds, at least 3, of which the medians are reported.
-        progress: callback that receives the fraction done.
-
-    Returns:
-        Speeds and ratios.
-
-    Raises:
-        ProblemError: ``rounds`` is too small, or llvmlite is missing.
-    """
+    """Measure the simulation engine and the estimators on the two-mass loop, in alternating rounds."""
     rounds = count("rounds", rounds, 3)
     number("rounds", rounds, high=MOST_ROUNDS)
     if not machine.available():
@@ -175,15 +158,7 @@ def race(
     progress: Progress | None = None,
     clock: Callable[[], float] = time.thread_time,
 ) -> dict[str, list[float]]:
-    """Return the steps per second of each compared program in each round after a warm-up round.
-
-    Args:
-        entries: contestants by name; each runs once per round, in turn.
-        rounds: number of counted rounds.
-        progress: callback that receives the fraction done.
-        clock: function that returns the time; by default the processor time of this thread, which excludes other
-            threads.
-    """
+    """Return the steps per second of each compared program in each round after a warm-up round."""
     speeds: dict[str, list[float]] = {name: [] for name in entries}
     for k in range(rounds + 1):
         for name, run in entries.items():
@@ -231,10 +206,7 @@ def compile_times(loop: Loop) -> dict[str, float]:
 
 
 def variance_ratios(loop: Loop) -> dict[str, float]:
-    """Return the factors by which completed squares and control variates reduce the variance of a mean cost.
-
-    Source: khashooei2017, henderson2002
-    """
+    """Return the factors by which completed squares and control variates reduce the variance of a mean cost."""
     full, reduced = loop.program().keep({COST}), loop.reduced_program()
     controls = [name for name in reduced.sums if isinstance(name, Control)]
     plain, squares = (_settled_sums(loop, program) for program in (full, reduced.keep({EXCESS, *controls})))

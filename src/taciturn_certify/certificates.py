@@ -39,15 +39,10 @@ class NoCertificateError(ProblemError):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(Displayed):
-    """A proof of a loop's property: matrix inequalities, and a solution verified with bounds on rounding errors.
+    """A proof of a loop's property: matrix inequalities, and a solution verified with bounds on rounding errors."""
 
-    Args:
-        inequalities: the inequalities that were solved.
-        solution: the matrix P of each action (or one for all), and the multipliers.
-    """
-
-    inequalities: Inequalities
-    solution: Unknowns
+    inequalities: Inequalities  # the inequalities that were solved
+    solution: Unknowns  # the matrix P of each action (or one for all), and the multipliers
 
     @property
     def matrices(self) -> tuple[Array, ...]:
@@ -57,23 +52,14 @@ class Certificate(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decay(Displayed):
-    """A proven decay rate ρ of a loop without noise: V(z⁺) ≤ ρ²V(z) + β; if β is 0, the state converges to zero.
+    """A proven decay rate ρ of a loop without noise: V(z⁺) ≤ ρ²V(z) + β; if β is 0, the state converges to zero."""
 
-    Args:
-        rate: ρ per step.
-        residual: β, which is 0 if the trigger has no constants.
-        overshoot: factor in |z_k| ≤ overshoot · ρ^k |z_0| if the trigger has no constants; otherwise None.
-        limit: bound below which the stage cost finally falls; 0 if the state converges to zero.
-        proof_of_limit: proof of the limit, or None if the limit is 0.
-        proof: proof of the rate.
-    """
-
-    rate: float
-    residual: float
-    overshoot: float | None
-    limit: float
-    proof_of_limit: Certificate | None
-    proof: Certificate
+    rate: float  # ρ per step
+    residual: float  # β, which is 0 if the trigger has no constants
+    overshoot: float | None  # factor in |z_k| ≤ overshoot · ρ^k |z_0| if the trigger has no constants; otherwise None
+    limit: float  # bound below which the stage cost finally falls; 0 if the state converges to zero
+    proof_of_limit: Certificate | None  # proof of the limit, or None if the limit is 0
+    proof: Certificate  # proof of the rate
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,31 +67,20 @@ class Gain(Displayed):
     """A proven l2 gain γ of a loop from noise w to cost: Σ stage cost ≤ γ² Σ|w|² + β·steps + a constant.
 
     It holds for every noise signal w and z_0 = 0.
-
-    Args:
-        value: γ, from noise in units of its standard deviation to the root of the stage cost.
-        residual: β per step, which is 0 if the trigger has no constants.
-        once: the constant of the inequality, which is 0 if the trigger has no constants.
-        proof: proof with a matrix P for each action.
     """
 
-    value: float
-    residual: float
-    once: float
-    proof: Certificate
+    value: float  # γ, from noise in units of its standard deviation to the root of the stage cost
+    residual: float  # β per step, which is 0 if the trigger has no constants
+    once: float  # the constant of the inequality, which is 0 if the trigger has no constants
+    proof: Certificate  # proof with a matrix P for each action
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Moment(Displayed):
-    """A proven bound on a loop's average stage cost or mean-square state under white noise of unit covariance.
+    """A proven bound on a loop's average stage cost or mean-square state under white noise of unit covariance."""
 
-    Args:
-        value: the bound, per step.
-        proof: proof with one P for all actions: E[z⁺'Pz⁺] ≤ z'Pz − form + bound.
-    """
-
-    value: float
-    proof: Certificate
+    value: float  # the bound, per step
+    proof: Certificate  # proof with one P for all actions: E[z⁺'Pz⁺] ≤ z'Pz − form + bound
 
 
 def find_decay(loop: Switched) -> Decay:
@@ -113,21 +88,6 @@ def find_decay(loop: Switched) -> Decay:
 
     The result is the least ρ with F_i'P_jF_i ⪯ ρ²P_i after the S-procedure at i and at j, and P_i ≻ 0 if i is taken. A
     bisection finds it, and verifies each ρ that it tries.
-
-    Args:
-        loop: matrices of the loop.
-
-    Raises:
-        NoCertificateError: no decay rate below 1 is found.
-
-    Source: heemels2013
-
-    Example: the state halves in every step.
-
-        >>> one = np.eye(1)
-        >>> loop = Switched(("a",), (one / 2,), one, (one,), (0 * one,), (0.0,), one, 0.0, 0.0, 0)
-        >>> round(find_decay(loop).rate, 3)
-        0.5
     """
     widest = Widest(_decay(loop, 0.0, 0.0), _decay(loop, 1.0, 0.0))
     found = _falling(loop, widest, LAST)
@@ -157,21 +117,6 @@ def find_gain(loop: Switched) -> Gain:
 
     The function first finds the least γ with V(F_iz + Gw) − z'P_iz + z'M_iz ≤ γ²|w|² + β after the S-procedure at i and
     at j, and then the least β for 1.05 γ.
-
-    Args:
-        loop: matrices of the loop.
-
-    Raises:
-        NoCertificateError: no bound is found, or the loop has no noise.
-
-    Source: heemels2013
-
-    Example: x⁺ = x/2 + w has the gain 1/(1 − 1/2).
-
-        >>> one = np.eye(1)
-        >>> loop = Switched(("a",), (one / 2,), one, (one,), (0 * one,), (0.0,), one, 0.0, 0.0, 0)
-        >>> round(find_gain(loop).value, 4)
-        2.0
     """
     if not loop.G.shape[1]:
         raise NoCertificateError(
@@ -193,44 +138,17 @@ def bound_cost(loop: Switched) -> Moment:
     The result is the least β such that F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, P ⪰ 0, and tr(PGG') plus the
     residual of the constants c is at most β. The noise must be white with zero mean and unit covariance, Gaussian or
     not.
-
-    Args:
-        loop: matrices of the loop.
-
-    Raises:
-        NoCertificateError: no bound is found.
-
-    Source: heemels2013
-
-    Example: x⁺ = x/2 + w has the variance 1/(1 − 1/4).
-
-        >>> one = np.eye(1)
-        >>> loop = Switched(("a",), (one / 2,), one, (one,), (0 * one,), (0.0,), one, 0.0, 0.0, 0)
-        >>> round(bound_cost(loop).value, 4)
-        1.3333
     """
     return _moment(loop, loop.M, loop.constant)
 
 
 def bound_state(loop: Switched) -> Moment:
-    """Return a proven bound on the mean square E|x|² of the plant's state under white noise.
-
-    Raises:
-        NoCertificateError: no bound is found.
-
-    Source: heemels2013
-    """
+    """Return a proven bound on the mean square E|x|² of the plant's state under white noise."""
     return _moment(loop, (loop.X.T @ loop.X,) * len(loop.labels), loop.hidden)
 
 
 class _Asked:
-    """A list of the inequalities of a certificate, to which inequalities are added.
-
-    Args:
-        loop: matrices of the loop.
-        matrices: number of unknown matrices.
-        scalars: number of unknown scalars before the multipliers.
-    """
+    """A list of the inequalities of a certificate, to which inequalities are added."""
 
     def __init__(self, loop: Switched, matrices: int, scalars: int) -> None:
         self.loop, self.scalars = loop, scalars
@@ -245,16 +163,7 @@ class _Asked:
         scalars: Sequence[tuple[int, Array]] = (),
         left: Inequality | None = None,
     ) -> None:
-        """Add a matrix inequality that must hold whenever the given actions of the loop are taken.
-
-        Args:
-            constant: constant term of the inequality.
-            squares: terms of the unknown matrices.
-            where: pairs (i, T), meaning that the action i is taken at T z.
-            scalars: terms of the unknown scalars.
-            left: the (1, 1) inequality to which the constants of the trigger, times their multipliers, are added;
-                if omitted, these constants are ignored.
-        """
+        """Add a matrix inequality that must hold whenever the given actions of the loop are taken."""
         terms, numbers = list(scalars), [] if left is None else list(left.scalars)
         for action, T in where:
             for D, d in self.loop.margins(action):
@@ -364,11 +273,7 @@ def _moment(loop: Switched, forms: Sequence[Array], constant: float) -> Moment:
 
 
 def _minimised(asked: Inequalities, weights: Mapping[int, float], what: str) -> Certificate:
-    """Return a verified solution with the least Σ weight·scalar.
-
-    Raises:
-        NoCertificateError: no solution is found or verified.
-    """
+    """Return a verified solution with the least Σ weight·scalar."""
     missed = None
     for margin in MARGINS:
         found = asked.minimise(weights, margin)

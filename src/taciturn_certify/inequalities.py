@@ -23,11 +23,7 @@ from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, Unprove
 
 
 def expect_solver() -> None:
-    """Check that the solver for matrix inequalities is installed.
-
-    Raises:
-        ProblemError: cvxpy or clarabel is missing.
-    """
+    """Check that the solver for matrix inequalities is installed."""
     _solver()
 
 
@@ -35,14 +31,6 @@ class Minimum:
     """A semidefinite program with a given share: minimise objective'x so that all blocks mat((A + share·S) x + b) ⪰ 0.
 
     cvxpy takes ten times as long to build such a problem as Clarabel takes to solve it, so it is built only once.
-
-    Args:
-        objective: coefficients of the objective, (unknowns,).
-        blocks: (A, S, b) of each inequality, with A and S (n², unknowns) and b (n, n) symmetric.
-        nonnegative: indices of the unknowns that must be nonnegative.
-
-    Raises:
-        ProblemError: cvxpy or clarabel is missing.
     """
 
     def __init__(
@@ -96,17 +84,11 @@ Square = tuple[float, int, Array]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Inequality(Displayed):
-    """Linear matrix inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0 in matrices P_k and scalars s_j.
+    """Linear matrix inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0 in matrices P_k and scalars s_j."""
 
-    Args:
-        constant: symmetric matrix, (n, n).
-        squares: the triple (weight, k, T) of each term with an unknown matrix.
-        scalars: the pair (j, S) of each term with an unknown scalar; S is symmetric, (n, n).
-    """
-
-    constant: Array
-    squares: Sequence[Square] = ()
-    scalars: Sequence[tuple[int, Array]] = ()
+    constant: Array  # symmetric matrix, (n, n)
+    squares: Sequence[Square] = ()  # the triple (weight, k, T) of each term with an unknown matrix
+    scalars: Sequence[tuple[int, Array]] = ()  # the pair (j, S) of each term with an unknown scalar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,25 +101,14 @@ class Unknowns(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Inequalities(Displayed):
-    """Set of linear matrix inequalities in symmetric matrices of given sizes and in scalars s ≥ 0.
+    """Set of linear matrix inequalities in symmetric matrices of given sizes and in scalars s ≥ 0."""
 
-    Args:
-        sizes: sizes of the unknown matrices P_k.
-        scalars: number of the unknown scalars.
-        listed: the inequalities.
-    """
-
-    sizes: tuple[int, ...]
-    scalars: int
-    listed: tuple[Inequality, ...]
+    sizes: tuple[int, ...]  # sizes of the unknown matrices P_k
+    scalars: int  # number of the unknown scalars
+    listed: tuple[Inequality, ...]  # the inequalities
 
     def minimise(self, weights: Mapping[int, float], margin: float) -> Unknowns | None:
-        """Return the solution with the least Σ weight·scalar that satisfies every inequality with a margin, or None.
-
-        Args:
-            weights: weights of the scalars by index; the others have weight 0.
-            margin: least eigenvalue that the left side of every inequality must have.
-        """
+        """Return the solution with the least Σ weight·scalar that satisfies every inequality with a margin, or None."""
         blocks = [(A, 0 * A, b - margin * np.eye(len(b))) for A, b in map(self.block, self.listed)]
         objective, signed = np.zeros(blocks[0][0].shape[1]), self.signed
         for j, weight in weights.items():
@@ -204,10 +175,6 @@ class Widest:
     """Search for the solution with the largest common margin of inequalities that depend linearly on a parameter.
 
     They are interpolated between two lists of the same structure.
-
-    Args:
-        first: the inequalities at share 0.
-        last: the inequalities at share 1; at other shares they are interpolated linearly.
     """
 
     def __init__(self, first: Inequalities, last: Inequalities) -> None:
@@ -245,11 +212,7 @@ def _shortfall(one: Inequality, solution: Unknowns) -> float:
 
 
 def _enclosed(arithmetic: type[E], one: Inequality, solution: Unknowns) -> E:
-    """Return an enclosure of the left side of an inequality for a solution.
-
-    Raises:
-        UnprovedError: a number exceeds the range of doubles.
-    """
+    """Return an enclosure of the left side of an inequality for a solution."""
     value = arithmetic.exact(one.constant)
     for weight, k, T in one.squares:
         turned = arithmetic.exact(T)

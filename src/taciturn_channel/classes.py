@@ -41,11 +41,6 @@ class Clocked:
     At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F P_{j−1} F' + W and P_0 = 0. An interval of k
     checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1) both intervals alternate, so that S is linear in
     between.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: W, covariance of w, (n, n).
-        Gamma: Γ, weight of the cost, (n, n), semidefinite.
     """
 
     def __init__(self, F: Array, noise: Array, Gamma: Array) -> None:
@@ -121,32 +116,20 @@ class Clocked:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LoopClass(Displayed):
-    """A class of identical loops that share a channel.
+    """A class of identical loops that share a channel."""
 
-    Args:
-        error: the error of one loop, with the cost of its intervals.
-        count: number of loops in the class.
-        every: steps of the channel between two checks of a loop.
-    """
-
-    error: Clocked
-    count: int
-    every: int = 1
+    error: Clocked  # the error of one loop, with the cost of its intervals
+    count: int  # number of loops in the class
+    every: int = 1  # steps of the channel between two checks of a loop
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Allocation(Displayed):
-    """Optimal rates of periodic control for several classes of loops on a shared channel.
+    """Optimal rates of periodic control for several classes of loops on a shared channel."""
 
-    Args:
-        rates: sends per check of each class, (classes,).
-        price: price per send at which each class would choose its rate by itself; 0 if all can send at every check.
-        costs: mean cost per step of one error of each class, (classes,).
-    """
-
-    rates: Array
-    price: float
-    costs: Array
+    rates: Array  # sends per check of each class, (classes,)
+    price: float  # price per send at which each class would choose its rate by itself; 0 if all can send at every check
+    costs: Array  # mean cost per step of one error of each class, (classes,)
 
 
 def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
@@ -156,12 +139,6 @@ def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
     uses its optimal interval at this price. At the price where the load crosses the capacity, time is shared between
     the intervals just below and just above this price. No periodic schedule in any order has a lower cost, but none may
     attain it (``allocate_slots``): the sends of loops with different intervals meet in some steps.
-
-    Args:
-        sharers: the classes of loops.
-        capacity: largest number of sends per step, positive.
-
-    Source: everett1963
     """
     counts = np.array([sharer.count / sharer.every for sharer in sharers])
     if counts.sum() <= capacity:
@@ -199,10 +176,6 @@ def allocate_slots(sharers: Sequence[LoopClass], capacity: int) -> float:
     the class, so that their intervals are the whole numbers next to the mean one, whose cost is that of ``Clocked``. So
     this cost is attained, and that of ``allocate`` is a lower bound. Since it is convex in the number of slots, each
     further slot goes to the class that gains most from it.
-
-    Args:
-        sharers: the classes of loops.
-        capacity: largest number of sends per step, positive.
     """
 
     def cost(sharer: LoopClass, slots: int) -> float:
@@ -246,28 +219,17 @@ class Kind(Displayed):
 
     The error is e⁺ = F e (1−σ) + w. A check without a send costs e'Γe beyond sending every sample, in the units of the
     cost times steps; so a loop that checks at every other step has twice the weight.
-
-    Args:
-        name: name of the problem.
-        count: number of loops.
-        every: steps of the channel between two checks.
-        F: error dynamics, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: weight Γ, (n, n).
-        L: matrix from the error of the state to the error of the input, (inputs, n).
-        cost_all_time: cost of one loop that sends at every check.
-        clocked: cost of periodic control as a function of the send interval.
     """
 
-    name: str
-    count: int
-    every: int
-    F: Array
-    noise: Array
-    Gamma: Array
-    L: Array
-    cost_all_time: float
-    clocked: Clocked
+    name: str  # name of the problem
+    count: int  # number of loops
+    every: int  # steps of the channel between two checks
+    F: Array  # error dynamics, (n, n)
+    noise: Array  # covariance of w, (n, n)
+    Gamma: Array  # weight Γ, (n, n)
+    L: Array  # matrix from the error of the state to the error of the input, (inputs, n)
+    cost_all_time: float  # cost of one loop that sends at every check
+    clocked: Clocked  # cost of periodic control as a function of the send interval
 
     @property
     def looks(self) -> float:
@@ -276,12 +238,7 @@ class Kind(Displayed):
 
 
 def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind, ...]:
-    """Return the loops of some problems, with the given number of copies of each.
-
-    Raises:
-        ProblemError: there are no problems, the units of cost differ, there is no common step, or no send resets the
-            error of a problem.
-    """
+    """Return the loops of some problems, with the given number of copies of each."""
     instance("problems", problems, Mapping)
     if not problems:
         raise ProblemError("problems is empty; expected at least one problem, whose loops share the channel")
@@ -344,11 +301,7 @@ def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
 
 
 def _period(name: str, problem: Problem) -> float | None:
-    """Return the seconds between two checks of a problem's loop, or None if time is counted in steps.
-
-    Raises:
-        ProblemError: the plant is continuous and no period is given.
-    """
+    """Return the seconds between two checks of a problem's loop, or None if time is counted in steps."""
     if not isinstance(problem.plant, ContinuousPlant):
         return problem.plant.dt
     period = problem.parameters.get("period")
@@ -361,11 +314,7 @@ def _period(name: str, problem: Problem) -> float | None:
 
 
 def _common_ticks(periods: Mapping[str, float | None], unit: str) -> list[int]:
-    """Return the number of steps of the channel in each period.
-
-    Raises:
-        ProblemError: the periods are not multiples of a common step.
-    """
+    """Return the number of steps of the channel in each period."""
     seconds = [period for period in periods.values() if period is not None]
     if not seconds:
         return [1] * len(periods)

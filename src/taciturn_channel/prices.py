@@ -53,50 +53,32 @@ _KNOWN: dict[tuple[object, Hashable], Any] = {}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule(Displayed):
-    """A nearly optimal schedule for one kind of loops at a price per send.
+    """A nearly optimal schedule for one kind of loops at a price per send."""
 
-    Args:
-        price: price per send, in the units of the cost times steps.
-        urgency: cost of silence minus cost of a send, as a function of the error.
-        rate: sends per check.
-    """
-
-    price: float
-    urgency: Form
-    rate: Estimate
+    price: float  # price per send, in the units of the cost times steps
+    urgency: Form  # cost of silence minus cost of a send, as a function of the error
+    rate: Estimate  # sends per check
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Settled(Displayed):
-    """The schedule and the lower bound of one kind of loops at a price per send.
+    """The schedule and the lower bound of one kind of loops at a price per send."""
 
-    Args:
-        schedule: a nearly optimal schedule.
-        least: lower bound on the mean cost of a check, including the price of sends: a number, or a sampled bound; None
-            if no bound was requested.
-    """
-
-    schedule: Schedule
+    schedule: Schedule  # a nearly optimal schedule
+    # lower bound on the mean cost of a check, including the price of sends: a number, or a sampled bound; None if no
+    # bound was requested
     least: float | SampledDual | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Job(Displayed):
-    """A computation for one kind of loops.
+    """A computation for one kind of loops."""
 
-    Args:
-        kind: kind of loops.
-        price: price per send.
-        seed: seed of the random draws.
-        confidence: confidence of the bound on the sum over kinds; 0 for no bound.
-        precise: target loss of the bound per check that is due to the confidence.
-    """
-
-    kind: Kind
-    price: float
-    seed: int
-    confidence: float = 0.0
-    precise: float = 0.0
+    kind: Kind  # kind of loops
+    price: float  # price per send
+    seed: int  # seed of the random draws
+    confidence: float = 0.0  # confidence of the bound on the sum over kinds; 0 for no bound
+    precise: float = 0.0  # target loss of the bound per check that is due to the confidence
 
     @property
     def key(self) -> Hashable:
@@ -123,12 +105,6 @@ class Curves:
     Prices of the table are half an octave apart; in between, log rate is interpolated linearly in log price. Kinds with
     equal matrices are computed once. The estimates of a kind depend only on its matrices and the seed, and the draws of
     different kinds are independent.
-
-    Args:
-        kinds: kinds of loops.
-        seed: seed of the random draws.
-        executor: executor that processes the kinds; None for one after the other in this process.
-        progress: callback that receives a fraction, which approaches 1 with the number of prices.
     """
 
     def __init__(
@@ -162,22 +138,14 @@ class Curves:
         return float(self._looks @ self.rates(price))
 
     def settle(self, price: float, confidence: float = 0.0) -> list[Settled]:
-        """Return the schedule of each kind of loops at a price per send and, if a confidence is given, its lower bound.
-
-        Args:
-            price: price per send.
-            confidence: confidence of the bound on the sum; 0 for no bound.
+        """Return the schedule of each kind of loops at a price per send and, if a confidence is given, its lower
+        bound.
         """
         found = self._ask(_settle, price, confidence, self._precise(price) if confidence else 0.0)
         return [found[which] for which in self._which]
 
     def price_of(self, capacity: float, guess: float) -> float:
-        """Return the common price per send at which the load equals the capacity; 0 if the load is always below.
-
-        Args:
-            capacity: sends per step.
-            guess: price at which the search begins.
-        """
+        """Return the common price per send at which the load equals the capacity; 0 if the load is always below."""
         if sum(kind.looks for kind in self.kinds if kind.clocked.forever) <= capacity:
             return 0.0
         place = round(PER_OCTAVE * float(np.log2(guess)))
@@ -208,14 +176,6 @@ class Curves:
             Σ J_i ≥ Σ (J_all,i + g_i(λ)/m_i) − λ·capacity.
 
         The confidence applies only to the sum of the sampled bounds.
-
-        Args:
-            settled: the estimates of each kind at the price, including bounds.
-            capacity: sends per step.
-            price: λ; the bound holds for any price and is largest if the load equals the capacity.
-            confidence: confidence of the bound, if a part of it is sampled.
-
-        Source: everett1963, brown2010
         """
         from taciturn.renewal.dual import SampledDual, bound_sum
 

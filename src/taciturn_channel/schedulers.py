@@ -45,14 +45,7 @@ WORK = 50_000_000  # most steps of all loops together
 
 
 def best_stretch(sharers: Sequence[LoopClass], access: Access, rates: Array, cycle: int) -> float:
-    """Return the least cost per step of a stretch of a schedule that is repeated, or infinity if there is none.
-
-    Args:
-        sharers: the classes of loops.
-        access: the access rule, at its start; it must not depend on the errors.
-        rates: mean sends per step of a loop of each class, (classes,); a loop with the rate 0 never sends.
-        cycle: number of steps after which the checks of all loops repeat.
-    """
+    """Return the least cost per step of a stretch of a schedule that is repeated, or infinity if there is none."""
     classes, phases, every = _places(sharers)
     loops = len(classes)
     longest = 1 / rates[rates > 0].min() if (rates > 0).any() else 0.0
@@ -230,12 +223,7 @@ class Game:
         self.refuse_lost(stretch.cost.mean(axis=0) / self.looks, stretch.sends.mean(axis=0) / self.looks)
 
     def refuse_lost(self, cost: Array, rates: Array) -> None:
-        """Raise an error if unstable loops send too rarely to be stabilised.
-
-        Args:
-            cost: cost of a check of each kind, beyond sending every sample.
-            rates: sends per check of one loop of each kind.
-        """
+        """Raise an error if unstable loops send too rarely to be stabilised."""
         for kind, each, rate in zip(self.kinds, cost.tolist(), rates.tolist(), strict=True):
             limit = LOST * max(kind.every * kind.cost_all_time, float(np.sum(kind.Gamma * kind.noise)))
             if kind.clocked.growth >= 1 and not each <= limit:

@@ -26,38 +26,22 @@ COLLISION = 1 / (np.e - 2)  # mean number of additional packets in a collision
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Grant(Displayed):
-    """Result of an access rule in one step: which loops sent, and how many packets were on the channel.
+    """Result of an access rule in one step: which loops sent, and how many packets were on the channel."""
 
-    Args:
-        sent: whether each loop sent successfully, (channels, loops).
-        busy: number of packets on the channel, including collisions, (channels,).
-    """
-
-    sent: Bits
-    busy: Array
+    sent: Bits  # whether each loop sent successfully, (channels, loops)
+    busy: Array  # number of packets on the channel, including collisions, (channels,)
 
 
 class Access(Protocol):
     """An access rule of a shared channel; because it can have internal state, use one object for each simulation."""
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Return which loops send.
-
-        Args:
-            tick: number of the step.
-            at: the loops that check their error in this step, (loops,).
-            urgency: urgency of each of these loops on each independent channel, (channels, loops); above 0, a loop
-                requests a send.
-        """
+        """Return which loops send."""
         ...
 
 
 class MostUrgent:
-    """Access rule in which the loops with the highest urgency use all slots, even if they do not request a send.
-
-    Args:
-        capacity: sends per step.
-    """
+    """Access rule in which the loops with the highest urgency use all slots, even if they do not request a send."""
 
     def __init__(self, capacity: int) -> None:
         """Store the capacity."""
@@ -70,12 +54,7 @@ class MostUrgent:
 
 
 class RoundRobin:
-    """Access rule in which the loops take turns to send in a fixed order.
-
-    Args:
-        capacity: sends per step.
-        loops: number of loops.
-    """
+    """Access rule in which the loops take turns to send in a fixed order."""
 
     def __init__(self, capacity: int, loops: int) -> None:
         """Start with the first loop."""
@@ -93,11 +72,6 @@ class TimeDivision:
     """Access rule in which every loop sends periodically at its own rate.
 
     If too many sends are due, loops whose next send is earlier have priority.
-
-    Args:
-        capacity: sends per step.
-        rates: sends per step of each loop, (loops,); a loop with rate 0 never sends.
-        phases: time of the first send of each loop, as a share of its interval, (loops,).
     """
 
     def __init__(self, capacity: int, rates: Array, phases: Array) -> None:
@@ -125,12 +99,6 @@ class RandomAccess:
 
     All loops observe which slots were empty, used or collided. They use it to estimate the backlog n of a channel, and
     send with the probability min(1, slots/n) (pseudo-Bayesian control of slotted ALOHA).
-
-    Args:
-        slots: slots per step.
-        seed: seed of the random draws.
-
-    Source: rivest1987
     """
 
     def __init__(self, slots: int, seed: int) -> None:
@@ -176,40 +144,24 @@ KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "gra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(Displayed):
-    """A group of identical loops with the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe.
+    """A group of identical loops with the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe."""
 
-    Args:
-        F: error dynamics, (n, n).
-        noise: covariance of w ~ N(0, ·), (n, n).
-        Gamma: weight Γ, (n, n).
-        urgency: function of ``error``; a loop requests a send if it is above 0.
-        count: number of loops.
-        every: steps of the channel between two checks of a loop; the loops check in turn.
-    """
-
-    F: Array
-    noise: Array
-    Gamma: Array
-    urgency: Form
-    count: int
-    every: int = 1
+    F: Array  # error dynamics, (n, n)
+    noise: Array  # covariance of w ~ N(0, ·), (n, n)
+    Gamma: Array  # weight Γ, (n, n)
+    urgency: Form  # function of ``error``; a loop requests a send if it is above 0
+    count: int  # number of loops
+    every: int = 1  # steps of the channel between two checks of a loop; the loops check in turn
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stretch(Displayed):
-    """Mean cost, sends and collisions over a number of simulated steps, for each of several independent channels.
+    """Mean cost, sends and collisions over a number of simulated steps, for each of several independent channels."""
 
-    Args:
-        cost: cost per step, summed over the loops of each group, (channels, groups).
-        sends: sends per step of each group, (channels, groups).
-        busy: sends and collisions per step, (channels,).
-        waiting: loops per step that request a send and do not get one, (channels,).
-    """
-
-    cost: Array
-    sends: Array
-    busy: Array
-    waiting: Array
+    cost: Array  # cost per step, summed over the loops of each group, (channels, groups)
+    sends: Array  # sends per step of each group, (channels, groups)
+    busy: Array  # sends and collisions per step, (channels,)
+    waiting: Array  # loops per step that request a send and do not get one, (channels,)
 
 
 class SharedChannel:
@@ -220,12 +172,6 @@ class SharedChannel:
     Memory and time grow linearly with the number of loops. Groups run together if they check at the same steps and
     their programs differ only in their constants. Loop i of channel k has the draws of path i·channels + k of the seed,
     for any grouping.
-
-    Args:
-        groups: the loops.
-        access: access rule of the channel.
-        channels: number of independent channels, each with all the loops.
-        seed: seed of the random draws.
     """
 
     def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:

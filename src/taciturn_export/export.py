@@ -134,16 +134,7 @@ def _prepared(problem: Studied, precision: Precision, seed: int, progress: Progr
 
 
 def bear_single(loop: Loop, seed: int = 0, progress: Progress | None = None) -> Loop:
-    """Return a loop in single precision if a simulation shows that it costs the same as in double precision.
-
-    Args:
-        loop: loop in double precision.
-        seed: seed of the random draws, which are the same in both precisions.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        ProblemError: the loop costs more in single precision, or is unstable.
-    """
+    """Return a loop in single precision if a simulation shows that it costs the same as in double precision."""
     single = replace(loop, precision="float32")
 
     def told(begin: float) -> Progress:

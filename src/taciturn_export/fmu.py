@@ -41,23 +41,15 @@ _TYPES = {
 
 @dataclass(frozen=True, repr=False)
 class UnitVariable(Displayed):
-    """A variable of a functional mock-up unit (FMU).
+    """A variable of a functional mock-up unit (FMU)."""
 
-    Args:
-        name: structured name, as FMI defines it.
-        reference: value reference.
-        kind: type of the value: a real number, a Boolean, or a counter that never decreases.
-        causality: independent, input or output.
-        text: description of the variable.
-        start: value of an input before it is set; 0 of a truth value is false.
-    """
-
-    name: str
-    reference: int
+    name: str  # structured name, as FMI defines it
+    reference: int  # value reference
+    # type of the value: a real number, a Boolean, or a counter that never decreases
     kind: Literal["number", "truth", "count"]
-    causality: Literal["independent", "input", "output"]
-    text: str
-    start: float = 0.0
+    causality: Literal["independent", "input", "output"]  # independent, input or output
+    text: str  # description of the variable
+    start: float = 0.0  # value of an input before it is set; 0 of a truth value is false
 
 
 def used_links(loop: Loop) -> tuple[str, ...]:
@@ -135,16 +127,7 @@ def list_variables(loop: Loop) -> tuple[UnitVariable, ...]:
 
 
 def describe_unit(loop: Loop, name: str, version: Version, token: str, sources: tuple[str, ...], ticks: int) -> bytes:
-    """Return the XML model description of a functional mock-up unit.
-
-    Args:
-        loop: loop whose policy the unit contains.
-        name: name of the model and of its files.
-        version: version of FMI.
-        token: unique identifier of the unit.
-        sources: names of the files to compile.
-        ticks: length of the default experiment in steps.
-    """
+    """Return the XML model description of a functional mock-up unit."""
     tick, variables = tick_length(loop), list_variables(loop)
     new = version == "3.0"
     root = Xml.Element("fmiModelDescription", {
@@ -306,11 +289,7 @@ class Fmu(Displayed):
 
 
 def check_name(path: Path) -> None:
-    """Raise an error if a file name does not end in ``.fmu``.
-
-    Raises:
-        ProblemError: the name has another ending.
-    """
+    """Raise an error if a file name does not end in ``.fmu``."""
     if path.suffix != ".fmu":
         raise ProblemError(f"the file name of the FMU is {path}; expected a name that ends in .fmu")
 

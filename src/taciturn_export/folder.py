@@ -77,17 +77,7 @@ class RecordedRun(Displayed):
 
 
 def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> RecordedRun:
-    """Run the bit-exact build of a loop's program, and return its measurements, losses, decisions and inputs.
-
-    Args:
-        loop: the loop, with the precision of its nodes.
-        ticks: number of steps.
-        seed: seed of noise, losses and draws.
-        drawn: random numbers of the policy, (steps, draws), in place of those from the seed.
-
-    Raises:
-        ProblemError: the loop is so unstable that it leaves the range of numbers.
-    """
+    """Run the bit-exact build of a loop's program, and return its measurements, losses, decisions and inputs."""
     loop = loop.in_units
     program, plant = loop.open_program(), loop.problem.plant
     generator = np.random.default_rng(seed)

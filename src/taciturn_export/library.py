@@ -24,15 +24,6 @@ def print_library(name: str, policy: Policy, core: Sequence[str], nodes: Sequenc
 
     PlatformIO and Arduino compile everything in ``src`` and nothing else of a library, so the files in ``src`` include
     the files of a device from the folder above. The self-check is not in ``src``, because it has a ``main``.
-
-    Args:
-        name: name of the policy, as an identifier.
-        policy: the policy.
-        core: names of the core's files.
-        nodes: exported nodes.
-
-    Returns:
-        The texts, by path relative to the exported folder.
     """
     library, headers = f"taciturn_{name}", [f"{node.name}.h" for node in nodes]
     files = [*core, *headers, *(f"{node.name}.c" for node in nodes)]

@@ -56,25 +56,15 @@ def link_code(policy: Policy, link: str) -> str:
 
 @dataclass(frozen=True, repr=False)
 class NodeData(Displayed):
-    """The constant data of a node.
+    """The constant data of a node."""
 
-    Args:
-        policy: policy that contains the node.
-        network: network, which defines the encoding of payloads.
-        program: program of the node.
-        layout: positions of its inputs and outputs.
-        constants: numbers that the code of its step reads.
-        precision: precision of the numbers.
-        seed: seed of the random draws.
-    """
-
-    policy: Policy
-    network: Network
-    program: NodeProgram
-    layout: Layout
-    constants: list[float] = field(hash=False)
-    precision: Precision
-    seed: int
+    policy: Policy  # policy that contains the node
+    network: Network  # network, which defines the encoding of payloads
+    program: NodeProgram  # program of the node
+    layout: Layout  # positions of its inputs and outputs
+    constants: list[float] = field(hash=False)  # numbers that the code of its step reads
+    precision: Precision  # precision of the numbers
+    seed: int  # seed of the random draws
 
     @cached_property
     def _shapes(self) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
@@ -258,12 +248,7 @@ class CNode(Displayed):
 
 
 def identifier(text: str) -> str:
-    """Return a name as a C identifier.
-
-    Example:
-        >>> identifier("two-mass"), identifier("3 tanks")
-        ('two_mass', 'p3_tanks')
-    """
+    """Return a name as a C identifier."""
     found = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_").lower()
     return f"p{found}" if not found or found[0].isdigit() else found
 
@@ -277,19 +262,7 @@ def print_node(
     precision: Precision = "float64",
     seed: int = 0,
 ) -> CNode:
-    """Return a node of a policy as C99, to be compiled with the common core sources.
-
-    Args:
-        policy: policy that contains the node.
-        role: role of the node.
-        network: network, which defines the rounding of payloads.
-        name: name of the C type.
-        precision: precision of the numbers.
-        seed: seed of the random draws.
-
-    Raises:
-        ProblemError: the nodes cannot be separated, or a node exceeds a size limit of the core.
-    """
+    """Return a node of a policy as C99, to be compiled with the common core sources."""
     EXPORTED.check(policy.parts, policy.designed_for, network)
     program = lower_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
@@ -355,21 +328,13 @@ def core_links(policy: Policy) -> int:
 
 @dataclass(frozen=True, repr=False)
 class CoreSizes(Displayed):
-    """The sizes for which the core is compiled.
+    """The sizes for which the core is compiled."""
 
-    Args:
-        links: size of the tables by link (``core_links``).
-        values: entries of the largest packet.
-        datagram: bytes of the largest datagram, with its tag.
-        waiting: early packets of each link that a node stores, a power of two.
-        single: whether numbers have single precision.
-    """
-
-    links: int
-    values: int
-    datagram: int
-    waiting: int
-    single: bool
+    links: int  # size of the tables by link (``core_links``)
+    values: int  # entries of the largest packet
+    datagram: int  # bytes of the largest datagram, with its tag
+    waiting: int  # early packets of each link that a node stores, a power of two
+    single: bool  # whether numbers have single precision
 
     @staticmethod
     def of(policy: Policy, network: Network, waiting: int, precision: Precision) -> CoreSizes:

@@ -28,17 +28,11 @@ LONGEST = 500  # characters of a tool's output that an error message quotes
 
 
 class Target(NamedTuple):
-    """A processor, and the tools that compile for it.
+    """A processor, and the tools that compile for it."""
 
-    Args:
-        processor: name of the processor.
-        flags: compiler flags.
-        prefix: prefix of the names of its tools.
-    """
-
-    processor: str
-    flags: tuple[str, ...]
-    prefix: str = "arm-none-eabi-"
+    processor: str  # name of the processor
+    flags: tuple[str, ...]  # compiler flags
+    prefix: str = "arm-none-eabi-"  # prefix of the names of its tools
 
     @property
     def compiler(self) -> str:
@@ -54,30 +48,15 @@ HOST = Target(platform.machine(), (), "")  # this machine
 
 
 class Sizes(NamedTuple):
-    """The size of a part of a program in bytes; constants between instructions count as code.
+    """The size of a part of a program in bytes; constants between instructions count as code."""
 
-    Args:
-        code: size of the instructions.
-        constants: size of the constants in read-only memory.
-        memory: size of the variables.
-    """
-
-    code: int
-    constants: int
-    memory: int
+    code: int  # size of the instructions
+    constants: int  # size of the constants in read-only memory
+    memory: int  # size of the variables
 
 
 def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") -> dict[str, Sizes]:
-    """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic).
-
-    Args:
-        target: the processor.
-        folder: folder with the nodes.
-        level: optimisation level.
-
-    Raises:
-        ProblemError: the compiler is missing.
-    """
+    """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic)."""
     with TemporaryDirectory() as name:
         into = Path(name)
         folder.write(into)
@@ -92,17 +71,7 @@ def measure_sizes(target: Target, folder: CFolder, level: Optimisation = "-O2") 
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
-    """Return the sizes of the nodes on a Cortex-M, or on this machine if it has no Cortex-M compiler, or None.
-
-    Args:
-        folder: folder with the nodes, which are compiled with optimisation for size.
-
-    Returns:
-        The processor and the sizes of each node and of the ``"core"``, or None if no compiler is installed.
-
-    Raises:
-        ProblemError: the compiler reports an error.
-    """
+    """Return the sizes of the nodes on a Cortex-M, or on this machine if it has no Cortex-M compiler, or None."""
     targets = (CORTEX_M4F if folder.single else CORTEX_M3, HOST)
     target = next((target for target in targets if shutil.which(target.compiler)), None)
     return None if target is None else (target.processor, measure_sizes(target, folder, "-Os"))
@@ -111,29 +80,14 @@ def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
 def compile_sources(
     target: Target, sources: Sequence[str], into: Path, level: Optimisation, flags: Sequence[str] = ()
 ) -> list[str]:
-    """Compile C files in a folder, with warnings as errors, and return the names of the objects.
-
-    Args:
-        target: the processor.
-        sources: names of the C files.
-        into: their folder.
-        level: optimisation level.
-        flags: further flags.
-
-    Raises:
-        ProblemError: the compiler is missing, or it reports an error.
-    """
+    """Compile C files in a folder, with warnings as errors, and return the names of the objects."""
     warned = [flag for flag in FLAGS.split() if not flag.startswith("-O")]
     call_tool(target.compiler, [*warned, "-Werror", level, *target.flags, *flags, "-c", *sources], into)
     return [Path(name).with_suffix(".o").name for name in sources]
 
 
 def find_tool(name: str) -> str:
-    """Return the path of a compiler or an emulator.
-
-    Raises:
-        ProblemError: the tool is missing; the message names the packages that contain it.
-    """
+    """Return the path of a compiler or an emulator."""
     found = shutil.which(name)
     if found is None:
         raise ProblemError(
@@ -143,17 +97,7 @@ def find_tool(name: str) -> str:
 
 
 def call_tool(tool: str, arguments: Sequence[str], folder: Path, patience: float = PATIENCE) -> str:
-    """Run a tool in a folder, and return its output.
-
-    Args:
-        tool: name of the tool.
-        arguments: its arguments.
-        folder: folder in which it runs.
-        patience: time limit in seconds.
-
-    Raises:
-        ProblemError: the tool is missing, fails, or exceeds the time limit.
-    """
+    """Run a tool in a folder, and return its output."""
     command = [find_tool(tool), *arguments]
     try:
         done = subprocess.run(

@@ -16,14 +16,7 @@ PATIENCE = 5.0  # seconds
 
 @contextmanager
 def dask_workers(address: str) -> Generator[Executor]:
-    """Provide an executor on the workers of a dask scheduler; the workers must have taciturn installed.
-
-    Args:
-        address: address of the scheduler, such as ``tcp://host:8786``.
-
-    Raises:
-        ProblemError: dask.distributed is missing, or no scheduler with workers answers at the address.
-    """
+    """Provide an executor on the workers of a dask scheduler; the workers must have taciturn installed."""
     try:
         distributed: Any = import_module("distributed")
     except ImportError:

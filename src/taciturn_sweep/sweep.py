@@ -129,12 +129,7 @@ def sweep(
 
 
 def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confidence: float | None) -> None:
-    """Design the policy at the first and last value of every name, to report mistakes before cells run.
-
-    Raises:
-        TaciturnError: every one of these designs fails, or none of them has the requested lower bound; the message is
-            that of the first.
-    """
+    """Design the policy at the first and last value of every name, to report mistakes before cells run."""
     first = {name: values[0] for name, values in listed.items()}
     checked = [first] + [first | {name: values[-1]} for name, values in listed.items() if len(values) > 1]
     problems: list[Problem] = []
@@ -151,12 +146,7 @@ def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confid
 
 
 class _Grid:
-    """The cells of a grid, created on demand, since there may be millions; the last name varies fastest.
-
-    Args:
-        listed: the values of each name.
-        seed: seed of the sweep.
-    """
+    """The cells of a grid, created on demand, since there may be millions; the last name varies fastest."""
 
     def __init__(self, listed: dict[str, list[object]], seed: int) -> None:
         """Store the values; no cell is created yet."""
@@ -293,11 +283,7 @@ class _Table:
             self.columns[name][index] = value
 
     def tell(self, cells: Cells) -> None:
-        """Warn about cells without an answer.
-
-        Raises:
-            ProblemError: no cell has an answer.
-        """
+        """Warn about cells without an answer."""
         if not self.refused:
             return
         first = min(self.refused)

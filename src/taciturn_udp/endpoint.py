@@ -23,17 +23,7 @@ _MEMORY, _DROPS = 55, 8  # SO_MEMINFO, and the index of the dropped datagrams in
 
 
 def parse_address(name: str, text: str, *, own: bool = False) -> Address:
-    """Return host and port of the text ``HOST:PORT``; the default host is 127.0.0.1.
-
-    Args:
-        name: name of the address in messages.
-        text: the text.
-        own: whether this process listens there, so that port 0 lets the system choose one.
-
-    Raises:
-        ProblemError: the text has another form, the port is out of range, or the host is unknown or is written as an
-            IPv6 address.
-    """
+    """Return host and port of the text ``HOST:PORT``; the default host is 127.0.0.1."""
     host, colon, port = text.rpartition(":")
     if ":" in host or "[" in text:
         raise ProblemError(
@@ -57,11 +47,7 @@ def parse_address(name: str, text: str, *, own: bool = False) -> Address:
 
 
 def parse_peers(name: str, given: Sequence[str] | None) -> Address | dict[str, Address] | None:
-    """Return one address, or the addresses by link of texts of the form ``LINK=HOST:PORT``; None if none are given.
-
-    Raises:
-        ProblemError: a link is given twice, several addresses have no link, or an address cannot be read.
-    """
+    """Return one address, or the addresses by link of texts of the form ``LINK=HOST:PORT``; None if none are given."""
     if not given:
         return None
     if len(given) == 1 and "=" not in given[0]:
@@ -78,11 +64,7 @@ def parse_peers(name: str, given: Sequence[str] | None) -> Address | dict[str, A
 
 
 def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, links: Sequence[str]) -> dict[str, Address]:
-    """Return the address of each link on which a process sends, from one address or from addresses by link.
-
-    Raises:
-        ProblemError: an address is missing, belongs to no such link, or is not needed.
-    """
+    """Return the address of each link on which a process sends, from one address or from addresses by link."""
     if given is None and links:
         raise ProblemError(f"--peer is missing, but {name} sends packets; expected HOST:PORT of their receiver")
     if given and not links:
@@ -104,11 +86,7 @@ def peers_by_link(name: str, given: Address | Mapping[str, Address] | None, link
 
 
 def check_plant(name: str, given: Address | None, needed: bool) -> None:
-    """Check that the address of the plant is given to a process exactly if it exchanges packets with the plant.
-
-    Raises:
-        ProblemError: the address is missing or not needed.
-    """
+    """Check that the address of the plant is given to a process exactly if it exchanges packets with the plant."""
     if needed and given is None:
         raise ProblemError(
             f"--plant is missing, but {name} exchanges packets with the plant; expected HOST:PORT of the plant"

@@ -68,15 +68,10 @@ class KernelLoss(Displayed):
 
 
 class Counted(NamedTuple):
-    """The counters of nftables for a link; they count a retransmitted packet again.
+    """The counters of nftables for a link; they count a retransmitted packet again."""
 
-    Args:
-        seen: data packets received.
-        dropped: number of them that the kernel dropped.
-    """
-
-    seen: int
-    dropped: int
+    seen: int  # data packets received
+    dropped: int  # number of them that the kernel dropped
 
 
 def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -123,14 +118,6 @@ class Namespaces:
 
     Their names contain the process id. On entry, namespaces of killed processes are removed, and processes that still
     run in them are ended.
-
-    Args:
-        policy: policy whose nodes run in the namespaces.
-        losses: packet loss of each link; a link without an entry drops no packets.
-        places: names of further namespaces.
-
-    Raises:
-        ProblemError: root rights, a program or a kernel module are missing (raised on entry).
     """
 
     def __init__(self, policy: Policy, losses: Mapping[str, KernelLoss], places: Sequence[str] = ()) -> None:
@@ -167,11 +154,7 @@ class Namespaces:
 
     @contextmanager
     def visit(self, place: str) -> Generator[None]:
-        """Enter the namespace of a node or of the plant with this thread; sockets opened in the block stay there.
-
-        Raises:
-            ProblemError: the namespace cannot be entered.
-        """
+        """Enter the namespace of a node or of the plant with this thread; sockets opened in the block stay there."""
         with open("/proc/thread-self/ns/net", "rb") as home, open(_FOLDER / self.names[place], "rb") as there:
             _enter(there.fileno())
             try:

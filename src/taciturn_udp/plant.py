@@ -47,11 +47,7 @@ class Physical(Protocol):
 
 
 class _Inputs:
-    """The inputs that one process sends to a plant.
-
-    Args:
-        places: indices of these inputs among the inputs of the plant.
-    """
+    """The inputs that one process sends to a plant."""
 
     def __init__(self, places: Sequence[int]) -> None:
         self.places, self.values = places, (0.0,) * len(places)

@@ -31,15 +31,7 @@ PATIENCE = 60.0  # seconds in which a process must start to listen, and in which
 
 
 class Process:
-    """A process that runs a ``taciturn`` command.
-
-    Args:
-        arguments: arguments of ``taciturn``.
-        name: name of the process in messages.
-        key: key that authenticates the packets; default: no key.
-        before: prefix of the command, such as ``ip netns exec NAME``.
-        environment: further environment variables.
-    """
+    """A process that runs a ``taciturn`` command."""
 
     def __init__(
         self,
@@ -77,11 +69,7 @@ class Process:
         return self._process.poll() is None
 
     def expect(self) -> None:
-        """Wait until the process listens on its address.
-
-        Raises:
-            ProblemError: the process has ended (with its own message), or does not listen in time.
-        """
+        """Wait until the process listens on its address."""
         end = time.monotonic() + PATIENCE
         while not self._listens.wait(0.05):
             if not self.alive:
@@ -110,11 +98,7 @@ class Process:
         self._close()
 
     def pause(self, seconds: float) -> None:
-        """Suspend the process, so that it observes a jump in time; not available on Windows.
-
-        Raises:
-            ProblemError: the operating system is Windows.
-        """
+        """Suspend the process, so that it observes a jump in time; not available on Windows."""
         if sys.platform == "win32":
             raise ProblemError(f"{self._name} cannot be suspended on Windows; expected Linux or macOS")
         self._process.send_signal(signal.SIGSTOP)
@@ -122,11 +106,7 @@ class Process:
         self._process.send_signal(signal.SIGCONT)
 
     def stop(self) -> dict[str, Any]:
-        """Request the process to end, and return its report.
-
-        Raises:
-            ProblemError: the process prints no report, or does not end in time.
-        """
+        """Request the process to end, and return its report."""
         self._process.send_signal(ASK)
         assert self._process.stdout is not None
         try:
@@ -160,21 +140,7 @@ class Process:
 
 
 class Processes:
-    """The processes of a policy: its nodes, on the loopback with one relay per link, or in network namespaces.
-
-    Args:
-        file: problem file, or the name of a built-in problem.
-        policy: policy of the problem.
-        fates: impairments of each link that has a relay.
-        tick: real seconds per step; default: lockstep.
-        folder: folder in which each node logs its steps (``ROLE.jsonl``) and saves its state (``ROLE.json``).
-        keeps: whether the nodes save their state.
-        options: further options of every node.
-        key: key that authenticates the packets; default: no key.
-        namespaces: network namespaces of the nodes, without relays; default: the loopback.
-        through: name of a further process, by role, that the node sends to first; the caller adds its command.
-        environment: further environment variables of the processes.
-    """
+    """The processes of a policy: its nodes, on the loopback with one relay per link, or in network namespaces."""
 
     def __init__(
         self,
@@ -234,11 +200,7 @@ class Processes:
         return {link: self.addresses[one.measures] for link, one in ends if one.measures is not None}
 
     def start(self, *names: str) -> None:
-        """Start processes by name (default: all), and wait until they listen.
-
-        Raises:
-            ProblemError: a process has ended, or does not listen in time.
-        """
+        """Start processes by name (default: all), and wait until they listen."""
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)

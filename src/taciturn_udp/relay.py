@@ -103,11 +103,7 @@ class Fate(Displayed):
 
 
 class EmulatedLink:
-    """A link that transforms a sequence of datagrams, without sockets; the caller provides the time.
-
-    Args:
-        fate: impairments of the link.
-    """
+    """A link that transforms a sequence of datagrams, without sockets; the caller provides the time."""
 
     def __init__(self, fate: Fate) -> None:
         """Start without packets on the link."""

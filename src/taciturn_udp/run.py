@@ -183,11 +183,7 @@ def logged_lines(log: Path) -> list[dict[str, Any]]:
 
 
 class Logs:
-    """The packets of a run: the steps in which they were sent, and the sequence numbers of those that arrived.
-
-    Args:
-        processes: the nodes, whose logs are ``ROLE.jsonl`` in their folder; a complete part is ``ROLE.jsonl.1``.
-    """
+    """The packets of a run: the steps in which they were sent, and the sequence numbers of those that arrived."""
 
     def __init__(self, processes: Processes) -> None:
         """Start before the first line."""

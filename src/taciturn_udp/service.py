@@ -114,14 +114,7 @@ class Storage(Protocol):
 
 
 class FileStorage:
-    """A saved state in a file.
-
-    Args:
-        path: the file.
-
-    Raises:
-        ProblemError: the folder of the file does not exist.
-    """
+    """A saved state in a file."""
 
     def __init__(self, path: Path) -> None:
         """Check that the folder exists, and delete incomplete files, which a killed process has left."""
@@ -178,13 +171,7 @@ def take_until(endpoint: Port, take: Callable[[Sequence[bytes]], object], stoppe
 
 @contextmanager
 def logged(target: str | None, part: int | None = None) -> Generator[Told | None]:
-    """Yield a function that writes JSON lines to a file, to standard output (``-``), or to ``udp://HOST:PORT``.
-
-    Args:
-        target: the file, ``-``, or ``udp://HOST:PORT``; None for no log.
-        part: size in bytes at which a file is renamed to ``name_of_part`` and a new file begins, so that another
-            process can read and delete it; the file grows further while the previous part still exists.
-    """
+    """Yield a function that writes JSON lines to a file, to standard output (``-``), or to ``udp://HOST:PORT``."""
     if target is None:
         yield None
     elif target.startswith("udp://"):
@@ -269,20 +256,7 @@ class _Session:
 
 
 class Reception:
-    """The received datagrams of a process, which receives from one sender on each link of a loop.
-
-    Args:
-        wire: encoder and decoder of the packets.
-        port: socket of the process.
-        name: name of the process in messages.
-        links: links on which the process sends or receives.
-        say: function called with messages: about packets of another policy or key, about a sender that does not
-            answer, and about changed keys.
-        draw: function that returns a new nonce of 64 bits; default: the random numbers of the operating system.
-
-    Raises:
-        ProblemError: the keys contain none for one of the links.
-    """
+    """The received datagrams of a process, which receives from one sender on each link of a loop."""
 
     def __init__(
         self,
@@ -380,14 +354,7 @@ def answer_to(challenge: Packet, epoch: int, tick: int) -> Packet:
 
 
 class Outbox:
-    """The packets of the last steps of the nodes of a process, one node for each loop.
-
-    Args:
-        wire: encoder of the packets.
-        port: socket of the process.
-        peers: address that receives the packets of each link.
-        loops: number of nodes.
-    """
+    """The packets of the last steps of the nodes of a process, one node for each loop."""
 
     def __init__(self, wire: Wire, port: Port, peers: Mapping[str, Address], loops: int) -> None:
         """Start without packets."""

@@ -81,17 +81,7 @@ class Key(c.Structure):
 
 
 class DeviceCode:
-    """The C code of a node, compiled and loaded, with the memory of one device.
-
-    Args:
-        policy: policy of the node.
-        role: role of the node.
-        network: network between the nodes.
-        core: changes of the core's source, by the text that they replace; for tests.
-
-    Raises:
-        ProblemError: there is no C compiler, or it fails.
-    """
+    """The C code of a node, compiled and loaded, with the memory of one device."""
 
     def __init__(self, policy: Policy, role: str, network: Network, core: Mapping[str, str] | None = None) -> None:
         """Compile and load the code."""
@@ -152,16 +142,6 @@ class DeviceNode(Node):
     """A node whose packets and steps are handled by C code.
 
     It starts when it is made; an earlier node on the same device does not run any more.
-
-    Args:
-        device: the compiled code, and the memory of the device.
-        policy: policy of the node.
-        role: role of the node.
-        network: network between the nodes.
-        epoch: epoch of the start.
-        seed: seed of the policy's random draws.
-        watchdog: steps of the watchdog, or None.
-        safe: safe input.
     """
 
     def __init__(
@@ -350,9 +330,5 @@ class DeviceServer(NodeServer):
 
 @lru_cache(maxsize=8)
 def compile_devices(loop: Loop) -> Mapping[str, Callable[..., DeviceNode]]:
-    """Return functions that start the nodes of a loop in C, by role.
-
-    Raises:
-        ProblemError: there is no C compiler, or the policy cannot run on a device.
-    """
+    """Return functions that start the nodes of a loop in C, by role."""
     return {role: partial(DeviceNode, DeviceCode(loop.policy, role, loop.network)) for role in roles(loop.policy)}

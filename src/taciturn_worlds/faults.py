@@ -53,17 +53,11 @@ class Fault(Displayed, ABC):
 
 @dataclass(frozen=True, repr=False)
 class LinkFault(Fault):
-    """A fault of a link in one direction.
+    """A fault of a link in one direction."""
 
-    Args:
-        path: sender and receiver.
-        share: probability that a datagram is affected.
-        seed: seed of the random draws.
-    """
-
-    path: Path
-    share: float = 1.0
-    seed: int = 0
+    path: Path  # sender and receiver
+    share: float = 1.0  # probability that a datagram is affected
+    seed: int = 0  # seed of the random draws
 
     @abstractmethod
     def act(self, flights: Flights, number: int) -> Flights:
@@ -96,15 +90,10 @@ class Loss(LinkFault):
 
 @dataclass(frozen=True, repr=False)
 class Delay(LinkFault):
-    """Datagrams arrive late. Some of them, or a random delay, also changes their order.
+    """Datagrams arrive late. Some of them, or a random delay, also changes their order."""
 
-    Args:
-        least: smallest delay in steps.
-        most: largest delay in steps.
-    """
-
-    least: float = 0.0
-    most: float = 1.0
+    least: float = 0.0  # smallest delay in steps
+    most: float = 1.0  # largest delay in steps
 
     @property
     def end(self) -> float:
@@ -127,13 +116,9 @@ class Delay(LinkFault):
 
 @dataclass(frozen=True, repr=False)
 class Duplicate(LinkFault):
-    """Datagrams arrive twice.
+    """Datagrams arrive twice."""
 
-    Args:
-        most: largest delay of the copy in steps.
-    """
-
-    most: float = 1.0
+    most: float = 1.0  # largest delay of the copy in steps
 
     @property
     def end(self) -> float:
@@ -168,15 +153,10 @@ class Corruption(LinkFault):
 
 @dataclass(frozen=True, repr=False)
 class Replay(Fault):
-    """Datagrams of the same session are sent again: in each step, those that were sent some steps earlier.
+    """Datagrams of the same session are sent again: in each step, those that were sent some steps earlier."""
 
-    Args:
-        path: sender and receiver.
-        age: number of steps since they were sent.
-    """
-
-    path: Path
-    age: int
+    path: Path  # sender and receiver
+    age: int  # number of steps since they were sent
 
     def what(self) -> str:
         """Return what happens, in words."""
@@ -185,25 +165,16 @@ class Replay(Fault):
 
 @dataclass(frozen=True, repr=False)
 class ProcessFault(Fault):
-    """A fault of a process, or of the machine on which it runs.
+    """A fault of a process, or of the machine on which it runs."""
 
-    Args:
-        role: name of the process.
-    """
-
-    role: str
+    role: str  # name of the process
 
 
 @dataclass(frozen=True, repr=False)
 class Crash(ProcessFault):
-    """A process is killed, and started again after some steps.
+    """A process is killed, and started again after some steps."""
 
-    Args:
-        kept: whether it starts from its saved state. Without it, the process is not started before the next second,
-            because its epoch is the time in seconds.
-    """
-
-    kept: bool
+    kept: bool  # whether it starts from its saved state
 
     def what(self) -> str:
         """Return what happens, in words."""
@@ -239,13 +210,9 @@ class Jump(ProcessFault):
 
 @dataclass(frozen=True, repr=False)
 class Skew(ProcessFault):
-    """A fault from which on the clock of a machine is fast or slow; the fault lasts to the end of the world.
+    """A fault from which on the clock of a machine is fast or slow; the fault lasts to the end of the world."""
 
-    Args:
-        by: relative error of its speed.
-    """
-
-    by: float
+    by: float  # relative error of its speed
 
     def text(self) -> str:
         """Return the fault as a line of text."""
@@ -261,12 +228,6 @@ def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: 
 
     Half of the replays begin when a process starts again, if one does. Half of the losses cut a process when it starts
     again, continues, or its clock jumps.
-
-    Args:
-        seed: seed of the choice.
-        paths: senders and receivers of datagrams.
-        roles: names of the processes of the nodes.
-        within: number of steps in which faults begin.
     """
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     found = [_draw(draws, paths, roles, within) for _ in range(draws.integers(1, 6))]
@@ -321,17 +282,12 @@ FAR = 1_000_000  # steps by which a recording of a long session is ahead
 
 @dataclass(frozen=True, repr=False)
 class Recording(Fault):
-    """An attacker sends a recording: everything that was sent on a path before, in the order of the recording.
+    """An attacker sends a recording: everything that was sent on a path before, in the order of the recording."""
 
-    Args:
-        path: sender and receiver.
-        epochs: difference of the epoch of the recorded session from the present one, or 0 for the present session.
-        ahead: steps by which the steps of the recording are ahead of those of the present session.
-    """
-
-    path: Path
+    path: Path  # sender and receiver
+    # difference of the epoch of the recorded session from the present one, or 0 for the present session
     epochs: int = 0
-    ahead: int = 0
+    ahead: int = 0  # steps by which the steps of the recording are ahead of those of the present session
 
     def what(self) -> str:
         """Return what happens, in words."""
@@ -341,15 +297,10 @@ class Recording(Fault):
 
 @dataclass(frozen=True, repr=False)
 class Forgery(Fault):
-    """An attacker sends packets with other numbers than those of the last step, and with a tag of a wrong key.
+    """An attacker sends packets with other numbers than those of the last step, and with a tag of a wrong key."""
 
-    Args:
-        path: sender and receiver.
-        former: whether the key is a former key of this link, if there is one, or the key of another link.
-    """
-
-    path: Path
-    former: bool
+    path: Path  # sender and receiver
+    former: bool  # whether the key is a former key of this link, if there is one, or the key of another link
 
     def what(self) -> str:
         """Return what happens, in words."""
@@ -359,13 +310,9 @@ class Forgery(Fault):
 
 @dataclass(frozen=True, repr=False)
 class KeyChange(Fault):
-    """The key of a link is changed in three writings of the key files: the new key is added, used, and left alone.
+    """The key of a link is changed in three writings of the key files: the new key is added, used, and left alone."""
 
-    Args:
-        link: the link.
-    """
-
-    link: str
+    link: str  # the link
 
     @property
     def end(self) -> float:
@@ -380,15 +327,7 @@ class KeyChange(Fault):
 def draw_attacks(
     seed: int, paths: Sequence[Path], links: Sequence[str], within: int, faults: Sequence[Fault]
 ) -> tuple[Fault, ...]:
-    """Return one to three random faults of nodes with keys; some recordings begin when a process starts again.
-
-    Args:
-        seed: seed of the choice.
-        paths: senders and receivers of datagrams.
-        links: links with a key.
-        within: number of steps in which faults begin.
-        faults: the other faults.
-    """
+    """Return one to three random faults of nodes with keys; some recordings begin when a process starts again."""
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6,)))
     crash = next((fault for fault in faults if isinstance(fault, Crash)), None)
     found: list[Fault] = []

@@ -52,13 +52,7 @@ ORDER, COUNTS, NUMBERS, MARKS, FORGERY, DEVICES, SILENCE, PACE, RECOVERY = INVAR
 
 
 class BrokenError(Exception):
-    """An invariant does not hold.
-
-    Args:
-        invariant: one of ``INVARIANTS``.
-        step: step of the plant.
-        sentence: what was found.
-    """
+    """An invariant does not hold."""
 
     def __init__(self, invariant: str, step: int, sentence: str) -> None:
         """Keep invariant, step and sentence."""
@@ -72,13 +66,7 @@ def count_proofs(reception: Reception) -> int:
 
 
 class Life:
-    """A process of a node from its start to its end, as the monitor sees it.
-
-    Args:
-        server: its server.
-        port: its socket.
-        began: step in which it started.
-    """
+    """A process of a node from its start to its end, as the monitor sees it."""
 
     def __init__(self, server: NodeServer, port: VirtualPort, began: float) -> None:
         """Remember what the counters show at the start."""
@@ -108,16 +96,7 @@ class Life:
 
 
 class Monitor:
-    """The invariants of a world.
-
-    Args:
-        step: function that returns the present step of the plant, with its fraction.
-        heartbeat: steps without a packet on a link after which a mark is sent.
-        patience: steps by which a node may report its silence later.
-        zero: whether the safe input is 0.
-        keyed: whether the processes have keys.
-        plant: the links between the plant and the nodes.
-    """
+    """The invariants of a world."""
 
     def __init__(
         self,
@@ -327,12 +306,7 @@ Copy: TypeAlias = tuple[Entry, Entry, int]  # two numbers, and the steps by whic
 
 
 def find_copies(snapshots: Mapping[int, Mapping[Entry, float]], first: int) -> list[Copy]:
-    """Return the numbers of different nodes that agree in all steps of a run without faults, and change.
-
-    Args:
-        snapshots: stored numbers of all nodes by step.
-        first: first step that counts.
-    """
+    """Return the numbers of different nodes that agree in all steps of a run without faults, and change."""
     steps = sorted(tick for tick in snapshots if tick >= first)[:-2]
     names = list(snapshots[steps[0]])
     rows = {name: [snapshots[tick][name] for tick in steps] for name in names}

@@ -40,20 +40,7 @@ class VirtualTime:
 
 
 class VirtualClock:
-    """The clock of a machine, which may be fast or slow, and may jump.
-
-    Args:
-        time: virtual time.
-        rate: seconds of the clock per second.
-
-    Example:
-        >>> time = VirtualTime()
-        >>> clock = VirtualClock(time, 1.001)
-        >>> time.run(1000.0)
-        >>> clock.jump(-3.0)
-        >>> round(clock(), 9), round(clock.when(1000.0), 3)
-        (998.0, 1001.998)
-    """
+    """The clock of a machine, which may be fast or slow, and may jump."""
 
     def __init__(self, time: VirtualTime, rate: float = 1.0) -> None:
         """Start at the virtual time."""
@@ -82,10 +69,6 @@ class VirtualNetwork:
 
     The counter ``sent`` and what was added (``copied``, ``replayed``) equal ``lost``, ``unreachable`` (no process
     runs at the address), ``discarded`` (a process ended before it read them), ``delivered``, and ``flying``.
-
-    Args:
-        time: virtual time.
-        carry: function of sender, receiver and datagram that returns the copies that arrive.
     """
 
     def __init__(self, time: VirtualTime, carry: Callable[[Address, Address, bytes], Copies]) -> None:
@@ -122,12 +105,7 @@ class VirtualNetwork:
 
 
 class VirtualPort:
-    """A socket on a virtual network, with the interface of ``taciturn_udp.endpoint.Endpoint``.
-
-    Args:
-        network: the network.
-        address: address that it listens on.
-    """
+    """A socket on a virtual network, with the interface of ``taciturn_udp.endpoint.Endpoint``."""
 
     def __init__(self, network: VirtualNetwork, address: Address) -> None:
         """Listen, without datagrams."""
@@ -180,14 +158,7 @@ class VirtualPort:
 
 
 class VirtualProcess:
-    """A process on a machine: it runs a server, may be suspended, and may be killed.
-
-    Args:
-        port: its socket.
-        clock: clock of its machine.
-        turns: its server.
-        before: function called before it reads datagrams or continues after waiting.
-    """
+    """A process on a machine: it runs a server, may be suspended, and may be killed."""
 
     def __init__(
         self, port: VirtualPort, clock: VirtualClock, turns: Turns, before: Callable[[], None] | None = None

@@ -87,13 +87,7 @@ class _FileKeys(RenewedKeys):
 
 
 class KeyRing:
-    """The keys of all processes of a world, its nonces, and what an attacker knows.
-
-    Args:
-        seed: seed of the keys, nonces and epochs.
-        links: the links of the policy and its plant.
-        uses: links that each process uses.
-    """
+    """The keys of all processes of a world, its nonces, and what an attacker knows."""
 
     def __init__(self, seed: int, links: Sequence[str], uses: Mapping[str, Sequence[str]]) -> None:
         """Draw a key for each link."""
@@ -228,15 +222,7 @@ class _CachedWire(Wire):
 
 
 class World:
-    """The processes of a loop in virtual time, and their faults.
-
-    Args:
-        loop: the loop.
-        seed: seed of faults and plant.
-        faults: the faults; None: those of the seed.
-        devices: makers of nodes in C by role.
-        keyed: whether the processes have keys.
-    """
+    """The processes of a loop in virtual time, and their faults."""
 
     def __init__(
         self, loop: Loop, seed: int, faults: Sequence[Fault] | None, devices: Mapping[str, MakeNode], keyed: bool
@@ -615,15 +601,7 @@ def run_world(
 
 
 def run_world_with_devices(problem: Problem, seed: int) -> WorldRun:
-    """Run a world in which the seed also chooses the nodes that run in C; without a C compiler, a note says so.
-
-    Args:
-        problem: the problem.
-        seed: seed of the world.
-
-    Raises:
-        ProblemError: the policy is for a finite horizon, or its nodes cannot be separated.
-    """
+    """Run a world in which the seed also chooses the nodes that run in C; without a C compiler, a note says so."""
     try:
         devices = compile_devices(prepare(problem)[0])
     except NoCompilerError as error:

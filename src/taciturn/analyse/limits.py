@@ -58,27 +58,6 @@ def bound_below(
     For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. For any
     price λ of a send E[(1−σ)e'Γe + λσ] ≥ g. Therefore J ≥ J_all + g − λ·rate for every schedule. λ is the price for
     which a nearly optimal schedule has the given rate; duality gives g (``renewal/dual``).
-
-    Args:
-        loop: loop of the design, with Gaussian noise and an actuator that runs a model.
-        rate: sends per step, in (0, 1].
-        confidence: confidence of the bound, in (0, 1).
-        seed: seed of the random draws.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        ProblemError: no send resets an error of the loop, the noise consists of jumps, or the rate is so low that the
-            bound would not exceed J_all.
-
-    Source: cogill2007, rogers2002
-
-    Example:
-        >>> from taciturn import Cost, Plant, close, design
-        >>> plant = Plant([[1.0]], [[1.0]], [[1.0]])
-        >>> policy = design.excess(plant, Cost([[1.0]], [[1.0]]), delta=2.0, actuation="model")
-        >>> found = bound_below(close(plant, policy), rate=0.4)
-        >>> policy.cost_all_time < found.cost < policy.guarantee.at_rate(0.4)
-        True
     """
     reset = resets(loop)
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
@@ -107,32 +86,7 @@ def bound_below(
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
-    """Return the optimal send schedule of a loop's controller for a given price per send, computed by quadrature.
-
-    Args:
-        loop: loop of the design, with Gaussian noise, an actuator that runs a model, and at most three relevant states.
-        price: price λ > 0 of a send, in units of cost times time.
-        accuracy: relative accuracy; default: 1e-8, or 1e-6 in three dimensions.
-        progress: callback that receives the fraction done.
-
-    Returns:
-        Rate and excess per step, their errors, the distribution of the intervals, and the schedule. The cost is the
-        cost of sending every sample plus the excess.
-
-    Raises:
-        ProblemError: no send resets an error of the loop, or the noise consists of jumps.
-        NoQuadratureError: there are more than three states, or sends are extremely rare.
-
-    Source: cogill2007
-
-    Example:
-        >>> from taciturn import Cost, Plant, close, design
-        >>> plant = Plant([[1.0]], [[1.0]], [[1.0]])
-        >>> policy = design.excess(plant, Cost([[1.0]], [[1.0]]), delta=2.0, actuation="model")
-        >>> found = solve_optimum(close(plant, policy), price=2.0)
-        >>> 0 < found.rate < 1, found.intervals.quantile(0.5) >= 1
-        (True, True)
-    """
+    """Return the optimal send schedule of a loop's controller for a given price per send, computed by quadrature."""
     from taciturn.renewal.optimal import solve_optimal
 
     reset = resets(loop)
@@ -143,11 +97,7 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progr
 
 
 def resets(loop: Loop) -> Reset:
-    """Return the error of a loop that a send resets to zero and that only Gaussian noise drives.
-
-    Raises:
-        ProblemError: the loop has no such error.
-    """
+    """Return the error of a loop that a send resets to zero and that only Gaussian noise drives."""
     instance("loop", loop, Loop)
     if loop.violated_assumptions:
         raise ProblemError(

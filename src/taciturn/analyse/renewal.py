@@ -62,16 +62,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress 
 
 
 class RenewalQuadrature:
-    """Solver for the renewal equations of a loop by quadrature, which can first predict the computation.
-
-    Args:
-        loop: loop with the plant and network of the design.
-
-    Raises:
-        NoQuadratureError: the loop has no such error, or its dimension is too high for the quadrature.
-
-    Source: khashooei2017
-    """
+    """Solver for the renewal equations of a loop by quadrature, which can first predict the computation."""
 
     def __init__(self, loop: Loop) -> None:
         """Set up the equations without solving them."""
@@ -112,16 +103,6 @@ class ConditionalSampling:
     """Estimates of a loop's send rate and excess cost from simulated paths that are conditioned on no send.
 
     The paths are weighted with the probability of no send.
-
-    Args:
-        loop: loop with the plant and network of the design.
-        seed: seed of the random draws.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        NoQuadratureError: the decision depends on more than one error, or the noise consists of jumps.
-
-    Source: hajivassiliou1996
     """
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
@@ -140,13 +121,6 @@ class ConditionalSampling:
         """Return approximately how many operations a given standard error of the excess cost needs, from a pilot run.
 
         If the pilot alone would take more operations than other methods, it is not run, and its own number is returned.
-
-        Args:
-            standard_error: absolute standard error of the excess.
-            others: number of operations of the other methods.
-
-        Raises:
-            OutOfTime: the time limit has passed.
         """
         from taciturn.renewal.paths import predict_fewest, predict_paths
 
@@ -224,11 +198,7 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
 
 
 def expect_affordable(loop: Loop) -> None:
-    """Raise an error if the renewal equations of a loop take much longer to solve than a simulation.
-
-    Raises:
-        NoQuadratureError: the noise consists of jumps in more than one dimension.
-    """
+    """Raise an error if the renewal equations of a loop take much longer to solve than a simulation."""
     if loop.problem.jumps is not None and loop.problem.plant.states > 1:
         raise NoQuadratureError(
             "the equations for jumps in more than one dimension can take minutes to solve, so they are not solved by "
@@ -237,11 +207,7 @@ def expect_affordable(loop: Loop) -> None:
 
 
 def chain_of(loop: Loop) -> Chain:
-    """Return the error process of a loop whose send decisions and cost depend only on this error.
-
-    Raises:
-        NoQuadratureError: the decision or the cost depends on more than one error.
-    """
+    """Return the error process of a loop whose send decisions and cost depend only on this error."""
     instance("loop", loop, Loop)
     policy, problem = loop.policy, loop.problem
     if loop.violated_assumptions:

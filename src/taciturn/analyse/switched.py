@@ -81,31 +81,18 @@ BLUR = 1e-9  # least eigenvalue of the correlation matrix that is used
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Switched(Displayed):
-    """Switched linear map of a closed loop with its cost and trigger, in coordinates z of about unit size.
+    """Switched linear map of a closed loop with its cost and trigger, in coordinates z of about unit size."""
 
-    Args:
-        labels: names of the actions.
-        F: dynamics matrix of each action, (r, r).
-        G: input matrix of the noise w of a step, (r, q): plant noise, then the next measurement's, unit covariance.
-        M: cost matrix of each action, (r, r): the stage cost of a step is z'M_i z + ``constant``.
-        Psi: trigger matrix of each action, (r, r).
-        c: trigger constant of each action.
-        X: matrix (n, r) such that X z is the plant's state; in the innovations form, X z is the estimate.
-        constant: cost of every step in addition to z'M_i z.
-        hidden: mean square of the part of the plant's state that X z excludes.
-        sends: the action under which every link that the policy decides on sends, or None.
-    """
-
-    labels: tuple[str, ...]
-    F: tuple[Array, ...]
-    G: Array
-    M: tuple[Array, ...]
-    Psi: tuple[Array, ...]
-    c: tuple[float, ...]
-    X: Array
-    constant: float
-    hidden: float
-    sends: int | None
+    labels: tuple[str, ...]  # names of the actions
+    F: tuple[Array, ...]  # dynamics matrix of each action, (r, r)
+    G: Array  # input matrix of the noise w of a step, (r, q): plant noise, then the next measurement's, unit covariance
+    M: tuple[Array, ...]  # cost matrix of each action, (r, r): the stage cost of a step is z'M_i z + ``constant``
+    Psi: tuple[Array, ...]  # trigger matrix of each action, (r, r)
+    c: tuple[float, ...]  # trigger constant of each action
+    X: Array  # matrix (n, r) such that X z is the plant's state; in the innovations form, X z is the estimate
+    constant: float  # cost of every step in addition to z'M_i z
+    hidden: float  # mean square of the part of the plant's state that X z excludes
+    sends: int | None  # the action under which every link that the policy decides on sends, or None
 
     @property
     def homogeneous(self) -> bool:
@@ -145,10 +132,6 @@ def reduce_states(raw: Switched, starts: Array) -> Switched:
     The result contains the states that are reachable from the initial columns and the noise, and observable in the
     rows, the cost and the trigger. A certificate does not depend on the scaling; unit size makes the solver more
     accurate.
-
-    Args:
-        raw: map in the original coordinates.
-        starts: columns that must stay reachable, such as initial states.
     """
     found = relevant(raw, starts)
     T = _sizes(found)
@@ -217,24 +200,6 @@ def switched(loop: Loop) -> Switched:
     z contains the plant's state, the memories of the nodes, and the measurement noise of the step. The reduction
     removes states that neither noise nor the initial state of the plant can reach. It also removes states that affect
     neither the cost nor a decision, such as the controller's copy of the held input.
-
-    Args:
-        loop: the closed loop; its plant may differ from that of the design.
-
-    Returns:
-        The map, the stage cost and the trigger.
-
-    Raises:
-        ProblemError: a step, a discrete state or the plant of the loop cannot be written in this form.
-
-    Source: heemels2013
-
-    Example:
-        >>> from taciturn import Cost, Plant, close, design
-        >>> plant, cost = Plant([[0.9]], [[1.0]], [[1.0]]), Cost([[1.0]], [[0.1]])
-        >>> found = switched(close(plant, design.lqg(plant, cost, theta=0.2)))
-        >>> found.labels, found.states, found.homogeneous
-        (('silent', 'send'), 2, True)
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
@@ -246,14 +211,6 @@ def switched_innovations(loop: Loop) -> Switched:
 
     The result has the same distribution as that of :func:`switched` if the plant is that of the design and the filter
     is in steady state. ``constant`` is tr(QΣ).
-
-    Args:
-        loop: the closed loop.
-
-    Raises:
-        ProblemError: the loop has no innovations form, or is not a switched linear map.
-
-    Source: khashooei2017
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
@@ -267,11 +224,7 @@ def switched_innovations(loop: Loop) -> Switched:
 
 
 def decisions_of(loop: Loop) -> list[Case]:
-    """Return the decisions of a step by label, without losses.
-
-    Raises:
-        ProblemError: the policy makes several decisions.
-    """
+    """Return the decisions of a step by label, without losses."""
     decisions = list(loop.policy.decisions.values())
     if len(decisions) > 1:
         raise ProblemError(f"{loop.policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
@@ -299,9 +252,6 @@ def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[S
 
     The initial values are a column for each state of the plant, and one with those of all memories. Without ``whole``,
     the loop is in innovations form.
-
-    Raises:
-        ProblemError: the step is not linear.
     """
     plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
     begins = [partial(FixedStep, loop.policy.kind, case) for case in cases]
@@ -476,27 +426,16 @@ WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(Displayed):
-    """Jump linear map of a loop that sends at every step, over links that drop some packets.
+    """Jump linear map of a loop that sends at every step, over links that drop some packets."""
 
-    Args:
-        F: dynamics matrix of each outcome, (outcomes, r, r).
-        G: input matrix of the noise, (r, q).
-        M: matrix of the stage cost z'M_o z of each outcome, (outcomes, r, r).
-        constant: cost of every step in addition.
-        turns: transition probabilities T between the states of the links, (states, states).
-        shares: share of the steps in each state of the links, (states,).
-        odds: probability of each outcome in each state of the links, (states, outcomes).
-        decides: whether the policy of the loop may skip a send.
-    """
-
-    F: Array
-    G: Array
-    M: Array
-    constant: float
-    turns: Array
-    shares: Array
-    odds: Array
-    decides: bool
+    F: Array  # dynamics matrix of each outcome, (outcomes, r, r)
+    G: Array  # input matrix of the noise, (r, q)
+    M: Array  # matrix of the stage cost z'M_o z of each outcome, (outcomes, r, r)
+    constant: float  # cost of every step in addition
+    turns: Array  # transition probabilities T between the states of the links, (states, states)
+    shares: Array  # share of the steps in each state of the links, (states,)
+    odds: Array  # probability of each outcome in each state of the links, (states, outcomes)
+    decides: bool  # whether the policy of the loop may skip a send
 
     def growth(self, power: int) -> float:
         """Return the asymptotic growth factor per step of the second or fourth moments of the loop's state.
@@ -515,11 +454,7 @@ class Outcomes(Displayed):
         return growth(lambda moments: self._moved(moments, power), start)
 
     def cost(self) -> float:
-        """Return the cost per step of the loop that sends every packet, by its second moments in the long run.
-
-        Raises:
-            UnstableError: the second moments diverge, or cannot be computed reliably.
-        """
+        """Return the cost per step of the loop that sends every packet, by its second moments in the long run."""
         if self.F.shape[1] == 0:
             return self.constant
         if (growth := self.growth(2)) >= 1 - NEARLY:
@@ -612,12 +547,7 @@ RANK = 1e-12  # eigenvalue of a form, or entry of its rows, relative to the larg
 
 
 def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:
-    """Return the links whose decisions depend on disturbances or set-points that wander, even if everything is sent.
-
-    Args:
-        loop: the closed loop.
-        noise: covariance of the noise that moves the states of the plant, (n, n).
-    """
+    """Return the links whose decisions depend on disturbances or set-points that wander, even if everything is sent."""
     policy, needs = loop.policy, loop.problem.followed
     always = attempt_of(policy)
     if needs is None or always is None or not noise[np.ix_(needs.states, needs.states)].any():

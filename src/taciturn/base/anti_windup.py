@@ -34,14 +34,7 @@ COMPARED = ("error", "moved")  # differences of commands
 
 
 def within_limits(policy: Policy) -> Policy:
-    """Return a policy with anti-windup for the limits of its model; without limits, it is the same.
-
-    Args:
-        policy: the policy, in which ``held`` is a node's copy of the input.
-
-    Raises:
-        ProblemError: the actuator applies 0 in silence, and 0 is beyond a limit.
-    """
+    """Return a policy with anti-windup for the limits of its model; without limits, it is the same."""
     limits = policy.model.saturation
     if limits is None:
         return policy

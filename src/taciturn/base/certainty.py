@@ -65,33 +65,22 @@ AT_INSTANTS = "J and J_all at the sampling instants"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertaintyEquivalentDesign(Displayed):
-    """Common design data of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter.
+    """Common design data of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter."""
 
-    Args:
-        problem: the discrete-time problem.
-        regulator: cost-to-go K, gain L and weight H of the infinite-horizon regulator.
-        filter: covariances and gain of the steady-state Kalman filter.
-        estimation: policy steps of the filter.
-        cost_all_time: cost of sending at every step, per step, without the inter-sample noise cost.
-        proved: an enclosure of this cost for the gains as they are stored; None if its error is only estimated.
-        loop: the loop of these gains.
-        settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
-        pull: γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an
-            error e of the input, in the norm of the inverse of H; 0 for other set-points.
-        overlap: what set-points that change at known times cost per step beyond unrelated changes, because one changes
-            before the transient of the change before has ended.
-    """
-
-    problem: Discrete
-    regulator: Regulator
-    filter: Filter
-    estimation: FilterSteps
-    cost_all_time: float
-    settling: float
+    problem: Discrete  # the discrete-time problem
+    regulator: Regulator  # cost-to-go K, gain L and weight H of the infinite-horizon regulator
+    filter: Filter  # covariances and gain of the steady-state Kalman filter
+    estimation: FilterSteps  # policy steps of the filter
+    cost_all_time: float  # cost of sending at every step, per step, without the inter-sample noise cost
+    settling: float  # time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|)
+    # γ, the root mean square by which set-points that change at known times add 2e'g to the cost e'He of an error e
+    # of the input, in the norm of the inverse of H; 0 for other set-points
     pull: float = 0.0
+    # what set-points that change at known times cost per step beyond unrelated changes, because one changes before
+    # the transient of the change before has ended
     overlap: float = 0.0
-    proved: Proved | None = None
-    loop: Stored | None = None
+    proved: Proved | None = None  # an enclosure of this cost for the gains as they are stored
+    loop: Stored | None = None  # the loop of these gains
 
     @cached_property
     def allowance(self) -> Allowance | None:
@@ -108,10 +97,6 @@ class CertaintyEquivalentDesign(Displayed):
         """Return J_all and a factor of the cost of silence in a bound, so that it holds for the gains as stored.
 
         Without a proof, they are J_all as computed, and 1.
-
-        Args:
-            silence: the most that silence adds with exact gains, per step.
-            allowed: the effect of the rounding of the gains, or None.
         """
         if self.proved is None or allowed is None:
             return self.cost_all_time, 1.0
@@ -189,14 +174,7 @@ class CertaintyEquivalentDesign(Displayed):
 
 
 def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
-    """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ)).
-
-    Raises:
-        ProblemError: if the cost has a horizon or a discount, which the policy kind does not support.
-        UnstableError: if no stabilising gain exists.
-
-    Source: khashooei2017, anderson1990optimal
-    """
+    """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ))."""
     expect_average(kind, problem.cost)
     plant = problem.plant
     regulator = problem.regulator()
@@ -232,11 +210,7 @@ def error_per_unit(problem: Discrete, proved: Proved) -> float:
 
 
 def expect_average(kind: str, cost: Cost) -> None:
-    """Raise an error if the cost has a horizon or a discount, and so is not an average.
-
-    Raises:
-        ProblemError: if the cost has a horizon or a discount, or is not a ``Cost``.
-    """
+    """Raise an error if the cost has a horizon or a discount, and so is not an average."""
     instance("cost", cost, Cost)
     for name, absent in (("horizon", None), ("discount", 1.0)):
         got = getattr(cost, name)
@@ -265,17 +239,7 @@ def control_steps(
     before: tuple[Step, ...] = (),
     after: tuple[Step, ...] = (),
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
-    """Return the policy steps of filter, trigger and actuator, and the initial values of their memories.
-
-    Args:
-        plant: the discrete-time plant.
-        estimation: the policy steps of the estimator.
-        L: the feedback gain.
-        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃.
-        trigger: trigger over ``estimate``, ``candidate``, ``error`` and ``deviation``; None to send at every step.
-        before: further policy steps before the decision.
-        after: further policy steps after the decision.
-    """
+    """Return the policy steps of filter, trigger and actuator, and the initial values of their memories."""
     on = None if trigger is None else SEND
     decide = () if trigger is None else (Decide("controller", SEND, trigger),)
     part = _STEPS[choice("actuation", actuation, _STEPS)](plant, L, on)
@@ -311,26 +275,7 @@ def certainty_policy(
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
 ) -> Policy:
-    """Return a policy whose controller is at the sensor's site and sends inputs over the actuator link.
-
-    Args:
-        kind: name of the policy kind in the catalogue.
-        certainty: filter and regulator.
-        steps: policy steps within a sampling step.
-        initial: initial values of the memories.
-        identity: exact identity for the cost by completion of squares.
-        locations: finite discrete states.
-        guarantee: proven bound on the cost.
-        closed_form: exact cost and rates.
-        fixed_rates: rates that the design fixes, in sends per step.
-        reset: the error that a send resets.
-        slower: time constant of the loop relative to that of sending every sample.
-        notes: remarks that a reader of the results should know.
-
-    If set-points change at known times, the error of the input is correlated with the changes. Then no identity holds,
-    and only a bound that allows for this, by ``pull``. If the cost is that at the sampling instants, the statement of
-    the bound says so.
-    """
+    """Return a policy whose controller is at the sensor's site and sends inputs over the actuator link."""
     problem, fixed_rates = certainty.problem, fixed_rates or {}
     if certainty.timed:
         if closed_form is not None and closed_form.cost != problem.per_unit(certainty.cost_all_time):
@@ -389,8 +334,6 @@ def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
     """Return the cost identity J = constant + E[(1−σ)e'He] with e = û − Lx̂, where σ is 1 at a send.
 
     A silent step costs exactly e'He, and a send costs 0.
-
-    Source: khashooei2017
     """
     return Identity(constant, (Form(("error",), H), Form()), SEND)
 
@@ -412,13 +355,6 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
     It is at most θ tr(QΣ) whenever nothing is sent.
 
     With e = û − Lx̂, the form equals [x̂; e]'Γ[x̂; e] of (2.13) and [x̂; û]'Γ[x̂; û] of (3.10).
-
-    Args:
-        problem: the discrete-time problem with the weights of one step.
-        H: weight of the error of the input û − Lx̂, (m, m), or one for each step of the step counter, (steps, m, m).
-        theta: the share θ.
-
-    Source: khashooei2017
     """
     stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
     signals = (ESTIMATE, "candidate", "error")
@@ -496,21 +432,13 @@ def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prices(Displayed):
-    """Optimal gains, costs-to-go and weights of input errors: constant, or for each step of a finite horizon.
+    """Optimal gains, costs-to-go and weights of input errors: constant, or for each step of a finite horizon."""
 
-    Args:
-        problem: the discrete-time problem.
-        K: matrix of the cost-to-go, (n, n), or (N + 1, n, n).
-        L: feedback gain, (m, n), or (N, m, n).
-        H: weight of the difference of the input from Lx̂, (m, m), or (N, m, m).
-        error: bound on the error of K, (n, n); 0 for a finite horizon, whose recursion is exact up to rounding.
-    """
-
-    problem: Discrete
-    K: Array
-    L: Array
-    H: Array
-    error: Array
+    problem: Discrete  # the discrete-time problem
+    K: Array  # matrix of the cost-to-go, (n, n), or (N + 1, n, n)
+    L: Array  # feedback gain, (m, n), or (N, m, n)
+    H: Array  # weight of the difference of the input from Lx̂, (m, m), or (N, m, m)
+    error: Array  # bound on the error of K, (n, n); 0 for a finite horizon, whose recursion is exact up to rounding
 
     @property
     def P(self) -> Array:
@@ -531,15 +459,6 @@ class Prices(Displayed):
 
         The cost is tr(KW) + mean tr(PΣ_k) for an average, E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) for a horizon,
         and E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k) for a discounted sum.
-
-        Args:
-            covariance: error covariances Σ_k of the estimate, (steps, n, n).
-            start: step from which the covariances repeat, or None with a horizon.
-
-        Raises:
-            UnstableError: if rounding makes the cost uncertain.
-
-        Source: khashooei2017
         """
         cost = self._summed(self.K, self.P, covariance, start)
         A, alpha = self.problem.plant.A, self.problem.cost.discount
@@ -566,13 +485,7 @@ class Prices(Displayed):
 
 
 def price_control(problem: Discrete) -> Prices:
-    """Return the optimal gains and the weights of input and estimation errors for a discrete-time control problem.
-
-    Raises:
-        UnstableError: if no stabilising gain exists, or the cost overflows over the horizon.
-
-    Source: khashooei2017
-    """
+    """Return the optimal gains and the weights of input and estimation errors for a discrete-time control problem."""
     plant, cost = problem.plant, problem.cost
     if cost.horizon is None:
         best = problem.regulator()
@@ -589,19 +502,7 @@ SETTLED = 1e-12  # change of a gain relative to the gain
 
 
 def gains_for_losses(problem: Discrete, loss: float, zero: bool, key: str = "loss") -> Array:
-    """Return the gain L that minimises the cost of an attempt in every step, (m, n).
-
-    Args:
-        problem: the discrete-time problem.
-        loss: mean loss probability.
-        zero: whether the actuator applies 0 in silence; otherwise it keeps the last input.
-        key: the key that states the losses, for messages.
-
-    Raises:
-        UnstableError: the mean square grows for every gain; the message states up to which loss it does not.
-
-    Source: schenato2009, imer2006
-    """
+    """Return the gain L that minimises the cost of an attempt in every step, (m, n)."""
     plant = problem.plant
     n, m = plant.B.shape
     stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])

@@ -27,19 +27,14 @@ ESTIMATE, HELD = "estimate", "held"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilterSteps(Displayed):
-    """Policy steps that compute the state estimate from the measurement, and the covariances of the estimation error.
-
-    Args:
-        correct: policy steps before the control is computed.
-        predict: policy steps after the control is computed; they read ``held``, the input that is applied.
-        initial: initial values of the memories.
-        innovations: white innovations of the filter, or None.
+    """Policy steps that compute the state estimate from the measurement, and the covariances of the estimation
+    error.
     """
 
-    correct: tuple[Step, ...]
-    predict: tuple[Step, ...]
-    initial: dict[str, Array]
-    innovations: Innovations | None
+    correct: tuple[Step, ...]  # policy steps before the control is computed
+    predict: tuple[Step, ...]  # policy steps after the control is computed
+    initial: dict[str, Array]  # initial values of the memories
+    innovations: Innovations | None  # white innovations of the filter, or None
 
 
 def estimate_state(
@@ -48,14 +43,6 @@ def estimate_state(
     """Return the policy steps that compute the filtered estimate x̂_k = E[x_k | y_0, …, y_k].
 
     If the full state is measured, x̂ = x, Σ = 0 and Σ̃ = W.
-
-    Args:
-        plant: the plant.
-        steady: the steady-state filter; it may be None with gains of a time-varying filter, or a measured state.
-        at: the node that filters.
-        gain: gains of a time-varying filter, or None for the steady-state filter.
-
-    Source: anderson1990optimal
     """
     if plant.full_state:
         measured = Assign(at, ESTIMATE, {"y": np.eye(plant.states)})
@@ -74,11 +61,7 @@ def estimate_state(
 
 
 def outputs_of(plant: Plant, at: str = "controller") -> dict[str, Array]:
-    """Return the outputs of a plant as a sum of the measurement and of the set-points that the controller is given.
-
-    Raises:
-        ProblemError: a node other than the controller needs set-points that change.
-    """
+    """Return the outputs of a plant as a sum of the measurement and of the set-points that the controller is given."""
     unit, p = np.eye(plant.outputs), plant.sensed
     if p == plant.outputs:
         return {"y": unit}
@@ -92,19 +75,12 @@ def outputs_of(plant: Plant, at: str = "controller") -> dict[str, Array]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Transient(Displayed):
-    """The Kalman filter from the initial state on.
+    """The Kalman filter from the initial state on."""
 
-    Args:
-        gains: gains of the innovations, (steps, n, p).
-        innovation: covariances of the innovations, (steps, p, p).
-        posterior: covariances of the estimation error, (steps, n, n).
-        start: step from which all repeat, or None with a horizon.
-    """
-
-    gains: Array
-    innovation: Array
-    posterior: Array
-    start: int | None
+    gains: Array  # gains of the innovations, (steps, n, p)
+    innovation: Array  # covariances of the innovations, (steps, p, p)
+    posterior: Array  # covariances of the estimation error, (steps, n, n)
+    start: int | None  # step from which all repeat, or None with a horizon
 
 
 def filter_from_the_start(plant: Plant, cost: Cost) -> Transient:
@@ -136,19 +112,12 @@ def by_clock(values: Array) -> Matrix:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StepCounter(Displayed):
-    """The step counter of a policy: the phase of its base, and the gains of a filter that starts with the run.
+    """The step counter of a policy: the phase of its base, and the gains of a filter that starts with the run."""
 
-    Args:
-        pattern: whether the base attempts in each step of its cycle, or of the horizon.
-        phases: step of the pattern in each state of the counter.
-        repeats: state with which the counter continues after its last state; None: it stops.
-        filter: the filter from the start of the run, or None for the steady-state filter.
-    """
-
-    pattern: tuple[bool, ...]
-    phases: tuple[int, ...]
-    repeats: int | None = 0
-    filter: Transient | None = None
+    pattern: tuple[bool, ...]  # whether the base attempts in each step of its cycle, or of the horizon
+    phases: tuple[int, ...]  # step of the pattern in each state of the counter
+    repeats: int | None = 0  # state with which the counter continues after its last state; None: it stops
+    filter: Transient | None = None  # the filter from the start of the run, or None for the steady-state filter
 
     @staticmethod
     def of(problem: Discrete, every: int) -> StepCounter:

@@ -50,17 +50,7 @@ CONSTANT = (
 
 
 def cost_as_kept(plant: Plant | ContinuousPlant, kept: Kept, period: float | None = None) -> Cost:
-    """Return the cost for which the present variances of all outputs and inputs count equally, with every sample.
-
-    Args:
-        plant: the plant, without the slow disturbance that the controller compensates.
-        kept: the controller.
-        period: seconds between steps; only with a continuous plant.
-
-    Raises:
-        UnstableError: the loop is unstable, or a variance is infinite.
-        ProblemError: an output or an input does not move.
-    """
+    """Return the cost for which the present variances of all outputs and inputs count equally, with every sample."""
     usual = Cost(np.eye(plant.states), np.eye(plant.inputs))
     problem, controller, _ = disturbed(plant, usual, period, kept)
     base = actuator_base(problem, controller)
@@ -107,10 +97,6 @@ def lqg_observer(
     """Return LQG control as a controller, whose observer uses the input that was applied.
 
     Its gain is L, or by default optimal for a packet at every q-th step, and an input that is held or ``zero`` between.
-
-    Raises:
-        ProblemError: the cost has a horizon, so that the gains change.
-        UnstableError: no stabilising gain or filter exists.
     """
     if problem.cost.horizon is not None:
         raise ProblemError(
@@ -199,24 +185,14 @@ UNSTABLE = "expected fewer steps between packets"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SameControl(Displayed):
-    """Function of the steps between packets that returns the exact cost per step, without inter-sample noise cost.
+    """Function of the steps between packets that returns the exact cost per step, without inter-sample noise cost."""
 
-    Args:
-        problem: the discrete-time problem.
-        kept: the controller, which may depend on the step.
-        base: the loop that sends every sample, with the receiver's own value in silence.
-    """
-
-    problem: Discrete
-    kept: Kept
-    base: Base
+    problem: Discrete  # the discrete-time problem
+    kept: Kept  # the controller, which may depend on the step
+    base: Base  # the loop that sends every sample, with the receiver's own value in silence
 
     def __call__(self, steps: int) -> float:
-        """Return the cost.
-
-        Raises:
-            UnstableError: the loop is unstable, for this controller and as it is discretised for these steps.
-        """
+        """Return the cost."""
         found = [cost for cost in (self.at_its_step(steps), self.discretised(steps)) if cost is not None]
         if not found:
             raise UnstableError(f"the controller is unstable with a packet every {steps} steps; {UNSTABLE}")
@@ -257,19 +233,12 @@ RESTS = 1e-9  # relative residual of an equation of the point
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rest(Displayed):
-    """The point at which the loop of a controller rests, and its start, relative to the plant's own operating point.
+    """The point at which the loop of a controller rests, and its start, relative to the plant's own operating point."""
 
-    Args:
-        state: state x* of the plant, (n,).
-        input: input u*, (m,).
-        start: state of the controller at the start, relative to its state at rest, (k,).
-        before: the input before the start, relative to u*, (m,).
-    """
-
-    state: Array
-    input: Array
-    start: Array
-    before: Array
+    state: Array  # state x* of the plant, (n,)
+    input: Array  # input u*, (m,)
+    start: Array  # state of the controller at the start, relative to its state at rest, (k,)
+    before: Array  # the input before the start, relative to u*, (m,)
 
     @property
     def moved(self) -> bool:
@@ -297,11 +266,7 @@ class Rest(Displayed):
 
 
 def rest_of(problem: Discrete, controller: Controller) -> Rest:
-    """Return the point at which a loop rests.
-
-    Raises:
-        ProblemError: the plant cannot rest at the set-point, or the controller does not hold it.
-    """
+    """Return the point at which a loop rests."""
     plant, r = problem.plant, controller.setpoint
     (n, m), p = plant.B.shape, plant.outputs
     state, steady, rest = np.zeros(n), np.zeros(m), np.zeros(len(controller.A))
@@ -347,13 +312,7 @@ def _expect_within_limits(plant: Plant, start_input: Array) -> None:
 
 
 def _bumpless(c: Controller, error: Array, command: Array) -> Array:
-    """Return the state of the controller with a first command, at rest apart from its integrals.
-
-    Args:
-        c: the controller.
-        error: mean measurement at the start minus set-point, (p,).
-        command: deviation of the command, (m,).
-    """
+    """Return the state of the controller with a first command, at rest apart from its integrals."""
     left = np.eye(len(c.A)) - c.A - c.E @ c.C
     state = np.asarray(np.linalg.pinv(left) @ (c.B + c.E @ c.D) @ error, dtype=np.float64)
     _, sizes, rows = np.linalg.svd(left)
@@ -365,11 +324,7 @@ def _bumpless(c: Controller, error: Array, command: Array) -> Array:
 
 
 def _solved(matrix: Array, right: Array, what: str) -> Array:
-    """Return the smallest solution of a linear system.
-
-    Raises:
-        ProblemError: there is none.
-    """
+    """Return the smallest solution of a linear system."""
     found = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
     if np.abs(matrix @ found - right).max(initial=0.0) > RESTS * np.abs(right).max(initial=0.0):
         raise ProblemError(f"{what}; expected a set-point that the loop holds, or none")

@@ -31,31 +31,18 @@ Actuation: TypeAlias = Literal["hold", "model", "zero"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Route(Displayed):
-    """A base, and the policy steps that carry its choices.
+    """A base, and the policy steps that carry its choices."""
 
-    Args:
-        base: the loop that sends every sample.
-        node: the node that decides; it has the measurement.
-        sites: groups of nodes at the same site.
-        error: terms of the receiver's value in silence, minus the choice.
-        before: policy steps that compute choice and candidate.
-        after: policy steps that send, receive, and store the input and the controller's next state.
-        initial: initial values of the memories.
-        start: state of the controller in the base at the start, (k,).
-        begun: the value that the receiver of the base uses before the first packet, (c,).
-        registers: number of states of the controller that the node follows.
-    """
-
-    base: Base
-    node: str
-    sites: tuple[frozenset[str], ...]
-    error: dict[str, Array]
-    before: tuple[Step, ...]
-    after: tuple[Step, ...]
-    initial: dict[str, Array]
-    start: Array
-    begun: Array
-    registers: int
+    base: Base  # the loop that sends every sample
+    node: str  # the node that decides; it has the measurement
+    sites: tuple[frozenset[str], ...]  # groups of nodes at the same site
+    error: dict[str, Array]  # terms of the receiver's value in silence, minus the choice
+    before: tuple[Step, ...]  # policy steps that compute choice and candidate
+    after: tuple[Step, ...]  # policy steps that send, receive, and store the input and the controller's next state
+    initial: dict[str, Array]  # initial values of the memories
+    start: Array  # state of the controller in the base at the start, (k,)
+    begun: Array  # the value that the receiver of the base uses before the first packet, (c,)
+    registers: int  # number of states of the controller that the node follows
 
     @property
     def state(self) -> tuple[str, ...]:
@@ -63,13 +50,7 @@ class Route(Displayed):
         return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
 
     def steps(self, measured: dict[str, Array], decide: tuple[Step, ...], after: tuple[Step, ...]) -> tuple[Step, ...]:
-        """Return the policy steps with those that decide on ``error``, and those that follow the packet.
-
-        Args:
-            measured: terms of the measurement.
-            decide: policy steps that decide.
-            after: policy steps after the packet.
-        """
+        """Return the policy steps with those that decide on ``error``, and those that follow the packet."""
         unit = np.eye(self.registers)
         return (
             Assign(self.node, MEASURED, measured),
@@ -92,21 +73,7 @@ def route_over(
     start: Array | None = None,
     follows: bool = True,
 ) -> Route:
-    """Return the route of a given controller's packets.
-
-    Args:
-        link: ``"actuator"``: packets carry inputs, and the controller is at the sensor's site; ``"sensor"``: packets
-            carry measurements, and the controller is at the actuator's site.
-        problem: the discrete-time problem.
-        controller: the controller.
-        actuation: in silence, the receiver keeps its last value (``"hold"``), predicts it (``"model"``), or the
-            actuator applies 0, or the input at rest (``"zero"``).
-        lossy: whether the network acknowledges packets, and the node that decides uses the acknowledgements.
-        copied: the filter whose estimates a receiver that predicts gets, if its prediction enters the value: over links
-            that drop packets, and for a base that is silent in some steps.
-        start: state of the controller at the start, (k,); default 0.
-        follows: whether the decision reads the controller's state, which a sensor that decides then computes.
-    """
+    """Return the route of a given controller's packets."""
     start = np.zeros(len(controller.A)) if start is None else start
     choice("actuation", actuation, ("hold", "model", "zero"))
     if choice("link", link, ("actuator", "sensor")) == "actuator":

@@ -73,11 +73,7 @@ def least_value(F: Array, M: Array) -> tuple[Array, float]:
 
 
 def expect_few_states(size: int, channels: int) -> None:
-    """Raise an error if the value over a lossy link has too many unknowns.
-
-    Raises:
-        ProblemError: it has.
-    """
+    """Raise an error if the value over a lossy link has too many unknowns."""
     if channels * size * (size + 1) // 2 > MOST_UNKNOWNS:
         raise ProblemError(
             f"plant, controller and link have {size} states together, too many for the value over a lossy link; "
@@ -153,25 +149,15 @@ GROWTH = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Base(Displayed):
-    """A loop whose packets carry a linear choice, as a linear system.
+    """A loop whose packets carry a linear choice, as a linear system."""
 
-    Args:
-        Phi: dynamics without the choice, (n, n).
-        Gamma: effect of the choice, (n, c).
-        stage: weight of the stage cost, (n + c, n + c).
-        K: the choice of the base, (c, n).
-        noise: covariance of the noise, (n, n).
-        candidate: the receiver's own value in the next step, (c, n + c); default: the value that it uses now.
-        unseen: cost per step that depends on no choice.
-    """
-
-    Phi: Array
-    Gamma: Array
-    stage: Array
-    K: Array
-    noise: Array
-    candidate: Array | None = None
-    unseen: float = 0.0
+    Phi: Array  # dynamics without the choice, (n, n)
+    Gamma: Array  # effect of the choice, (n, c)
+    stage: Array  # weight of the stage cost, (n + c, n + c)
+    K: Array  # the choice of the base, (c, n)
+    noise: Array  # covariance of the noise, (n, n)
+    candidate: Array | None = None  # the receiver's own value in the next step, (c, n + c)
+    unseen: float = 0.0  # cost per step that depends on no choice
 
     @property
     def silent(self) -> Array:
@@ -189,23 +175,14 @@ class Base(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Attempts(Displayed):
-    """The steps at which a base attempts to send, the link that drops its packets, and the sum that its cost is.
+    """The steps at which a base attempts to send, the link that drops its packets, and the sum that its cost is."""
 
-    Args:
-        pattern: whether the base attempts in each step of a cycle, or of a finite horizon.
-        turns: transition probabilities of the channel state, (s, s).
-        losses: probability of a dropout in each channel state, (s,).
-        discount: factor α of the cost per step.
-        terminal: weight of z after a finite horizon, (n, n); None if the pattern repeats for ever.
-        key: the key that states the losses, for messages.
-    """
-
-    pattern: tuple[bool, ...] = (True,)
-    turns: Array = field(default_factory=lambda: np.ones((1, 1)))
-    losses: Array = field(default_factory=lambda: np.zeros(1))
-    discount: float = 1.0
-    terminal: Array | None = None
-    key: str = "loss"
+    pattern: tuple[bool, ...] = (True,)  # whether the base attempts in each step of a cycle, or of a finite horizon
+    turns: Array = field(default_factory=lambda: np.ones((1, 1)))  # transition probabilities of the channel state
+    losses: Array = field(default_factory=lambda: np.zeros(1))  # probability of a dropout in each channel state, (s,)
+    discount: float = 1.0  # factor α of the cost per step
+    terminal: Array | None = None  # weight of z after a finite horizon, (n, n); None if the pattern repeats for ever
+    key: str = "loss"  # the key that states the losses, for messages
 
     @property
     def start(self) -> Array:
@@ -228,34 +205,21 @@ EVERY_SAMPLE = Attempts()
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Advantage(Displayed):
-    """The value of a base, and the cost of silence in each step of its pattern and each channel state.
+    """The value of a base, and the cost of silence in each step of its pattern and each channel state."""
 
-    Args:
-        P: value w'P w of w = (z, h) at the start of the pattern, the mean over the channel states, (n + c, n + c).
-        H: quadratic weight of the deviation of the choice, (steps, s, c, c).
-        slope: linear weight of this deviation, (steps, s, c, n).
-        cost: cost per step; of a total, the part that the noise causes.
-        settling: time constant in steps of the slowest mode that the cost depends on; 0 for a finite horizon.
-        fourth: growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them,
-            with a discount α of α² times them; at 1 or more, the variance of the cost is infinite. None without losses,
-            and over a horizon.
-    """
-
-    P: Array
-    H: Array
-    slope: Array
-    cost: float
-    settling: float
+    P: Array  # value w'P w of w = (z, h) at the start of the pattern, the mean over the channel states, (n + c, n + c)
+    H: Array  # quadratic weight of the deviation of the choice, (steps, s, c, c)
+    slope: Array  # linear weight of this deviation, (steps, s, c, n)
+    cost: float  # cost per step; of a total, the part that the noise causes
+    settling: float  # time constant in steps of the slowest mode that the cost depends on; 0 for a finite horizon
+    # growth per step of the fourth moments of the base over a lossy link, as far as the cost depends on them, with a
+    # discount α of α² times them; at 1 or more, the variance of the cost is infinite. None without losses, and over a
+    # horizon
     fourth: float | None = None
 
 
 def advantage(base: Base, remedy: str, attempts: Attempts = EVERY_SAMPLE) -> Advantage:
-    """Return the value of a base, and the cost of silence.
-
-    Raises:
-        UnstableError: the cost of the base is infinite; the message ends with ``remedy``, or states the critical loss.
-        ProblemError: the loop has too many states for the value over a lossy link.
-    """
+    """Return the value of a base, and the cost of silence."""
     n, alpha, losses = len(base.Phi), attempts.discount, attempts.losses
     value, settling = _last(base, attempts, remedy)
     closed, silent, start = base.replaced[:, :n], base.silent, attempts.start

@@ -39,11 +39,7 @@ def threshold_of(cost: float, delta: float | None, theta: float | None) -> float
 
 
 def shares_of(shares: Mapping[str, float] | None, links: Sequence[str]) -> dict[str, float]:
-    """Return the share of each link in a threshold; 1 for a link that is not listed.
-
-    Raises:
-        ProblemError: these are no shares by link, a share is not a number from 0 on, or belongs to another link.
-    """
+    """Return the share of each link in a threshold; 1 for a link that is not listed."""
     given = cast("object", {} if shares is None else shares)
     if not isinstance(given, Mapping):
         raise ProblemError(f"shares is {quoted(given)}; expected a number for each link, such as {{{links[0]!r}: 2.0}}")
@@ -103,18 +99,6 @@ def bound_by_state(
     With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least q|x̂|² + tr(QΣ)
     with q = λ_min(Q − NR^{-1}N'). Therefore, with s = σ²μ/q < 1, J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s). For a
     sampled plant, tr(QΣ) includes the inter-sample noise cost c, as do J and J_all.
-
-    Args:
-        certainty: filter and regulator.
-        sigma: the share σ.
-        threshold: the threshold Y.
-        source: key of the rule's reference in ``docs/sources.bib``.
-
-    Returns:
-        The guarantee, and a note if σ is too large for a guarantee.
-
-    Raises:
-        ProblemError: the plant has disturbances or set-points, with which the state, and so the threshold, grows.
     """
     problem = certainty.problem
     if problem.source is not None and problem.source.exosystem is not None:
@@ -149,13 +133,7 @@ def bound_by_state(
 
 
 def bound_by_errors(problem: Discrete, base: float, errors: Mapping[str, ErrorGain]) -> Guarantee:
-    """Return the bound √J ≤ √J_b + Σγ_lΔ_l, for the cost J_b of the same controller with every sample.
-
-    Args:
-        problem: the discrete-time problem.
-        base: J_b per step, without the inter-sample noise cost.
-        errors: gain and largest error of each link.
-    """
+    """Return the bound √J ≤ √J_b + Σγ_lΔ_l, for the cost J_b of the same controller with every sample."""
     added = sum(one.gain * one.largest for one in errors.values())
     return Guarantee(
         problem.per_unit((sqrt(base) + added) ** 2),
@@ -175,16 +153,7 @@ def bound_by_attempts(
     lossy: bool,
     lqg: bool = False,
 ) -> Guarantee:
-    """Return the bound J ≤ J_b + δ(a_b − a) for attempts a of the policy and a_b of the base, both per step.
-
-    Args:
-        problem: the discrete-time problem.
-        base: cost of the base.
-        price: δ per step.
-        every: steps between attempts of the base.
-        lossy: whether the link drops packets.
-        lqg: whether the base is LQG, and not a given controller.
-    """
+    """Return the bound J ≤ J_b + δ(a_b − a) for attempts a of the policy and a_b of the base, both per step."""
     cost, word = problem.cost, "an attempt to send" if lossy else "a packet"
     name, at = ("J_all", "every sample") if every == 1 else ("J_q", f"every {ordinal(every)} step")
     base_of = f"{name} the cost of {'LQG' if lqg else 'this controller'} with {word} at {at}"

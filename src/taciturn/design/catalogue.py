@@ -38,12 +38,7 @@ class Catalogue(Mapping[str, "Kind"]):
         return name in own_kinds() or name in find_plugins(GROUP)
 
     def __getitem__(self, name: str, /) -> Kind:
-        """Return the record of a kind.
-
-        Raises:
-            KeyError: if there is no such kind.
-            ProblemError: if two packages register this kind, or the record cannot be imported.
-        """
+        """Return the record of a kind."""
         return _kind(name)
 
 

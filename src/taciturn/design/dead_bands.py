@@ -42,12 +42,7 @@ def keep_at_nodes(
     shares: Mapping[str, float],
     network: Network,
 ) -> Policy:
-    """Return the policy of a given controller in a network of one's own, with a dead band on each link.
-
-    Raises:
-        ProblemError: the controller has a set-point or a start, or the inputs are limited.
-        UnstableError: the loop that sends every sample is unstable.
-    """
+    """Return the policy of a given controller in a network of one's own, with a dead band on each link."""
     loop = KeptLoop.of(plant, cost, period, kept)
     plant = loop.problem.plant
     if plant.saturation is not None or loop.point.moved:
@@ -81,17 +76,11 @@ class Control(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Filtered(Displayed):
-    """Feedback of a filtered estimate.
+    """Feedback of a filtered estimate."""
 
-    Args:
-        plant: the plant from step to step.
-        gain: gain of the filter, (n, p).
-        L: gain of the regulator, (m, n).
-    """
-
-    plant: Plant
-    gain: Array
-    L: Array
+    plant: Plant  # the plant from step to step
+    gain: Array  # gain of the filter, (n, p)
+    L: Array  # gain of the regulator, (m, n)
 
     @property
     def controller(self) -> Controller:
@@ -119,13 +108,9 @@ class Filtered(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Given(Displayed):
-    """A given controller.
+    """A given controller."""
 
-    Args:
-        controller: the controller at the step of the policy.
-    """
-
-    controller: Controller
+    controller: Controller  # the controller at the step of the policy
 
     def before(self, at: str, used: Mapping[str, Array]) -> tuple[Step, ...]:
         """Compute nothing before the command."""
@@ -147,11 +132,7 @@ class Given(Displayed):
 
 
 class ErrorGains:
-    """The H∞ norms from errors of measurements and of inputs to the root of the stage cost, with every sample sent.
-
-    Args:
-        base: the loop that sends every sample; the measurement is at the end of its state.
-    """
+    """The H∞ norms from errors of measurements and of inputs to the root of the stage cost, with every sample sent."""
 
     def __init__(self, base: Base) -> None:
         """Close the loop."""
@@ -174,13 +155,7 @@ class ErrorGains:
 
 
 def errors_of_one(loop: KeptLoop, link: str, delta: float) -> dict[str, ErrorGain]:
-    """Return gain and largest error of the one link of a given controller; none if its inputs have limits.
-
-    Args:
-        loop: the loop of the controller.
-        link: ``"sensor"``: packets carry measurements; ``"actuator"``: packets carry commands.
-        delta: the largest error of an entry.
-    """
+    """Return gain and largest error of the one link of a given controller; none if its inputs have limits."""
     plant = loop.problem.plant
     if plant.saturation is not None:  # the loop is not linear
         return {}
@@ -191,17 +166,7 @@ def errors_of_one(loop: KeptLoop, link: str, delta: float) -> dict[str, ErrorGai
 
 
 class DeadBands:
-    """The policy steps of sensors and of a controller, each of which sends a value that has changed by more than Δ.
-
-    Args:
-        network: the nodes. In the network of three nodes, the controller is at the place of the actuator.
-        plant: the plant from step to step.
-        delta: Δ.
-        shares: factor of Δ by link.
-
-    Raises:
-        ProblemError: a share is given for another link.
-    """
+    """The policy steps of sensors and of a controller, each of which sends a value that has changed by more than Δ."""
 
     def __init__(self, network: Network, plant: Plant, delta: float, shares: Mapping[str, float]) -> None:
         """Find what each node measures and applies."""

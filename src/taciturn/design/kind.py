@@ -51,25 +51,15 @@ ANY_PLANT: tuple[PlantClass, ...] = ("discrete", "continuous", "outputs", "jumps
 
 @dataclass(frozen=True, repr=False)
 class TradeoffParameter(Displayed):
-    """The main parameter of a policy kind, by which the cost of the policy is traded against its send rate.
+    """The main parameter of a policy kind, by which the cost of the policy is traded against its send rate."""
 
-    Args:
-        name: key of ``[policy]``; if several of the kind's parameters are given, the first is varied.
-        link: the link whose rate the parameter changes; default the only link that the policy decides.
-        least: lower limit, which an integer parameter may equal and a real parameter must exceed.
-        whole: whether the parameter is an integer.
-        falls: whether the rate decreases when the parameter increases.
-        continuous: whether it applies to continuous-time plants (True), discrete-time plants (False) or both (None).
-        cycles: whether the parameter may also be a list of integers; the exact costs select the best list.
-    """
-
-    name: str
-    link: str | None = None
-    least: float = 0.0
-    whole: bool = False
-    falls: bool = True
-    continuous: bool | None = None
-    cycles: bool = False
+    name: str  # key of ``[policy]``; if several of the kind's parameters are given, the first is varied
+    link: str | None = None  # the link whose rate the parameter changes; default the only link that the policy decides
+    least: float = 0.0  # lower limit, which an integer parameter may equal and a real parameter must exceed
+    whole: bool = False  # whether the parameter is an integer
+    falls: bool = True  # whether the rate decreases when the parameter increases
+    continuous: bool | None = None  # whether it applies to continuous-time plants
+    cycles: bool = False  # whether the parameter may also be a list of integers; the exact costs select the best list
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -281,14 +271,6 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
 
     The limits on the intervals between sends are left out; ``placed`` adds them to the policy.
-
-    Args:
-        network: the given network.
-        kind: name of the policy kind, for messages.
-        joint: whether the controller may decide on sets of links to several actuators, which must be ideal.
-
-    Raises:
-        PlacementError: sensors or actuators are at several places, or several of them share a place with several links.
     """
     if network.triangle:
         return network.with_intervals(None)
@@ -344,9 +326,6 @@ def placed(policy: Policy, network: Network) -> Policy:
     """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
 
     The decisions keep the network's limits on the intervals between sends.
-
-    Raises:
-        PlacementError: the network does not correspond to three nodes, or places them elsewhere than the policy.
     """
     instance("policy", policy, Policy)
     instance("network", network, Network)
@@ -404,18 +383,7 @@ def expect_ideal_links(kind: str, network: Network) -> None:
 
 
 def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:
-    """Raise an error if a node is at the controller's place in a policy or in the network, but not in both.
-
-    Args:
-        kind: name of the policy kind.
-        network: the given network.
-        role: the role of the node in the policy: ``"sensor"`` or ``"actuator"``.
-        node: the node of the given network.
-        together: whether the node is at the controller's place in the policy.
-
-    Raises:
-        PlacementError: the places differ.
-    """
+    """Raise an error if a node is at the controller's place in a policy or in the network, but not in both."""
     wired = node not in network.links
     if together and not wired:
         raise PlacementError(

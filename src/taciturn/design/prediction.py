@@ -30,21 +30,13 @@ ERROR = "error"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predicted(Displayed):
-    """Common design data of policies that check the prediction error every τ seconds.
+    """Common design data of policies that check the prediction error every τ seconds."""
 
-    Args:
-        problem: the discrete-time problem between checks; its input is the state of the model.
-        prediction: the model of the actuator.
-        price: cost of the prediction as a function of time.
-        Gamma: weight Γ(τ) of the error before the decision, for the cost of silence per check.
-        cost_all_time: cost V_p(1/τ) of sending at every check, per second.
-    """
-
-    problem: Discrete
-    prediction: Prediction
-    price: PredictionCost
-    Gamma: Array
-    cost_all_time: float
+    problem: Discrete  # the discrete-time problem between checks; its input is the state of the model
+    prediction: Prediction  # the model of the actuator
+    price: PredictionCost  # cost of the prediction as a function of time
+    Gamma: Array  # weight Γ(τ) of the error before the decision, for the cost of silence per check
+    cost_all_time: float  # cost V_p(1/τ) of sending at every check, per second
 
     @property
     def reset(self) -> Reset:
@@ -54,12 +46,7 @@ class Predicted(Displayed):
 
 
 def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> Predicted:
-    """Return the design data of a policy whose sensor checks the prediction error every τ seconds.
-
-    Raises:
-        ProblemError: if the plant is discrete in time or has C or V, the cost is not an average, or period is missing.
-        UnstableError: if no stabilising gain exists.
-    """
+    """Return the design data of a policy whose sensor checks the prediction error every τ seconds."""
     plant = refuse_what_is_not_predicted(kind, plant, cost)
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     prediction = Prediction.of(plant, price.L)
@@ -71,15 +58,7 @@ def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, 
 def predicted_policy(
     kind: str, predicted: Predicted, rule: Trigger, guarantee: Guarantee | None = None, notes: tuple[str, ...] = ()
 ) -> Policy:
-    """Return a policy whose sensor decides whether to send by a given trigger on the prediction error.
-
-    Args:
-        kind: name of the policy kind in the catalogue.
-        predicted: the problem between checks.
-        rule: the trigger on ``error``.
-        guarantee: proven bound on the cost.
-        notes: remarks that a reader of the results should know.
-    """
+    """Return a policy whose sensor decides whether to send by a given trigger on the prediction error."""
     problem, base = predicted.problem, predicted.cost_all_time
     closed = problem.plant.A + problem.plant.B
     return Policy(
@@ -105,11 +84,7 @@ def predicted_policy(
 
 
 def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost: Cost) -> ContinuousPlant:
-    """Return the plant if sensor and actuator can predict its state in continuous time; otherwise raise an error.
-
-    Raises:
-        ProblemError: if the plant is discrete in time or has C or V, or the cost is not an average.
-    """
+    """Return the plant if sensor and actuator can predict its state in continuous time; otherwise raise an error."""
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     SIMULATED.check(plant, cost)
@@ -127,11 +102,8 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
 
 
 def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the policy steps of a sensor and an actuator that predict the state; the prediction error triggers sends.
-
-    Args:
-        closed: state transition matrix e^{(A+BL)τ} of the model, (n, n).
-        rule: the trigger on ``error``, the difference between the state and its prediction.
+    """Return the policy steps of a sensor and an actuator that predict the state; the prediction error triggers
+    sends.
     """
     unit = np.eye(len(closed))
     return (
@@ -153,15 +125,7 @@ def modelled(
     period: float | None,
     silence: Callable[[Discrete, Reset], Form],
 ) -> Policy:
-    """Return a policy whose actuator runs a model, and which sends if a function of the model's error is positive.
-
-    Args:
-        kind: name of the policy kind in the catalogue.
-        plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
-        cost: the average cost.
-        period: seconds between checks; only with a continuous plant.
-        silence: function that returns the form over the error of the reset.
-    """
+    """Return a policy whose actuator runs a model, and which sends if a function of the model's error is positive."""
     if isinstance(plant, ContinuousPlant) and plant.full_state:
         found = predict_continuously(kind, plant, cost, period)
         rule = Trigger({"silent": silence(found.problem, found.reset), SEND: Form()})

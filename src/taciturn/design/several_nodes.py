@@ -47,20 +47,14 @@ SHOWN = 1e-6  # relative size of the effect of a disturbance on outputs that cou
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ContributionSteps(Displayed):
-    """The policy steps of sensors that decide when to send their contribution, and of the controller that adds them.
+    """The policy steps of sensors that decide when to send their contribution, and of the controller that adds them."""
 
-    Args:
-        certainty: regulator and filter of all measurements.
-        network: the nodes and links; a sensor without a link is at the controller's place.
-        prediction: what both ends of a link assume in silence: ``"hold"`` no further measurement, ``"model"`` the
-            measurements that a model predicts from the last packet.
-        thresholds: δ_l by group of links that are decided together; each sensor is a group.
-    """
-
-    certainty: CertaintyEquivalentDesign
-    network: Network
+    certainty: CertaintyEquivalentDesign  # regulator and filter of all measurements
+    network: Network  # the nodes and links; a sensor without a link is at the controller's place
+    # what both ends of a link assume in silence: ``"hold"`` no further measurement, ``"model"`` the measurements that
+    # a model predicts from the last packet
     prediction: Actuation
-    thresholds: Mapping[tuple[str, ...], float]
+    thresholds: Mapping[tuple[str, ...], float]  # δ_l by group of links that are decided together
 
     def measure(self) -> tuple[Step, ...]:
         """Return the steps of the sensors."""
@@ -231,19 +225,14 @@ class InputSteps(Displayed):
 
     In the names of signals, ``held`` is the controller's copy of the input that an actuator applies, and ``error`` the
     difference between the input in silence and the command Lx̃.
-
-    Args:
-        certainty: the regulator.
-        network: the nodes and links; an actuator without a link is at the controller's place.
-        actuation: what an actuator applies in silence: ``"hold"`` its last input, ``"model"`` the input of a simulation
-            x̃⁺ = (A + BL)x̃ from the last packet.
-        thresholds: δ_l by group of links that are decided together.
     """
 
-    certainty: CertaintyEquivalentDesign
-    network: Network
+    certainty: CertaintyEquivalentDesign  # the regulator
+    network: Network  # the nodes and links; an actuator without a link is at the controller's place
+    # what an actuator applies in silence: ``"hold"`` its last input, ``"model"`` the input of a simulation x̃⁺ = (A +
+    # BL)x̃ from the last packet
     actuation: Actuation
-    thresholds: Mapping[tuple[str, ...], float]
+    thresholds: Mapping[tuple[str, ...], float]  # δ_l by group of links that are decided together
 
     def decide(self) -> tuple[Step, ...]:
         """Return the steps of the controller's decisions, and of the actuators."""
@@ -354,15 +343,10 @@ ERROR, CANDIDATE, COMMAND, INPUT = "error", "candidate", "command", "input"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointSets(Displayed):
-    """The sets of links of a network, and the steps of a policy for each set.
+    """The sets of links of a network, and the steps of a policy for each set."""
 
-    Args:
-        policy: a policy of a sensor, a controller and an actuator.
-        network: the nodes and links. The steps may have the names of its nodes, the actuator that of any of them.
-    """
-
-    policy: Policy
-    network: Network
+    policy: Policy  # a policy of a sensor, a controller and an actuator
+    network: Network  # the nodes and links. The steps may have the names of its nodes, the actuator that of any of them
 
     @cached_property
     def actuators(self) -> Mapping[str, tuple[str, list[int]]]:
@@ -424,12 +408,7 @@ class JointSets(Displayed):
         return not weighed and not np.any(constant) and form.bell is None and self.partial.issuperset(form.plus)
 
     def check(self) -> None:
-        """Raise an error if the controller cannot decide on sets of actuator links.
-
-        Raises:
-            PlacementError: a packet carries more than the input, the identity refers to periodic packets, or there are
-                too many links.
-        """
+        """Raise an error if the controller cannot decide on sets of actuator links."""
         kind, listed = self.policy.kind, ", ".join(self.links)
         sends = [step for step in self.policy.steps if isinstance(step, Send)]
         if len(self.links) > MOST_LINKS:

@@ -77,36 +77,19 @@ GOOD_OR_BAD = ("cost if good", "cost if bad")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Silence(Displayed):
-    """The cost of silence, and the policy steps that it needs.
+    """The cost of silence, and the policy steps that it needs."""
 
-    Args:
-        cost: the cost of silence, at the decision.
-        identity: the cost beyond that of the base, in a silent step and in a step with a packet.
-        before: policy steps before the decision.
-        after: policy steps after the packet.
-        initial: initial values of the memories.
-    """
-
-    cost: Form
-    identity: tuple[Form, Form]
-    before: tuple[Step, ...] = ()
-    after: tuple[Step, ...] = ()
-    initial: Mapping[str, Array] = field(default_factory=lambda: {})
+    cost: Form  # the cost of silence, at the decision
+    identity: tuple[Form, Form]  # the cost beyond that of the base, in a silent step and in a step with a packet
+    before: tuple[Step, ...] = ()  # policy steps before the decision
+    after: tuple[Step, ...] = ()  # policy steps after the packet
+    initial: Mapping[str, Array] = field(default_factory=lambda: {})  # initial values of the memories
 
 
 def cost_of_silence(
     found: Advantage, route: Route, attempts: Attempts, link: str, phases: Sequence[int], unit: float
 ) -> Silence:
-    """Return the cost of silence for the node that decides.
-
-    Args:
-        found: the value of the base.
-        route: the signals of the loop.
-        attempts: the attempts of the base.
-        link: the link.
-        phases: step of the pattern in each state of the step counter, or a single one.
-        unit: seconds by which a cost per step is divided in the identity.
-    """
+    """Return the cost of silence for the node that decides."""
     n = found.slope.shape[-1]
     none = np.zeros((*found.H.shape[:2], n, n))
     whole: Any = np.block([[found.H, found.slope], [found.slope.swapaxes(2, 3), none]])  # type: ignore[arg-type]
@@ -175,14 +158,7 @@ def _by_clock(values: Array) -> Any:
 
 
 def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float]) -> Policy:
-    """Return the policy that sends an input iff e'He > δ, with the gains and weights of each step.
-
-    Args:
-        kind: name of the policy kind.
-        problem: the discrete-time problem, with a horizon or a discount.
-        actuation: in silence, the actuator keeps the last input, or predicts it.
-        price_at: function that returns δ per step, given the cost of every sample per step.
-    """
+    """Return the policy that sends an input iff e'He > δ, with the gains and weights of each step."""
     prices, counter, plant = price_control(problem), StepCounter.of(problem, 1), problem.plant
     found = counter.filter
     errors, start = (np.zeros((1, *plant.W.shape)), None if problem.cost.horizon else 0)
@@ -219,13 +195,7 @@ FALSE_ALARMS = 1e-9  # probability that a step without any fault is surprised
 
 
 def watch_innovations(signal: str, covariance: Matrix, at: str) -> tuple[Step, ...]:
-    """Return the policy steps that decide whether the innovations are as expected; they follow the filter's.
-
-    Args:
-        signal: name of the innovations.
-        covariance: their covariance, (p, p), or a table of covariances.
-        at: the node that decides.
-    """
+    """Return the policy steps that decide whether the innovations are as expected; they follow the filter's."""
     entries = shape_of(covariance)[0]
     freedom = entries * (2 - FORGOTTEN) / FORGOTTEN  # of the chi-square distribution with the average's first moments
     limit = 2 * _scipy.gamma_quantile(freedom / 2, 1 - FALSE_ALARMS) * entries / freedom
@@ -284,24 +254,14 @@ MORE_PACKETS = "send more packets, or let a model predict the input between them
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KeptLoop(Displayed):
-    """A given controller and its plant in deviations from the point at which they rest.
+    """A given controller and its plant in deviations from the point at which they rest."""
 
-    Args:
-        kept: the controller, which may depend on the step, its set-points relative to the plant's operating point.
-        controller: the controller at the step.
-        problem: the discrete-time problem of the deviations, with the slow disturbance.
-        point: the point at which the loop rests.
-        disturbance: the slow disturbance, or None.
-        lqg: whether the controller is LQG with the weights of the cost, and not one that a user has; its observer then
-            starts with the mean of the plant's initial state.
-    """
-
-    kept: Kept
-    controller: Controller
-    problem: Discrete
-    point: Rest
-    disturbance: Disturbance | None
-    lqg: bool = False
+    kept: Kept  # the controller, which may depend on the step, its set-points relative to the plant's operating point
+    controller: Controller  # the controller at the step
+    problem: Discrete  # the discrete-time problem of the deviations, with the slow disturbance
+    point: Rest  # the point at which the loop rests
+    disturbance: Disturbance | None  # the slow disturbance, or None
+    lqg: bool = False  # whether the controller is LQG with the weights of the cost, and not one that a user has
 
     @staticmethod
     def of(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, lqg: bool = False) -> KeptLoop:
@@ -333,11 +293,7 @@ class KeptLoop(Displayed):
         return MORE_PACKETS if self.lqg else remedy_of(self.problem, self.controller)
 
     def every_sample(self) -> Base:
-        """Return the loop that sends every sample.
-
-        Raises:
-            UnstableError: it is unstable.
-        """
+        """Return the loop that sends every sample."""
         base = actuator_base(self.problem, self.controller)
         advantage(base, self.remedy)
         return base
@@ -376,21 +332,7 @@ class KeptLoop(Displayed):
         errors: Mapping[str, ErrorGain] | None = None,
         functions: frozenset[str] = frozenset(),
     ) -> Policy:
-        """Return a policy without a proven bound, or with the certificate that follows from the errors of its links.
-
-        Args:
-            kind: name of the policy kind.
-            base: the loop that sends every sample.
-            steps: the policy steps, for the deviations.
-            sites: groups of nodes at the same site.
-            initial: initial values of the memories.
-            network: the network of the policy; default: ideal links of a sensor, a controller and an actuator.
-            errors: gain and largest error of each link, in a loop without limits of the inputs; default: unknown.
-            functions: signals that a function computes and that the errors take into account.
-
-        Raises:
-            UnstableError: the loop that sends every sample is unstable.
-        """
+        """Return a policy without a proven bound, or with the certificate that follows from the errors of its links."""
         found, problem = advantage(base, self.remedy), self.problem
         theory = Theory(
             cost=problem.cost,
@@ -437,28 +379,7 @@ def keep_controller(
     retry: bool = False,
     lqg: Controller | None = None,
 ) -> Policy:
-    """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller.
-
-    Args:
-        kind: name of the policy kind.
-        plant: the plant, without the slow disturbance that the controller compensates.
-        cost: the cost.
-        period: seconds between steps; only with a continuous plant.
-        kept: the controller.
-        price_at: function that returns δ per step, given the cost of the base per step.
-        actuation: in silence, the receiver keeps the last value (``"hold"``), predicts it (``"model"``), or the
-            actuator applies 0, or the input at rest (``"zero"``).
-        link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
-        network: the network; losses of the link must be acknowledged.
-        every: q, the number of steps between packets of the base.
-        retry: whether the node that decides attempts again in the step after a missing acknowledgement.
-        lqg: LQG with every sample as a controller, whose cost is J_all, if ``kept`` is LQG for these packets; default:
-            J_all is the cost of ``kept`` with every sample. Over a link that drops packets, both attempt every sample.
-
-    Raises:
-        ProblemError: the controller does not suit the plant, or the options do not suit each other.
-        UnstableError: the base is unstable.
-    """
+    """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller."""
     loop = KeptLoop.of(plant, cost, period, kept, lqg is not None)
     problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
@@ -564,18 +485,6 @@ def send_every_sample(
     """Return the loop of a given controller with a packet at every sample.
 
     No node decides, so none needs a filter, and the plant need not be detectable.
-
-    Args:
-        kind: name of the policy kind, for messages.
-        plant: the plant, without the slow disturbance that the controller compensates.
-        cost: the cost.
-        period: seconds between steps; only with a continuous plant.
-        kept: the controller.
-        link: ``"actuator"``: packets carry inputs; ``"sensor"``: packets carry measurements.
-
-    Raises:
-        ProblemError: the controller does not suit the plant.
-        UnstableError: the loop is unstable.
     """
     loop = KeptLoop.of(plant, cost, period, kept)
     problem, average = loop.problem, not loop.problem.cost.mission

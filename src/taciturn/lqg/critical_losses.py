@@ -88,15 +88,7 @@ class Channel(Displayed):
 
 
 class MeanSquare:
-    """The linear map of the pairs of weights (K, T) of a loop under a given gain, divided by a level in every step.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        L: (m, n) gain.
-        channel: loss probabilities, acknowledgement and delay.
-        level: growth per step by which the map is divided.
-    """
+    """The linear map of the pairs of weights (K, T) of a loop under a given gain, divided by a level in every step."""
 
     def __init__(self, A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) -> None:
         """Store the loop."""
@@ -134,13 +126,6 @@ class MeanSquare:
         """Solve the coupled Lyapunov equations of the loop for the weights K and T.
 
         K and T are the sums over all steps of terms that are added in each step.
-
-        Args:
-            first: term added to K, (n, n).
-            second: term added to T, (n, n).
-
-        Raises:
-            LinAlgError: the level is the growth itself, or so close to it that the sums overflow, or far below it.
         """
         K, T = self._apart(first, second)
         if self.spread:  # solved without coupling; then for the coupling Y = Y_0 + turn·Y
@@ -208,11 +193,7 @@ class LossyStep(NamedTuple, Generic[E]):
         return (first + self.Q + spent - K).symmetric(), (second + self.Q - T).symmetric()
 
     def falls(self, X: E, Z: E) -> tuple[E, E]:
-        """Return by what a step without costs reduces a pair: the proof that the mean square is bounded.
-
-        Raises:
-            UnprovedError: the pair, or what a step reduces it by, is not proved to be definite.
-        """
+        """Return by what a step without costs reduces a pair: the proof that the mean square is bounded."""
         after = self.linear(X, Z)
         falls = (X - after[0]).symmetric(), (Z - after[1]).symmetric()
         if not all(form.definite() for form in (X, Z, *falls)):
@@ -220,16 +201,7 @@ class LossyStep(NamedTuple, Generic[E]):
         return falls
 
     def proved(self, K: E, T: E, X: E, Z: E, sizes: Sequence[Array]) -> float:
-        """Return ε with the best weights, and those of the gain, between (K, T) ± ε(X, Z).
-
-        Args:
-            K, T: the weights.
-            X, Z: a pair that a step without costs reduces.
-            sizes: the diagonals of K and T.
-
-        Raises:
-            UnprovedError: the proof fails.
-        """
+        """Return ε with the best weights, and those of the gain, between (K, T) ± ε(X, Z)."""
         falls, missed = self.falls(X, Z), self.missed(K, T)
         price, pushed = self.R + self.felt(K, T), self.felt(X, Z)
         off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
@@ -267,15 +239,12 @@ Link: TypeAlias = Literal["actuator", "sensor"]
 
 
 class Critical(NamedTuple):
-    """Loss probabilities of a link with a proof: losses up to one are survived, losses from the other one on are not.
-
-    Args:
-        survived: some linear gain keeps the mean square bounded at this loss, and at smaller ones.
-        lost: no linear gain does at this loss, and at larger ones.
+    """Loss probabilities of a link with a proof: losses up to one are survived, losses from the other one on are
+    not.
     """
 
-    survived: float
-    lost: float
+    survived: float  # some linear gain keeps the mean square bounded at this loss, and at smaller ones
+    lost: float  # no linear gain does at this loss, and at larger ones
 
     def __str__(self) -> str:
         """Return the limit of the losses as text."""
@@ -295,15 +264,7 @@ class Rough(NamedTuple):
 
 
 class Lasting:
-    """The modes of a plant on or outside the unit circle, and the losses that they survive.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-
-    Raises:
-        UnstableError: no input moves such a mode.
-    """
+    """The modes of a plant on or outside the unit circle, and the losses that they survive."""
 
     def __init__(self, A: Array, B: Array) -> None:
         """Scale the states by powers of two, so that the results do not depend on their units."""
@@ -323,11 +284,7 @@ class Lasting:
         self.size = max((abs(complex(self.roots[k].root)) for k in self.modes), default=0.0)
 
     def rough(self, modes: Sequence[int]) -> Rough:
-        """Return some modes in double precision.
-
-        Raises:
-            UnstableError: the regulator is not proved.
-        """
+        """Return some modes in double precision."""
         key = tuple(modes)
         if key not in self._known:
             every = np.array([complex(one.root) for one in self.roots])
@@ -481,11 +438,7 @@ class Lasting:
         return False
 
     def _exact(self, modes: Sequence[int]) -> tuple[Balls, Balls]:
-        """Return enclosures of A and B of some modes, in nearly the same coordinates as in double precision.
-
-        Raises:
-            UnprovedError: more than the largest precision is needed.
-        """
+        """Return enclosures of A and B of some modes, in nearly the same coordinates as in double precision."""
         polynomial, own = rational(self.A).charpoly(), [self.roots[k].root for k in modes]
         rough = self.rough(modes)
         for bits in PRECISIONS:
@@ -543,11 +496,6 @@ def follow(path: Path, L: Array, end: float) -> Reached | None:
 
     Near this place, the inverse of the weights of unit costs decreases to zero, and the secant method approaches it.
     The best gain of one place keeps the mean square bounded at the next one, if this is near enough.
-
-    Args:
-        path: the loops; the larger the place, the faster they grow.
-        L: a gain that keeps the mean square bounded at 0.
-        end: the last place, which is returned if the mean square is bounded there.
     """
     found, before = _improved(path, L, 0.0), None
     if found is None:

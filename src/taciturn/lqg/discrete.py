@@ -79,12 +79,7 @@ def fed_inputs(plant: Plant | ContinuousPlant) -> list[int]:
 
 
 def with_registers(problem: Discrete, source: Plant | ContinuousPlant) -> Discrete:
-    """Return a problem with registers of the inputs that the outputs show.
-
-    Args:
-        problem: the problem of the plant without D, with disturbances and set-points.
-        source: the plant before it was sampled, with D.
-    """
+    """Return a problem with registers of the inputs that the outputs show."""
     n, fed = source.states, fed_inputs(source)
     inputs: Array = np.eye(problem.plant.inputs)[fed]
     more = n, np.zeros((len(fed), len(fed))), inputs
@@ -131,9 +126,6 @@ def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
     An estimator computes y − D û, where a double holds each term to 2⁻⁵³ of its size, for the inputs û of the loop
     with every sample. The rounding acts as noise of the measurement; below a thousandth of the deviation of the
     innovation, it changes the cost by less than its stated tolerance of 1e-6.
-
-    Raises:
-        ProblemError: the rounding is larger.
     """
     plant, fed, keep = problem.plant, problem.registers, problem.decaying
     p, point, place = plant.sensed, plant.operating_point, np.ix_(keep, keep)
@@ -193,17 +185,13 @@ def _at_rest(point: OperatingPoint, n: int, fed: list[int]) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RegisteredDynamics(Displayed):
-    """A step function with registers of inputs: (x, z, d), u, (w, 0, w_d) → f((x, d), u, (w, w_d)) with z⁺ = u between.
-
-    Args:
-        dynamics: f.
-        place: number of states before the registers.
-        inputs: the inputs that have a register, as integers, (r,).
+    """A step function with registers of inputs: (x, z, d), u, (w, 0, w_d) → f((x, d), u, (w, w_d)) with z⁺ = u
+    between.
     """
 
-    dynamics: Dynamics
-    place: int
-    inputs: tuple[int, ...]
+    dynamics: Dynamics  # f
+    place: int  # number of states before the registers
+    inputs: tuple[int, ...]  # the inputs that have a register, as integers, (r,)
 
     def __call__(self, x: Any, u: Any, w: Any) -> Any:
         """Return the next states of the plant, with the registers among them."""
@@ -562,23 +550,7 @@ STILL = 1e-9  # relative rate of change of an input that counts as zero
 def regulator_equations(
     A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array, D: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, of least cost of x = X d and u = U d.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        S: (q, q) dynamics of the disturbances and set-points d.
-        E: (n, q) effect of d on the state.
-        outputs: C_z, (z, n).
-        F: (z, q) effect of d on the output.
-        weight: [[Q, N], [N', R]], (n + m, n + m), which decides if more than one solution exists.
-        D: D_z, the effect of the input on the output, (z, m), or None for zero.
-
-    Raises:
-        ProblemError: no input keeps some output at zero.
-
-    Source: francis1977
-    """
+    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, of least cost of x = X d and u = U d."""
     (n, m), q = B.shape, len(S)
     state, unit = reach(A, B)  # so that the result does not depend on the units
     units = np.concatenate([state, unit])
@@ -637,10 +609,6 @@ def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
 
     It has none if a disturbance that does not decay changes the input Ud that it needs between samples. The sums over
     the steps of a discrete plant always have one.
-
-    Args:
-        plant: the plant, with its disturbances and set-points.
-        cost: the cost per second.
     """
     e = plant.exosystem
     if e is None or isinstance(plant, Plant):
@@ -672,11 +640,6 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
 
     The cost of a discrete plant is (x − Xd)'Q(x − Xd) + (u − Ud)'R(u − Ud) + 2(x − Xd)'N(u − Ud), with X and U of the
     regulator equations; that of a continuous plant is the integral of these deviations over a period.
-
-    Args:
-        base: the problem without them.
-        source: the plant before it was sampled.
-        exosystem: the disturbances and set-points.
     """
     plant, e = base.plant, exosystem
     n, q, m = plant.states, len(e.S), plant.inputs
@@ -744,13 +707,7 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
 
 
 def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | None]:
-    """Return the problem of a plant next to states with dynamics S that cost nothing and move nothing else.
-
-    Args:
-        base: the problem of the plant.
-        S: the dynamics from step to step.
-        rates: the dynamics per second, if the plant was sampled.
-    """
+    """Return the problem of a plant next to states with dynamics S that cost nothing and move nothing else."""
     n, none, exact = base.plant.states, np.zeros((len(S), base.plant.inputs)), base.exact
     given = base.quadratic.beside(n, S, none)
     if exact is None:
@@ -763,15 +720,8 @@ def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | N
 def _within_a_period(
     plant: ContinuousPlant, e: Exosystem, cost: Cost, X: Array, U: Array, given: int, period: float
 ) -> Sampled:
-    """Return the problem of the deviations (ξ, d) with the input μ over a period; only its weights and cost are used.
-
-    Args:
-        plant: the plant.
-        e: its disturbances and set-points.
-        cost: the cost per second.
-        X, U: the states and inputs from which the deviations count.
-        given: number of set-points, the last states of d, that change; they do so at sampling instants only.
-        period: seconds.
+    """Return the problem of the deviations (ξ, d) with the input μ over a period; only its weights and cost are
+    used.
     """
     (n, m), q = plant.B.shape, len(e.S)
     rest = np.zeros((q, q))
@@ -786,12 +736,7 @@ def _within_a_period(
 
 
 def beyond_limits(plant: Plant | ContinuousPlant, needed: Array) -> ProblemError:
-    """Return the error that a set-point needs an input beyond the limits of a plant, in the units of the plant.
-
-    Args:
-        plant: the plant, in deviations from its operating point.
-        needed: the input, (m,).
-    """
+    """Return the error that a set-point needs an input beyond the limits of a plant, in the units of the plant."""
     assert plant.input_limit is not None, "only limits can be exceeded"
     rest = np.zeros(len(needed)) if plant.operating_point is None else plant.operating_point.u
     return ProblemError(
@@ -814,15 +759,7 @@ def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
 
 
 def _expect_shown(A: Array, C: Array, states: int, exosystem: Exosystem, continuous: bool) -> None:
-    """Raise an error if the outputs show all modes of a plant, but not those of its disturbances.
-
-    Args:
-        A: dynamics of (x, d), before they were sampled.
-        C: outputs of (x, d).
-        states: number of states x.
-        exosystem: the disturbances, and set-points, which are known.
-        continuous: whether A is continuous in time.
-    """
+    """Raise an error if the outputs show all modes of a plant, but not those of its disturbances."""
     unknown = np.vstack([exosystem.E, exosystem.G, exosystem.W]).any(axis=0)
     keep = np.concatenate([np.ones(states, dtype=np.bool_), unknown])
     plant = np.arange(len(A)) < states

@@ -145,11 +145,7 @@ class Balls:
         return self.of([[table[i][j] for j in across] for i in down], len(across))
 
     def solve(self, right: Self) -> Self:
-        """Return the inverse of this matrix times another one.
-
-        Raises:
-            UnprovedError: the matrix may be singular.
-        """
+        """Return the inverse of this matrix times another one."""
         if not all(self.shape) or not all(right.shape):
             return type(self)(arb_mat(*right.shape))
         try:
@@ -190,11 +186,7 @@ class Doubles:
     __slots__ = ("middle", "radius")
 
     def __init__(self, middle: Array, radius: Array) -> None:
-        """Take over middles and radii; a middle or radius that is not finite ends the proof.
-
-        Raises:
-            UnprovedError: a number is too large.
-        """
+        """Take over middles and radii; a middle or radius that is not finite ends the proof."""
         if not isfinite(float(np.vdot(radius, radius)) + float(np.vdot(middle, middle))):
             raise UnprovedError("a number exceeds the range of doubles")
         self.middle, self.radius = middle, radius
@@ -385,11 +377,7 @@ def block(rows: Sequence[Sequence[E]]) -> E:
 
 
 def solve(left: E, right: E) -> E:
-    """Return the inverse of a matrix times another one.
-
-    Raises:
-        UnprovedError: the matrix may be singular.
-    """
+    """Return the inverse of a matrix times another one."""
     if isinstance(left, Balls):
         return left.solve(right)
     return left.solve(right)  # the same method of the other arithmetic, which type checkers take for another one

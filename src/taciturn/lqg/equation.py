@@ -63,23 +63,6 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
     """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W.
 
     Repeated squaring: X ← X + F X F', F ← F². The error of each variance is proved to be at most 1e-6.
-
-    Args:
-        F: (n, n) map with all eigenvalues inside the unit circle.
-        W: (n, n) symmetric matrix added at each step.
-
-    Returns:
-        X, (n, n), symmetric.
-
-    Raises:
-        ProblemError: a matrix has the wrong shape, is not finite, or is not symmetric.
-        UnstableError: F has an eigenvalue on or outside the unit circle, or so near to it that the sum is inaccurate.
-
-    Source: anderson1990optimal
-
-    Example:
-        >>> float(accumulate([[0.5]], [[3.0]])[0, 0])
-        4.0
     """
     F = _arrays.square("F", F)
     W = _arrays.symmetric("W", W, F.shape[0])
@@ -98,11 +81,7 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
 
 
 def stationary(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for a semidefinite W and an F that is known to be stable, with a proof of its error.
-
-    Raises:
-        UnstableError: the sum overflows, or is not proved to six digits.
-    """
+    """Return Σ_k F^k W F'^k for a semidefinite W and an F that is known to be stable, with a proof of its error."""
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
@@ -145,11 +124,7 @@ def _judged(arithmetic: type[E], F: Array, W: Array, X: Array) -> Array:
 
 
 def bounded(arithmetic: type[E], F: E, missed: E, size: Array) -> tuple[E, E, float]:
-    """Return X, X − F'XF and ε with −εX ⪯ Σ F'^k M F^k ⪯ εX for the residual M of a sum of about the given diagonal.
-
-    Raises:
-        UnprovedError: the loop is not proved stable, or the bound is not proved.
-    """
+    """Return X, X − F'XF and ε with −εX ⪯ Σ F'^k M F^k ⪯ εX for the residual M of a sum of about the given diagonal."""
     X, falls = ranked(arithmetic, F, size)
     slack = 4 * relative(missed, size)
     if not ((falls.times(slack) - missed).definite() and (falls.times(slack) + missed).definite()):
@@ -171,10 +146,8 @@ def relative(form: E, size: Array) -> float:
 
 
 def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of sizes.
-
-    Raises:
-        UnprovedError: the closed loop is not proved stable at this precision.
+    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of
+    sizes.
     """
     with np.errstate(all="ignore"):
         rough = summed(F.middle.T, np.diag(size))
@@ -192,11 +165,7 @@ def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
 
 
 def total(arithmetic: type[E], F: E, M: E) -> E:
-    """Return about the sum of F'^k M F^k, without radii, by doubling the number of terms.
-
-    Raises:
-        UnprovedError: the loop is not stable.
-    """
+    """Return about the sum of F'^k M F^k, without radii, by doubling the number of terms."""
     found, power = M.centre(), F.centre()
     for _ in range(TURNS):
         more = (power.T @ found @ power).symmetric()
@@ -244,50 +213,28 @@ class Recipe(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Displayed):
-    """The stabilising solution of a Riccati equation, with a proved bound on its error.
+    """The stabilising solution of a Riccati equation, with a proved bound on its error."""
 
-    Args:
-        K: cost-to-go, (n, n).
-        L: gain, u = L x, (m, n).
-        H: weight R + B'KB of a deviation from the optimal input, or R in continuous time, (m, m).
-        error: (n, n) with −error ⪯ K − exact ⪯ error.
-        correction: H⁻¹B'K; for the dual problem of a filter, the transposed gain of its correction, (m, n).
-        free: whether inputs cost nothing, so that H is singular.
-        lacking: why the bound does not hold for the cost of the gain as it is stored, in doubles; empty if it holds,
-            and the stored gain then stabilises.
-        slowest: modulus of the slowest mode of A + BL, or its real part in continuous time. Marginally stable modes
-            that no input affects and that do not affect the cost are excluded.
-    """
-
-    K: Array
-    L: Array
-    H: Array
-    error: Array
-    correction: Array
-    free: bool
-    lacking: str
-    slowest: float
+    K: Array  # cost-to-go, (n, n)
+    L: Array  # gain, u = L x, (m, n)
+    H: Array  # weight R + B'KB of a deviation from the optimal input, or R in continuous time, (m, m)
+    error: Array  # (n, n) with −error ⪯ K − exact ⪯ error
+    correction: Array  # H⁻¹B'K; for the dual problem of a filter, the transposed gain of its correction, (m, n)
+    free: bool  # whether inputs cost nothing, so that H is singular
+    lacking: str  # why the bound does not hold for the cost of the gain as it is stored, in doubles
+    slowest: float  # modulus of the slowest mode of A + BL, or its real part in continuous time
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Problem(Displayed):
-    """A problem whose stabilising solution is sought.
+    """A problem whose stabilising solution is sought."""
 
-    Args:
-        given: its matrices in double precision, whose zeros show its structure.
-        recipe: its matrices in any arithmetic.
-        continuous: whether time is continuous; then A and B are derivatives, and the weights those of an integral.
-        sampled: whether the recipe has more digits than doubles.
-        dual: whether the gain that is stored is H⁻¹B'K, of a filter, and not L.
-        before: the problem before it was sampled, if it is known; its modes are exact.
-    """
-
-    given: Quadratic
-    recipe: Recipe
-    continuous: bool = False
-    sampled: bool = False
-    dual: bool = False
-    before: Before | None = None
+    given: Quadratic  # its matrices in double precision, whose zeros show its structure
+    recipe: Recipe  # its matrices in any arithmetic
+    continuous: bool = False  # whether time is continuous
+    sampled: bool = False  # whether the recipe has more digits than doubles
+    dual: bool = False  # whether the gain that is stored is H⁻¹B'K, of a filter, and not L
+    before: Before | None = None  # the problem before it was sampled, if it is known; its modes are exact
 
     @cached_property
     def step(self) -> float:
@@ -303,11 +250,7 @@ class Problem(Displayed):
         return worth_of(self.given, self.continuous, self.sampled, self.before)
 
     def solve(self) -> Solution:
-        """Return the stabilising solution.
-
-        Raises:
-            UnprovedError: no stabilising solution was proved at any precision.
-        """
+        """Return the stabilising solution."""
         worth = self.worth
         if worth.states.all():
             return self._solved()
@@ -547,11 +490,7 @@ def not_held(what: str, A: Array, lacking: str) -> UnstableError:
 def _proved_solution(
     arithmetic: type[E], given: Equation[E], K: E, L: E, weight: E, H: E, size: Array
 ) -> tuple[E, float, E]:
-    """Return X and ε of the proof that K ± εX contain the solution, with given L, B'K and H, and the closed loop.
-
-    Raises:
-        UnprovedError: the proof fails in this precision.
-    """
+    """Return X and ε of the proof that K ± εX contain the solution, with given L, B'K and H, and the closed loop."""
     F, stage = given.under(L)
     X, falls = ranked(arithmetic, F, size)
     missed = (stage + F.T @ K @ F - K).symmetric()
@@ -590,11 +529,7 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
 
 
 def _expect_stable(arithmetic: type[E], F: E, X: E, size: Array) -> None:
-    """Prove that a loop F is stable that is near the one for which X was computed.
-
-    Raises:
-        UnprovedError: the loop is not proved stable.
-    """
+    """Prove that a loop F is stable that is near the one for which X was computed."""
     if not (X - F.T @ X @ F).symmetric().definite():
         ranked(arithmetic, F, size)
 
@@ -603,9 +538,6 @@ def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array
     """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F.
 
     It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
-
-    Raises:
-        UnprovedError: the loop is not proved stable.
     """
     if not off.most.any():
         return np.zeros(X.shape)

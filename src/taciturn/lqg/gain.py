@@ -22,17 +22,6 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
     The largest gain at many frequencies is a lower bound. A number γ above it is an upper bound if there is a P with
     x⁺'P x⁺ + |ζ|² ≤ x'P x + γ²|d|² for all x and d; P is computed from a Riccati equation, and then the inequality is
     checked.
-
-    Raises:
-        UnstableError: a mode that d reaches and ζ contains does not decay, or no upper bound is found.
-
-    Source: anderson1990optimal
-
-    Example: x⁺ = x/2 + d amplifies a constant most, by 1/(1 − 1/2).
-
-        >>> one = np.eye(1)
-        >>> round(largest_gain(one / 2, one, one, 0 * one), 4)
-        2.0
     """
     units, _ = reach(A, B)  # so that the result does not depend on the units of the states
     A, B, C = A / units[:, None] * units, B / units[:, None], C * units

@@ -113,15 +113,7 @@ def forgets_the_start(plant: Plant, exact: Exact | None) -> bool:
 
 
 def expect_known_start(plant: Plant, seen: Bits) -> None:
-    """Raise an error if an uncertain initial state causes a cost forever because no measurement corrects it.
-
-    Args:
-        plant: the plant, with the covariance of its initial state.
-        seen: the states that have a cost-to-go, (n,).
-
-    Raises:
-        UnstableError: there is such a state.
-    """
+    """Raise an error if an uncertain initial state causes a cost forever because no measurement corrects it."""
     resting = resting_states(plant)
     unknown = np.flatnonzero(resting & (plant.covariance.diagonal() > 0))
     if unknown.size and (closure(resting, np.asarray(plant.A != 0, dtype=np.bool_)) & seen).any():
@@ -140,15 +132,6 @@ def forgetting(
     The filter is steady, or its gains repeat along a schedule.
 
     The result is 1/(1 − |slowest mode per step|), without the modes of ``resting_states``.
-
-    Args:
-        plant: plant with A, C, W and V.
-        filtered: maps of the filter's error from step to step over one period of the schedule, (n, n) each.
-        regulated: modulus of the slowest mode of A + BL.
-        remedy: reason and remedy in the error message.
-
-    Raises:
-        UnstableError: the filter error does not decay.
     """
     moving = ~resting_states(plant)
     turn = np.eye(int(moving.sum()))
@@ -166,11 +149,6 @@ def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, 
 
     The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
     outputs have no noise: the filter takes them over, also those that never move.
-
-    Args:
-        exact: A and W to any precision; None if the doubles are exact.
-        A, C, W, V: the matrices of the plant, which were already checked.
-        given: number of these states and outputs.
     """
     n, p = len(A) - given, len(C) - given
     found, unit = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact), np.eye(given)
@@ -229,11 +207,7 @@ def _filtered(A: Array, C: Array, W: Array, V: Array, exact: Exact | None) -> Fi
 
 
 def _slowest_stored(A: Array, gain: Array, C: Array) -> float:
-    """Return the modulus of the slowest mode of the errors A(I − gain C), for the gain as it is stored.
-
-    Raises:
-        UnstableError: the rounding of the gain makes the errors grow.
-    """
+    """Return the modulus of the slowest mode of the errors A(I − gain C), for the gain as it is stored."""
     with precision(PRECISIONS[0]):
         rest = Balls.exact(np.eye(len(A))) - Balls.exact(gain) @ Balls.exact(C)
         loop = Balls.exact(A) @ rest

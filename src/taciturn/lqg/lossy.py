@@ -95,24 +95,6 @@ def regulate_lossy_finite(
 
     The recursion starts with K_N = Q_N and P_N = 0. If a cost-to-go is so much smaller than another one that rounding
     could hide it, the recursion is computed with more digits than doubles have, until these change nothing.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        Q: (n, n) semidefinite state weight.
-        R: (m, m) semidefinite input weight.
-        terminal: (n, n) semidefinite weight of the final state.
-        horizon: number of steps N, at least 1.
-        channel: loss probabilities, acknowledgement and delay.
-
-    Returns:
-        The gains, indexed by time.
-
-    Raises:
-        ProblemError: M is singular, so that an input costs nothing.
-        UnstableError: the cost overflows.
-
-    Source: khashooei2017, schenato2007
     """
     n, m = B.shape
     K, P = np.zeros((horizon + 1, n, n)), np.zeros((horizon + 1, n, n))
@@ -148,11 +130,7 @@ def _is_narrow(form: Array) -> bool:
 def _finite_in_balls(
     given: tuple[Array, Array, Array, Array], terminal: Array, horizon: int, channel: Channel
 ) -> tuple[Array, Array, Array, Array]:
-    """Return K, P, L and Γ of :func:`regulate_lossy_finite`, to which twice as many bits change nothing.
-
-    Raises:
-        UnstableError: 1,024 bits do not suffice.
-    """
+    """Return K, P, L and Γ of :func:`regulate_lossy_finite`, to which twice as many bits change nothing."""
     before: tuple[Array, Array, Array, Array] | None = None
     for bits in PRECISIONS:
         with precision(bits):
@@ -295,9 +273,6 @@ def _proved(
     that the step without stage costs maps to a pair below (X, Z): then L stabilises in mean square. If the step under L
     maps (K, T) + ε(X, Z) to a smaller pair, L costs at most this pair. If the best step maps (K, T) − ε(X, Z) to a
     larger pair, no stabilising gain costs less. The gain is the one that is stored, in doubles.
-
-    Raises:
-        UnprovedError: the proof fails in this arithmetic.
     """
     exact, reason = arithmetic.exact, UnprovedError()
     A, B, Q, R = (exact(part) for part in here[:4])
@@ -387,28 +362,12 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     Only modes on or outside the unit circle matter. For these, the growth under a gain is the spectral radius of a
     positive linear map on pairs of weights. The growth is lowered until no gain with this growth is found, in double
     precision.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        channel: loss probabilities, acknowledgement and delay.
-
-    Returns:
-        The growth (0 for a stable plant), and the gain (m, n).
-
-    Raises:
-        UnstableError: a mode on or outside the unit circle is uncontrollable.
-
-    Source: schenato2007
     """
     return Lasting(A, B).slowest(channel)
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
-    """Return the factor by which the mean square of a noise-free loop with a given gain grows per step.
-
-    Source: schenato2007
-    """
+    """Return the factor by which the mean square of a noise-free loop with a given gain grows per step."""
     return MeanSquare(A, B, L, channel).growth()
 
 

@@ -50,30 +50,6 @@ def lift(
 
     A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
     and M = [[Q, N], [N', R]], and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set.
-
-    Args:
-        A: (n, n) dynamics of one step.
-        B: (n, m) input matrix.
-        Q: (n, n) symmetric state weight.
-        R: (m, m) symmetric input weight.
-        N: (n, m) cross weight.
-        W: (n, n) semidefinite covariance of the noise of one step.
-        every: k, the number of steps, at least 1.
-        factor: by which the input changes from one step to the next, instead of being constant: F = [[A, B],
-            [0, factor·I]]. For 0, the input is zero after the first step, and B_k = A^(k−1)B.
-
-    Returns:
-        The lifted problem; its costs are sums over k steps.
-
-    Raises:
-        ProblemError: data of the wrong shape or range, or the state overflows within k steps.
-
-    Source: astrom1997computer
-
-    Example:
-        >>> found = lift([[2.0]], [[1.0]], [[1.0]], [[0.0]], [[0.0]], [[1.0]], 2)
-        >>> float(found.A[0, 0]), float(found.B[0, 0]), float(found.W[0, 0]), found.noise_cost
-        (4.0, 3.0, 5.0, 1.0)
     """
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
@@ -97,19 +73,12 @@ def lift(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pattern(Displayed):
-    """A periodic pattern of sends with given intervals, with its optimal gains, costs-to-go and average cost.
+    """A periodic pattern of sends with given intervals, with its optimal gains, costs-to-go and average cost."""
 
-    Args:
-        intervals: steps from one send to the next, over one period.
-        gains: u = L x̂ at each send, held until the next, (sends, m, n).
-        values: cost-to-go x̂'Kx̂ at each send, (sends, n, n).
-        cost: average cost per step of the input and of the corrections of the estimate.
-    """
-
-    intervals: tuple[int, ...]
-    gains: Array
-    values: Array
-    cost: float
+    intervals: tuple[int, ...]  # steps from one send to the next, over one period
+    gains: Array  # u = L x̂ at each send, held until the next, (sends, m, n)
+    values: Array  # cost-to-go x̂'Kx̂ at each send, (sends, n, n)
+    cost: float  # average cost per step of the input and of the corrections of the estimate
 
     def unrolled(self) -> tuple[Array, Array]:
         """Return, for each step of a period, whether a send occurs, and the gain of the most recent send."""
@@ -123,22 +92,6 @@ class Held:
 
     The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
     independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
-
-    Args:
-        A: (n, n) dynamics of one step.
-        B: (n, m) input matrix.
-        Q: (n, n) symmetric state weight.
-        R: (m, m) symmetric input weight.
-        N: (n, m) cross weight.
-        corrections: (n, n) covariance of the correction by a measurement, Σ̃ − Σ; W if the state is measured.
-        factor: by which the input changes from one step to the next between sends: 1 if it is held, 0 if it is zero.
-
-    Source: khashooei2017, astrom1997computer, bengaid2006
-
-    Example:
-        >>> held = Held([[2.0]], [[1.0]], [[1.0]], [[0.0]], [[0.0]], [[1.0]])
-        >>> round(held.solve((2,)).cost, 6), round(held.solve((1, 2)).cost, 6)
-        (4.030057, 2.466667)
     """
 
     def __init__(
@@ -196,12 +149,7 @@ class Held:
         return np.where(np.isfinite(cost) & (cost > 0), cost, np.inf)
 
     def solve(self, intervals: Sequence[int]) -> Pattern:
-        """Return the optimal gains and the average cost of a cycle of intervals with held inputs.
-
-        Raises:
-            ProblemError: the state overflows within an interval, or an input costs nothing.
-            UnstableError: the plant cannot be stabilised with this cycle.
-        """
+        """Return the optimal gains and the average cost of a cycle of intervals with held inputs."""
         stretches = [self.lifted(ticks) for ticks in intervals]
         try:
             values = [_at_the_start(stretches)]
@@ -251,11 +199,7 @@ def _joined(arithmetic: type[E], steps: Sequence[Equation[E]]) -> Equation[E]:
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
-    """Return cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end.
-
-    Raises:
-        ProblemError: an input costs nothing, now or later.
-    """
+    """Return cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end."""
     H, inverse = price(stretch.B, K, stretch.R)
     if not (is_definite(stretch.R) or is_definite(H)):
         raise costs_nothing(H)
@@ -318,33 +262,14 @@ class Timing(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MultirateControl(Displayed):
-    """The least cost of control over links that send at fixed steps.
+    """The least cost of control over links that send at fixed steps."""
 
-    Args:
-        problem: the discrete-time problem, with an average cost.
-        network: the nodes and links, which deliver every packet; a node without a link sends in every step.
-        plans: whether a packet to an actuator contains the inputs until the next packet, or one input that is held.
-
-    Example:
-        >>> from taciturn.lqg.discrete import discretise
-        >>> from taciturn.model.cost import Cost
-        >>> from taciturn.model.plant import Plant
-        >>> found = discretise(Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), None)
-        >>> control = MultirateControl(found, Network(), plans=False)
-        >>> round(control.cost({"sensor": Timing(1), "actuator": Timing(2)}), 6)
-        12.788306
-    """
-
-    problem: Discrete
-    network: Network
-    plans: bool
+    problem: Discrete  # the discrete-time problem, with an average cost
+    network: Network  # the nodes and links, which deliver every packet; a node without a link sends in every step
+    plans: bool  # whether a packet to an actuator contains the inputs until the next packet, or one input that is held
 
     def cost(self, timings: Mapping[str, Timing]) -> float:
-        """Return the least cost, in the units of the problem, of links with given timings.
-
-        Raises:
-            UnstableError: the plant cannot be stabilised with these timings, as far as the iteration shows.
-        """
+        """Return the least cost, in the units of the problem, of links with given timings."""
         inputs = tuple(timings[link] for link in self._linked)
         sensors = tuple(timings[link] for link in self._heard)
         if inputs not in self._known:
@@ -400,11 +325,7 @@ class MultirateControl(Displayed):
         return self._covariances[ages]
 
     def _regulated(self, timings: tuple[Timing, ...]) -> tuple[list[Array], list[Array]]:
-        """Return, for each step of a cycle, the cost-to-go of the state after it, and L'HL of the step.
-
-        Raises:
-            UnstableError: the cost-to-go does not become stationary.
-        """
+        """Return, for each step of a cycle, the cost-to-go of the state after it, and L'HL of the step."""
         cycle, n = lcm(1, *(one.period for one in timings)), self.problem.plant.states
         steps = [self._step(timings, step) for step in range(cycle)]
         K, size = np.zeros(steps[0].A.shape), 1.0

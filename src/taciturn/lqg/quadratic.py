@@ -137,28 +137,15 @@ class Span(NamedTuple):
 
     The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite even
     if R is not. A stack of problems has stacks of matrices.
-
-    Args:
-        F: the states after the steps, for Δ = 0.
-        G: how a later Δ changes these states.
-        K: the cost-to-go before the steps, less X, for Δ = 0.
-
-    Source: anderson1978
     """
 
-    F: Array
-    G: Array
-    K: Array
+    F: Array  # the states after the steps, for Δ = 0
+    G: Array  # how a later Δ changes these states
+    K: Array  # the cost-to-go before the steps, less X, for Δ = 0
 
     @classmethod
     def of(cls, given: Quadratic, last: Array, inverse: Array) -> Span:
-        """Return one step: F = A + BL, G = BH^{-1}B', K = Ric(X) − X, L = −H^{-1}(B'XA + N').
-
-        Args:
-            given: the problem.
-            last: X.
-            inverse: inverse of H = R + B'XB; with a pseudo-inverse, inputs without cost are 0.
-        """
+        """Return one step: F = A + BL, G = BH^{-1}B', K = Ric(X) − X, L = −H^{-1}(B'XA + N')."""
         A, B, Q, _, N = given
         off = B.T @ last @ A + N.T
         K = Q - last + A.T @ last @ A - off.T @ inverse @ off
@@ -186,11 +173,6 @@ class Span(NamedTuple):
         """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none.
 
         Each iteration doubles the number of steps, and leaves the square of the error before.
-
-        Args:
-            last: X.
-            crumb: change of each diagonal entry that counts as none, (n,). The rounding error of an entry that is 0, of
-                a state that does not decay, doubles in each iteration, so it never settles relative to itself.
         """
         span, worth = self, np.diag(last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -222,19 +204,12 @@ MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrice
 
 
 class Worth(NamedTuple):
-    """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others.
+    """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others."""
 
-    Args:
-        states: the states with a cost-to-go, for which the equation must be solved, (n,).
-        decaying: decaying modes of the other states.
-        still: marginally stable modes of the other states; no input affects them, so that they remain in the loop.
-        resting: the states with these marginally stable modes, (n,).
-    """
-
-    states: Bits
-    decaying: Modes
-    still: Modes
-    resting: Bits
+    states: Bits  # the states with a cost-to-go, for which the equation must be solved, (n,)
+    decaying: Modes  # decaying modes of the other states
+    still: Modes  # marginally stable modes of the other states; no input affects them, so that they remain in the loop
+    resting: Bits  # the states with these marginally stable modes, (n,)
 
 
 Before: TypeAlias = tuple[Quadratic, Limit]  # a problem before sampling and discount, and the edge of its modes
@@ -246,13 +221,6 @@ def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, b
     A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
     weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
     sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
-
-    Args:
-        given: the problem; its exact zeros determine which state affects which.
-        continuous: whether time is continuous.
-        rounded: whether the doubles of the matrices are rounded, such as those of a sampled plant: the modes of several
-            states then count as marginal up to this rounding. Otherwise their modes are exact.
-        before: the problem before it was sampled, whose modes are known exactly and decide.
     """
     nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
@@ -303,20 +271,13 @@ class Free(Displayed):
 
     A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
     u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
-
-    Args:
-        inside: a basis of the subspace, the identity at ``places``, (n, r).
-        places: mask of the states that are coordinates of the subspace, (n,).
-        keeping: inputs that keep the columns of ``inside`` in the subspace without cost, (m, r).
-        moving: inputs that move the state within the subspace without cost, (m, f).
-        others: mask of inputs that complete ``moving`` to all inputs, (m,).
     """
 
-    inside: fmpq_mat
-    places: Bits
-    keeping: fmpq_mat
-    moving: fmpq_mat
-    others: Bits
+    inside: fmpq_mat  # a basis of the subspace, the identity at ``places``, (n, r)
+    places: Bits  # mask of the states that are coordinates of the subspace, (n,)
+    keeping: fmpq_mat  # inputs that keep the columns of ``inside`` in the subspace without cost, (m, r)
+    moving: fmpq_mat  # inputs that move the state within the subspace without cost, (m, f)
+    others: Bits  # mask of inputs that complete ``moving`` to all inputs, (m,)
 
 
 def unpaid(given: Quadratic, limit: Limit) -> Lost:
@@ -325,10 +286,6 @@ def unpaid(given: Quadratic, limit: Limit) -> Lost:
     They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
     invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an optimal
     gain has them, mirrored into the region of decay. So none of them may lie on its edge.
-
-    Args:
-        given: the problem, as it was before sampling; its weights are semidefinite, at least up to rounding.
-        limit: the edge of the modes that count as decaying.
     """
     definite, weight = is_definite(given.R), np.block([[given.Q, given.N], [given.N.T, given.R]])
     if limit.continuous and not definite:
@@ -361,12 +318,7 @@ def _kept_for_nothing(given: Quadratic, rows: fmpq_mat) -> tuple[fmpq_mat, fmpq_
 
 
 def free_inputs(given: Quadratic, rows: fmpq_mat) -> Free | None:
-    """Return the inputs of a problem that cost nothing, now or later; None if there is none.
-
-    Args:
-        given: the problem, of which A and B are used.
-        rows: combinations of states and inputs that are zero if and only if these cost nothing, (any, n + m).
-    """
+    """Return the inputs of a problem that cost nothing, now or later; None if there is none."""
     (n, m), z = given.B.shape, rows.nrows()
     safe, A, B, state, push = _kept_for_nothing(given, rows)
     inside, keeping, nothing = fmpq_mat(n, 0), fmpq_mat(m, 0), fmpq_mat(z, safe.ncols())

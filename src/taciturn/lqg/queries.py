@@ -154,22 +154,13 @@ class _Flow(NamedTuple):
     With F̄ = A − ḠC and O_s = Σ_{j<s} F̄'^j C'(CΣ̄C' + V)^{-1}C F̄^j, any two covariances X and Y satisfy
 
         Ric^s(X) − Ric^s(Y) = F̄^s (I + (X − Σ̄)O_s)^{-1} (X − Y) (I + O_s(Y − Σ̄))^{-1} F̄'^s.
-
-    Args:
-        steady: Σ̄, the steady covariance, (n, n).
-        unit: standard deviation of each state, (n,).
-        step: F̄, (n, n).
-        powers: F̄^s, (steps, n, n).
-        observed: O_s, (steps + 1, n, n); without a horizon, the last one is valid for all later steps.
-
-    Source: anderson1990optimal
     """
 
-    steady: Array
-    unit: Array
-    step: Array
-    powers: Array
-    observed: Array
+    steady: Array  # Σ̄, the steady covariance, (n, n)
+    unit: Array  # standard deviation of each state, (n,)
+    step: Array  # F̄, (n, n)
+    powers: Array  # F̄^s, (steps, n, n)
+    observed: Array  # O_s, (steps + 1, n, n); without a horizon, the last one is valid for all later steps
 
     def attracts(self, covariances: Array) -> bool:
         """Return whether given covariances converge to the steady covariance, so that the closed form is accurate."""
@@ -405,20 +396,6 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever, such
     as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state would
     not decay.
-
-    Args:
-        plant: plant with A, C, W and V.
-        weights: weights of the estimation error.
-        price: ζ ≥ 0, the price of a query.
-        initial: Σ_0, covariance of the initial prediction, (n, n).
-
-    Returns:
-        The schedule, with the step from which it repeats.
-
-    Raises:
-        UnstableError: the schedule does not repeat within 100,000 steps, or never queries an unstable plant.
-
-    Source: khashooei2017
     """
     unknown = _unknown_states(plant, initial)
     block = np.ix_(unknown, unknown)
@@ -553,19 +530,6 @@ def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Sc
 
     Sensor l is queried if (CΣ_kC')_ii > threshold for one of its outputs i, where Σ_k is the covariance of the
     prediction from the measurements of all sensors that were queried before.
-
-    Args:
-        plant: plant with A, C, W and V.
-        threshold: largest variance without a query, at least 0.
-        sensors: the outputs of each sensor by its link; outputs that are not listed are measured at every step.
-
-    Returns:
-        The schedule; its value at each step is the largest variance of an output of each sensor.
-
-    Raises:
-        UnstableError: the schedule does not repeat within 100,000 steps, or never queries an unstable plant.
-
-    Source: trimpe2014
     """
     every = Predictor(plant)
     predictors = {tuple(range(plant.outputs)): every, (): every}
@@ -587,12 +551,8 @@ def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Sc
 
 
 def corrections_of(plant: Plant, schedule: Schedule, sensors: Sensors) -> Array:
-    """Return the gains ΣC'(CΣC' + V)^{-1} of the measured outputs in each step, 0 for all other outputs, (steps, n, p).
-
-    Args:
-        plant: plant with A, C, W and V.
-        schedule: schedule of the sensors.
-        sensors: the outputs of each sensor by its link; outputs that are not listed are measured at every step.
+    """Return the gains ΣC'(CΣC' + V)^{-1} of the measured outputs in each step, 0 for all other outputs, (steps,
+    n, p).
     """
     measured = _measured(plant, schedule.queries.reshape(len(schedule.queries), -1), sensors)
     found = Predictor(plant).correction(schedule.covariance) * measured[:, None, :]

@@ -42,12 +42,7 @@ class _Bits(NamedTuple):
 
 
 def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
-    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments.
-
-    Args:
-        solve: a function of arrays, numbers and objects that do not change; its results must be read-only, because
-            callers share them.
-    """
+    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
     loose = cast("Callable[..., T]", solve)
 
     @lru_cache(maxsize=MOST)
@@ -76,12 +71,7 @@ class Repetition:
         self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
 
     def period(self, step: int, *state: Array) -> int | None:
-        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet.
-
-        Args:
-            step: number of the step, which increases or decreases by one at each call.
-            state: the arrays that determine the next step; they must not change afterwards.
-        """
+        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet."""
         key = hash(b"".join(part.tobytes() for part in state))
         earlier, same = self._seen.setdefault(key, (step, state))
         alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
@@ -274,23 +264,6 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0, computed in rational numbers: the answer is exact for the
     given doubles, in any units and for repeated eigenvalues. By duality, ``uncontrollable_modes(A.T, C.T)`` are the
     unobservable modes of the output y = Cx.
-
-    Args:
-        A: (n, n) dynamics, discrete or continuous.
-        B: (n, m) input matrix.
-
-    Returns:
-        The complex eigenvalues, largest modulus first; empty if (A, B) is controllable. The caller selects the relevant
-        ones: |λ| ≥ 1 in discrete time, Re λ ≥ 0 in continuous time.
-
-    Raises:
-        ProblemError: a matrix has the wrong shape, or is not finite.
-
-    Source: anderson1990optimal
-
-    Example:
-        >>> uncontrollable_modes([[2.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]])
-        array([0.5+0.j])
     """
     A = _arrays.square("A", A, "states × states")
     return np.concatenate(unmoved(A, _arrays.array("B", B, (len(A), None), "states × inputs"), Limit(False)))
@@ -302,15 +275,7 @@ def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
-    """Raise an error if the computed cost of sending every sample is uncertain because of rounding.
-
-    Args:
-        cost: J_all, the cost of sending every sample.
-        doubt: bound on the error of this cost.
-
-    Raises:
-        UnstableError: the error may be larger than 1e-6 of the cost.
-    """
+    """Raise an error if the computed cost of sending every sample is uncertain because of rounding."""
     if not doubt <= COST_ERROR * abs(cost):
         raise UnstableError(
             f"the cost of sending every sample is {cost:.6g}, with an error of up to {doubt:.1e}; expected an error of "
@@ -340,14 +305,8 @@ def regulate_deviations(change: Followed) -> Regulator:
 def regulate_for(
     given: Quadratic, recipe: Recipe, discount: float = 1.0, sampled: bool = False, source: Source | None = None
 ) -> Regulator:
-    """Return the regulator of a problem that is known to any precision, or raise an error that says why there is none.
-
-    Args:
-        given: the problem in doubles.
-        recipe: the problem to any precision.
-        discount: α.
-        sampled: whether the recipe has more digits than the doubles.
-        source: the problem before it was sampled, if its modes are known.
+    """Return the regulator of a problem that is known to any precision, or raise an error that says why there is
+    none.
     """
     check_time()
     root = float(np.sqrt(discount))
@@ -388,13 +347,7 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
 
 
 def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
-    """Raise an error if a mode is the reason why there is no stabilising solution.
-
-    Args:
-        problem: the problem that was not solved.
-        given: its matrices before sampling and discount, which are known exactly.
-        limit: the edge of the modes that decay, or whose growth the discount outweighs.
-    """
+    """Raise an error if a mode is the reason why there is no stabilising solution."""
     seen = given.among(problem.worth.states)
     _refuse_unmoved(seen, limit)
     _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))

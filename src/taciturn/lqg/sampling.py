@@ -164,11 +164,6 @@ def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
     """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.
 
     For many states, it is eleven digits, or thirteen of the entries next to it.
-
-    Args:
-        build: returns enclosures of the problem.
-        size: number of states and inputs.
-        source: the problem before it was sampled, if the input is held.
     """
     exact = Exact(build, source)
     step: Step[Doubles] | Step[Balls] | None = None
@@ -237,17 +232,7 @@ class Interval(NamedTuple, Generic[E]):
 
 
 def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Array) -> Interval[E]:
-    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt.
-
-    Args:
-        arithmetic: that of the matrices.
-        F, M, G: enclosures of the matrices.
-        period: the time, an exact number.
-        units: powers of two, the units of z in which F is best scaled; the scaling is exact.
-
-    Raises:
-        ProblemError: the state overflows within the period.
-    """
+    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt."""
     to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
     F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
     size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
@@ -275,21 +260,14 @@ def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Arra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Integrated(Displayed):
-    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs.
-
-    Args:
-        F, M, G: dynamics, weight and intensity, exact doubles.
-        period: the time.
-        units: powers of two, the units of z.
-        states: number of entries of z that are states.
-    """
+    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs."""
 
     F: Array
     M: Array
     G: Array
-    period: float
-    units: Array
-    states: int
+    period: float  # the time
+    units: Array  # powers of two, the units of z
+    states: int  # number of entries of z that are states
 
     def __call__(self, arithmetic: type[E], /) -> Step[E]:
         """Return enclosures of the problem."""
@@ -418,30 +396,6 @@ def sample_prediction(
     Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
     x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of :func:`sample`, with
     F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]. If the actuator has another model, F contains that model.
-
-    Args:
-        A: (n, n) dynamics, per unit of time.
-        B: (n, m) input matrix, per unit of time.
-        Q: (n, n) symmetric state weight, per unit of time.
-        R: (m, m) symmetric input weight, per unit of time.
-        N: (n, m) cross weight, per unit of time.
-        W: (n, n) semidefinite noise intensity, covariance per unit of time.
-        L: (m, n) gain, u = L x̂.
-        period: h > 0, in the same unit of time.
-        dynamics: (n, n), closed-loop model of the actuator; omitted: A + BL.
-
-    Returns:
-        The sampled problem with an input of n entries: B is (n, n), R is (n, n), N is (n, n).
-
-    Raises:
-        ProblemError: data of the wrong shape or range, or the state overflows within a period.
-
-    Source: khashooei2017, vanloan1978
-
-    Example:
-        >>> found = sample_prediction([[0]], [[1]], [[1]], [[1]], [[0]], [[1]], [[-1]], 1.0)
-        >>> round(float(found.A[0, 0] + found.B[0, 0]), 6)  # e^{-1}: the prediction is exact at the sample
-        0.367879
     """
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape

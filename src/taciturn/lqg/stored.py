@@ -71,15 +71,10 @@ MANY = 48  # states of plant and controller above which only doubles with bounds
 
 
 class Proved(NamedTuple):
-    """A number with a proved bound on its error.
+    """A number with a proved bound on its error."""
 
-    Args:
-        value: the number.
-        radius: bound on the distance of the exact number from ``value``.
-    """
-
-    value: float
-    radius: float
+    value: float  # the number
+    radius: float  # bound on the distance of the exact number from ``value``
 
     @property
     def upper(self) -> float:
@@ -112,71 +107,41 @@ class Closing(Protocol):
 
 
 class Valued(NamedTuple, Generic[E]):
-    """A stored loop with its proof in one arithmetic.
+    """A stored loop with its proof in one arithmetic."""
 
-    Args:
-        cost: the average cost per step.
-        step: enclosures of the plant and the weights.
-        loop: the closed loop.
-        states: the states that affect the cost, (ζ,).
-        noise: covariance of the noise of these states.
-        X: of the proof, for these states.
-        falls: X − F'XF, which is definite.
-    """
-
-    cost: Proved
-    step: Step[E]
-    loop: Closed[E]
-    states: Bits
-    noise: E
-    X: E
-    falls: E
+    cost: Proved  # the average cost per step
+    step: Step[E]  # enclosures of the plant and the weights
+    loop: Closed[E]  # the closed loop
+    states: Bits  # the states that affect the cost, (ζ,)
+    noise: E  # covariance of the noise of these states
+    X: E  # of the proof, for these states
+    falls: E  # X − F'XF, which is definite
 
 
 class Near(NamedTuple):
-    """Estimates of a loop with u = L x̂ + e, in doubles.
+    """Estimates of a loop with u = L x̂ + e, in doubles."""
 
-    Args:
-        K: cost-to-go of the states of the plant.
-        variances: of the states of the loop, if the errors e cost as much as the rest.
-    """
-
-    K: Array
-    variances: Array
+    K: Array  # cost-to-go of the states of the plant
+    variances: Array  # of the states of the loop, if the errors e cost as much as the rest
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stored(Displayed):
-    """A controller as it is stored, in a loop with the exact plant; what was proved once is kept.
+    """A controller as it is stored, in a loop with the exact plant; what was proved once is kept."""
 
-    Args:
-        problem: the discrete-time problem, with an average cost.
-        close: closes the loop.
-        states: number of states of the loop.
-        near: for u = L x̂, estimates of its values and variances.
-    """
-
-    problem: Discrete
-    close: Closing
-    states: int
-    near: Near | None = None
+    problem: Discrete  # the discrete-time problem, with an average cost
+    close: Closing  # closes the loop
+    states: int  # number of states of the loop
+    near: Near | None = None  # for u = L x̂, estimates of its values and variances
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
     def attempts(self, patient: bool = False) -> list[tuple[int, bool]]:
-        """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles.
-
-        Args:
-            patient: whether balls, which take seconds for many states, are tried for any number of states.
-        """
+        """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
         doubles = [(PRECISIONS[0], True)] if self.states > SMALL else []
         return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
-        """Return the loop and the proof of its cost, in the present precision.
-
-        Raises:
-            UnprovedError: the loop is not proved stable.
-        """
+        """Return the loop and the proof of its cost, in the present precision."""
         key = arithmetic, arithmetic.unit()
         if key not in self._kept:
             self._kept[key] = _valued(self.problem, self.close, self.near, arithmetic)
@@ -188,9 +153,6 @@ class Stored(Displayed):
         The inter-sample noise cost is not part of it, but the rounding of the stored one is part of the radius. With
         disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
         state that wanders for ever depends: nothing is proved.
-
-        Args:
-            patient: whether balls, which take seconds for many states, are tried for any number of states.
         """
         problem, source = self.problem, self.problem.source
         moves = problem.deviations is not None or (source is not None and source.exosystem is not None)
@@ -285,11 +247,7 @@ def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
 
 
 def _value(arithmetic: type[E], F: E, M: E, near: Near | None) -> tuple[E, E, E, float]:
-    """Return P̃, X, X − F'XF and ε of the proof.
-
-    Raises:
-        UnprovedError: the proof fails in this precision.
-    """
+    """Return P̃, X, X − F'XF and ε of the proof."""
     if arithmetic is Balls and arithmetic.unit() < 2.0 ** -PRECISIONS[0]:
         P = total(arithmetic, F, M)
     else:
@@ -325,17 +283,11 @@ ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles s
 
 
 class Apart(NamedTuple):
-    """Sensors that filter apart, and the matrices of their filters as programs hold them.
+    """Sensors that filter apart, and the matrices of their filters as programs hold them."""
 
-    Args:
-        outputs: the outputs of each sensor that is not at the controller's place.
-        rest: about I − gC, (n, n).
-        moved: Ω, about (I − gC)A, (n, n).
-    """
-
-    outputs: Sequence[Sequence[int]]
-    rest: Array
-    moved: Array
+    outputs: Sequence[Sequence[int]]  # the outputs of each sensor that is not at the controller's place
+    rest: Array  # about I − gC, (n, n)
+    moved: Array  # Ω, about (I − gC)A, (n, n)
 
 
 class StageError(NamedTuple):
@@ -351,19 +303,12 @@ class StageError(NamedTuple):
 
 
 class Allowance(NamedTuple):
-    """The effect of the rounding of stored gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He].
+    """The effect of the rounding of stored gains: J ≤ J_all + (√(1 + excess)·s + fixed + slope·s)², s² = E[e'He]."""
 
-    Args:
-        excess: ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one.
-        fixed: root of a cost that rounding adds to silence.
-        slope: the same in units of the root of the cost of silence.
-        stage: the error of the stage cost of a trigger.
-    """
-
-    excess: float
-    fixed: float
-    slope: float
-    stage: StageError
+    excess: float  # ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one
+    fixed: float  # root of a cost that rounding adds to silence
+    slope: float  # the same in units of the root of the cost of silence
+    stage: StageError  # the error of the stage cost of a trigger
 
     def within(self, share: float, cost: float) -> bool:
         """Return whether the rounding adds at most a share of a cost, J_all."""
@@ -371,16 +316,7 @@ class Allowance(NamedTuple):
         return fixed and max(self.slope, self.excess) <= share
 
     def raised(self, base: float, silence: float) -> tuple[float, float]:
-        """Return a base and a factor of the cost of silence that allow for the rounding.
-
-        Args:
-            base: J_all, at most.
-            silence: S, the most that silence adds, with exact gains.
-
-        Returns:
-            J_b and f with J ≤ J_b + f·S' if silence adds at most S' ≤ S: (s + η)² ≤ (1 + t)s² + (1 + 1/t)η² for any
-            t > 0, here t = η/√S.
-        """
+        """Return a base and a factor of the cost of silence that allow for the rounding."""
         s = sqrt(silence)
         added = (self.fixed + self.slope * s) * MORE
         factor = (1 + self.excess) * (1 + added / s) * MORE if s > 0 else 1.0
@@ -391,10 +327,6 @@ class Allowance(NamedTuple):
 
         With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
         at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
-
-        Args:
-            base: J_all.
-            theta: θ.
         """
         stage, share = self.stage, theta / (1 + theta)
         if not base.lower > 0 or share * stage.share >= 1:
@@ -412,15 +344,7 @@ class Allowance(NamedTuple):
 def allowance(
     loop: Stored, regulator: Regulator, steady: Filter, cost: float, apart: Apart | None = None
 ) -> Allowance | None:
-    """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small.
-
-    Args:
-        loop: the loop of regulator and filter as stored.
-        regulator: the regulator, whose gain L and weight H are used.
-        steady: the filter, whose gain is used.
-        cost: J_all, relative to which the addition is to be small.
-        apart: the sensors that filter apart, if the estimate is a sum of contributions.
-    """
+    """Return what the rounding of the gains adds to the cost of silence; None if it is not proved to be small."""
     if not forgets_the_start(loop.problem.plant, loop.problem.exact):
         return None
     found, given = None, (loop, regulator, steady, cost, apart)
@@ -435,24 +359,14 @@ def allowance(
 
 
 class _Norm(NamedTuple, Generic[E]):
-    """A norm in which a loop contracts: X, 0 outside ``states``, with X − F'XF ⪰ X/ν.
+    """A norm in which a loop contracts: X, 0 outside ``states``, with X − F'XF ⪰ X/ν."""
 
-    Args:
-        X: the square of the norm.
-        nu: ν.
-        states: the states that it measures, and which the others do not affect.
-    """
-
-    X: E
-    nu: float
-    states: Bits
+    X: E  # the square of the norm
+    nu: float  # ν
+    states: Bits  # the states that it measures, and which the others do not affect
 
     def of(self, T: E, norm: E) -> float:
-        """Return the largest |Tζ| in another norm for |ζ| = 1.
-
-        Raises:
-            UnprovedError: T depends on states that this norm does not measure.
-        """
+        """Return the largest |Tζ| in another norm for |ζ| = 1."""
         seen, states, X = _squared(T, norm), self.states, self.X
         if not states.all():
             if seen.part(~states, slice(None)).most.any():
@@ -470,17 +384,7 @@ class _Norm(NamedTuple, Generic[E]):
 
 
 def _norm(arithmetic: type[E], F: E, variances: Array, seen: Array) -> _Norm[E]:
-    """Return a norm for the states of a loop that have an effect on ``seen``.
-
-    Args:
-        arithmetic: that of F.
-        F: the loop, (n, n).
-        variances: sizes of the states, whose squares they are, (n,).
-        seen: bounds on the effects of the states, (rows, n).
-
-    Raises:
-        UnprovedError: the loop is not proved stable.
-    """
+    """Return a norm for the states of a loop that have an effect on ``seen``."""
     states = closure(np.asarray((seen > 0).any(axis=0), dtype=np.bool_), np.asarray(F.most > 0, dtype=np.bool_).T)
     size = np.where(variances > 0, 1 / np.maximum(variances, NO_VARIANCE), 1.0)[states]
     X, falls = ranked(arithmetic, F.part(states, states), size)
@@ -497,11 +401,7 @@ def _allowance(
     cost: float,
     apart: Apart | None,
 ) -> Allowance:
-    """Return the bounds in one arithmetic.
-
-    Raises:
-        UnprovedError: the loop is not proved stable, or H is not proved definite.
-    """
+    """Return the bounds in one arithmetic."""
     problem, plant, exact = stored.problem, stored.problem.plant, arithmetic.exact
     _, step, loop, states, noise, X, falls = stored(arithmetic)
     L, H, g, C, V = map(exact, (regulator.L, regulator.H, steady.gain, plant.C, plant.V))
@@ -568,15 +468,7 @@ def _of_contributions(
     norm: _Norm[E],
     size: tuple[float, float],
 ) -> tuple[float, float]:
-    """Return l₀ and l₁ of the bound l₀ + l₁·s on the root of E[(LΔ)'H(LΔ)].
-
-    Args:
-        arithmetic: that of the norm.
-        problem, regulator, steady: the stored loop.
-        apart: the sensors that filter apart.
-        norm: the norm of the states ζ of the stored loop.
-        size: fixed part and slope of their root mean square.
-    """
+    """Return l₀ and l₁ of the bound l₀ + l₁·s on the root of E[(LΔ)'H(LΔ)]."""
     plant, exact, every = problem.plant, arithmetic.exact, slice(None)
     A, B, C, V, L, H, g = map(exact, (plant.A, plant.B, plant.C, plant.V, regulator.L, regulator.H, steady.gain))
     one = exact(np.eye(plant.states))
@@ -641,9 +533,6 @@ def _ratio(M: E, D: E) -> float:
     """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
 
     It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
-
-    Raises:
-        UnprovedError: the bound is not proved.
     """
     if not M.most.any():
         return 0.0

@@ -204,11 +204,7 @@ class ContinuousController(Displayed):
 
 
 def checked_disturbance(name: str, value: object) -> Disturbance | None:
-    """Return a disturbance, or None for the default.
-
-    Raises:
-        ProblemError: the value is something else.
-    """
+    """Return a disturbance, or None for the default."""
     if value is not None and not isinstance(value, Disturbance):
         raise ProblemError(
             f"{name} is {quoted(value)}; expected a Disturbance, Disturbance(deviation=0) for no disturbance, or None "

@@ -99,24 +99,14 @@ THEORY = GAUSSIAN_THEORY | JUMPS  # of a linear loop with any white noise
 
 @dataclass(frozen=True, repr=False)
 class Coverage(Displayed):
-    """The properties that an interpreter carries out.
+    """The properties that an interpreter carries out."""
 
-    Args:
-        names: the names of these properties.
-        refusal: the interpreter and its limit, as the message states them: "certificates do not support".
-        remedy: the expected loop, as the message states it.
-    """
-
-    names: AbstractSet[str]
-    refusal: str
-    remedy: str = "a loop without this property"
+    names: AbstractSet[str]  # the names of these properties
+    refusal: str  # the interpreter and its limit, as the message states them: "certificates do not support"
+    remedy: str = "a loop without this property"  # the expected loop, as the message states it
 
     def check(self, *things: object) -> None:
-        """Raise an error if a property is given that the interpreter does not carry out.
-
-        Raises:
-            ProblemError: there is such a property; the message names it.
-        """
+        """Raise an error if a property is given that the interpreter does not carry out."""
         for name in uncovered(self.names, *things):
             raise ProblemError(self.sentence(name))
 
@@ -129,17 +119,7 @@ SIMULATED = Coverage(LOOPS, "designs and simulations do not model")
 
 
 def uncovered(covered: AbstractSet[str], *things: object) -> list[str]:
-    """Return the names of the properties that are given but not covered, in the order in which they are found.
-
-    Args:
-        covered: names of the covered properties.
-        things: plants, costs, networks, references, policy steps, and collections of these.
-
-    Example:
-        >>> from taciturn import Cost
-        >>> uncovered(WEIGHTS, Cost([[1.0]], [[1.0]], discount=0.9))
-        ['cost.discount']
-    """
+    """Return the names of the properties that are given but not covered, in the order in which they are found."""
     found, known = dict[str, None](), frozenset(covered)
     for thing in things:
         _collect(known, thing, found)

@@ -24,21 +24,13 @@ PLAIN |= {ord("│"): "|", ord("≠"): "!="}
 
 @dataclass(frozen=True, repr=False)
 class Place(Displayed):
-    """A site of one or more nodes, with the signals that it measures and applies and the decisions that it takes.
+    """A site of one or more nodes, with the signals that it measures and applies and the decisions that it takes."""
 
-    Args:
-        nodes: nodes at the site, in the order of the network.
-        measures: number of measured outputs, 0 without a sensor.
-        decides: names of the decisions taken at the site.
-        applies: number of inputs of the plant, 0 without an actuator.
-        predicts: number of states that the actuator's model predicts between steps, 0 without such a model.
-    """
-
-    nodes: tuple[str, ...]
-    measures: int
-    decides: tuple[str, ...]
-    applies: int
-    predicts: int = 0
+    nodes: tuple[str, ...]  # nodes at the site, in the order of the network
+    measures: int  # number of measured outputs, 0 without a sensor
+    decides: tuple[str, ...]  # names of the decisions taken at the site
+    applies: int  # number of inputs of the plant, 0 without an actuator
+    predicts: int = 0  # number of states that the actuator's model predicts between steps, 0 without such a model
 
     @property
     def lines(self) -> list[str]:
@@ -57,36 +49,20 @@ class Place(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Link(Displayed):
-    """The packets that one node sends to another node.
+    """The packets that one node sends to another node."""
 
-    Args:
-        name: name of the link.
-        sender: the sending node.
-        receiver: the receiving node.
-        payload: number of entries of each signal in a packet, by name.
-        when: ``"always"``, ``"decision"`` (by a decision that depends on signals) or ``"schedule"`` (by a decision that
-            depends only on a step counter).
-        decision: name of the decision or schedule; None if a packet is sent at every step.
-        labels: labels of the decision for which a packet is sent.
-        silent: labels of the decision for which no packet is sent.
-        reads: signals and locations that the decision reads.
-        pattern: for a schedule, whether step k sends; after the last step the pattern continues at ``repeats_from``.
-        repeats_from: first step of the repeating part of the pattern.
-        acknowledged: whether the sender uses acknowledgements of the packets.
-    """
-
-    name: str
-    sender: str
-    receiver: str
-    payload: Mapping[str, int] = field(hash=False)
-    when: When
-    decision: str | None = None
-    labels: tuple[str, ...] = ()
-    silent: tuple[str, ...] = ()
-    reads: tuple[str, ...] = ()
-    pattern: tuple[bool, ...] = ()
-    repeats_from: int = 0
-    acknowledged: bool = False
+    name: str  # name of the link
+    sender: str  # the sending node
+    receiver: str  # the receiving node
+    payload: Mapping[str, int] = field(hash=False)  # number of entries of each signal in a packet, by name
+    when: When  # ``"always"``, ``"decision"``
+    decision: str | None = None  # name of the decision or schedule; None if a packet is sent at every step
+    labels: tuple[str, ...] = ()  # labels of the decision for which a packet is sent
+    silent: tuple[str, ...] = ()  # labels of the decision for which no packet is sent
+    reads: tuple[str, ...] = ()  # signals and locations that the decision reads
+    pattern: tuple[bool, ...] = ()  # for a schedule, whether step k sends
+    repeats_from: int = 0  # first step of the repeating part of the pattern
+    acknowledged: bool = False  # whether the sender uses acknowledgements of the packets
 
     @property
     def packet(self) -> str:
@@ -137,15 +113,10 @@ class Link(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Diagram(Displayed):
-    """The sites of a policy, and its links in the order in which packets are sent within a step.
+    """The sites of a policy, and its links in the order in which packets are sent within a step."""
 
-    Args:
-        places: the sites, from the site of the sensor to the site of the actuator.
-        links: the links, in the order of their packets within a step.
-    """
-
-    places: tuple[Place, ...]
-    links: tuple[Link, ...]
+    places: tuple[Place, ...]  # the sites, from the site of the sensor to the site of the actuator
+    links: tuple[Link, ...]  # the links, in the order of their packets within a step
 
     def place_of(self, node: str) -> int:
         """Return the index of the site of a node."""
@@ -169,9 +140,6 @@ class Diagram(Displayed):
         """Return the diagram as text: a box for each site, and an arrow for each packet, with time running downwards.
 
         If the boxes do not fit side by side in 80 columns, the sites and the packets are two lists.
-
-        Args:
-            plain: use ASCII characters only.
         """
         rows = _Rows(self)
         lines = [*rows.boxes(), *(line for link in self.links for line in rows.arrows(link)), rows.lifelines()]

@@ -322,10 +322,8 @@ def follow(
 def with_target(
     plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance], valued: bool
 ) -> AnyPlant:
-    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or a timetable.
-
-    Raises:
-        ProblemError: a size does not fit the plant.
+    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or a
+    timetable.
     """
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(
@@ -341,17 +339,11 @@ def with_target(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DisturbedDynamics(Displayed):
-    """A step function with an exosystem: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d).
+    """A step function with an exosystem: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
 
-    Args:
-        dynamics: f.
-        E: effect of the disturbances on the next state, (n, q).
-        S: dynamics of disturbances and set-points, (q, q).
-    """
-
-    dynamics: Dynamics
-    E: Array
-    S: Array
+    dynamics: Dynamics  # f
+    E: Array  # effect of the disturbances on the next state, (n, q)
+    S: Array  # dynamics of disturbances and set-points, (q, q)
 
     def __call__(self, x: Any, u: Any, w: Any) -> Any:
         """Return the next states of the plant, its disturbances and its set-points."""
@@ -361,14 +353,7 @@ class DisturbedDynamics(Displayed):
 
     @staticmethod
     def of(function: Dynamics, E: Array, S: Array, rest: Array) -> Dynamics:
-        """Return the function of a plant with its exosystem, which is moved as the function of the plant alone is.
-
-        Args:
-            function: f, which may be moved to an operating point.
-            E: effect of the disturbances on the next state, (n, q).
-            S: dynamics of disturbances and set-points, (q, q).
-            rest: disturbances and set-points at the operating point, with E d = 0 and S d = d, (q,).
-        """
+        """Return the function of a plant with its exosystem, which is moved as the function of the plant alone is."""
         moved = function.function
         if not isinstance(moved, MovedDynamics):
             return Dynamics(DisturbedDynamics(function, E, S))

@@ -136,11 +136,7 @@ class Dynamics(Displayed):
         return {}
 
     def __reduce__(self) -> tuple[Callable[..., Dynamics], tuple[Any, ...]]:
-        """Return the constructor and arguments that recreate the function in another process.
-
-        Raises:
-            ProblemError: if other processes cannot import the function by name.
-        """
+        """Return the constructor and arguments that recreate the function in another process."""
         if self.text is not None:
             return dynamics_of, (self.text, self.path, self.name)
         try:
@@ -155,16 +151,7 @@ class Dynamics(Displayed):
 
 @cache
 def dynamics_of(text: str, path: str, name: str) -> Dynamics:
-    """Return the named function from the text of a Python file, which is executed once per process.
-
-    Args:
-        text: contents of the file.
-        path: path of the file, for messages.
-        name: name of the function.
-
-    Raises:
-        ProblemError: if the text is not valid Python, raises an exception, or does not define the function.
-    """
+    """Return the named function from the text of a Python file, which is executed once per process."""
     module = ModuleType("plant_function")
     module.__file__ = path
     try:
@@ -362,13 +349,7 @@ def _expect_finite(values: Array, name: str, where: str) -> None:
 
 
 def _expect_rest(x: Array, found: Array, located: bool) -> None:
-    """Raise an error if a function does not rest at a point.
-
-    Args:
-        x: the state, (n,).
-        found: the next state, (n,).
-        located: whether the point is an operating point, or else 0.
-    """
+    """Raise an error if a function does not rest at a point."""
     apart = np.abs(found - x)
     if apart.max() <= AT_REST * max(1.0, float(np.abs(x).max())):
         return

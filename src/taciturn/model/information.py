@@ -35,13 +35,7 @@ Site: TypeAlias = frozenset[str]
 
 
 def check_network(policy: Policy, network: Network) -> None:
-    """Reject a network over which a policy cannot run, or with properties that the policy would ignore.
-
-    Raises:
-        InformationError: if a node uses a signal or an outcome that is not available to it.
-        ProblemError: if the delay differs from the design, a property is given for a link without packets, or a range
-            is missing or has a different number of entries than the packet.
-    """
+    """Reject a network over which a policy cannot run, or with properties that the policy would ignore."""
     instance("network", network, Network)
     if network.nodes != policy.network.nodes:
         raise ProblemError(
@@ -103,13 +97,6 @@ def check_information(policy: Policy, network: Network) -> None:
 
     A node can read the signals assigned at its site, the measurement if the sensor is at its site, and, in the branch
     for a received packet, the signals in the packet.
-
-    Args:
-        policy: the policy.
-        network: the network; with ``"udp"``, senders do not learn whether their packets arrive.
-
-    Raises:
-        InformationError: if a signal is not available; the message names the node and the signal.
     """
     INFORMED.check(policy.parts)
     knowledge = _Knowledge(policy, network)

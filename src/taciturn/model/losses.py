@@ -138,11 +138,7 @@ def law_names() -> list[str]:
 
 @cache
 def find_law(name: str) -> type[LossLaw]:
-    """Return the class of a law.
-
-    Raises:
-        ProblemError: there is no such law, or its class cannot be imported.
-    """
+    """Return the class of a law."""
     if name not in law_names():
         raise ProblemError(f"law is {name!r}; expected one of {', '.join(law_names())}")
     added = find_plugins(GROUP).get(name)
@@ -161,13 +157,7 @@ def _is_of(law: LossLaw, name: str) -> bool:
 
 
 def law_text(law: LossLaw) -> str:
-    """Return a law in one word, as the option ``--burst`` of a relay reads it.
-
-    Example:
-        >>> from taciturn import Burst
-        >>> law_text(Burst(0.05, 0.3, 0.01, 0.7))
-        'gilbert-elliott:0.05,0.3,0.01,0.7'
-    """
+    """Return a law in one word, as the option ``--burst`` of a relay reads it."""
     name = next((name for name in law_names() if _is_of(law, name)), None)
     if name is None:
         raise ProblemError(
@@ -179,14 +169,8 @@ def law_text(law: LossLaw) -> str:
 
 
 def read_law(name: str, text: str) -> LossLaw:
-    """Return the law that a text describes: its values in their order, after the name of a law and a colon, if given.
-
-    Args:
-        name: name of the option, for messages.
-        text: such as ``0.05,0.3,0.01,0.7``.
-
-    Raises:
-        ProblemError: there is no such law, or the values are not those of the law.
+    """Return the law that a text describes: its values in their order, after the name of a law and a colon, if
+    given.
     """
     stated, colon, values = text.rpartition(":")
     law_name, known = stated if colon else USUAL, law_names()
@@ -259,24 +243,10 @@ class Burst(LossLaw):
 
 @dataclass(frozen=True, repr=False)
 class Chain(LossLaw):
-    """Losses of a link with any states, such as the levels of a fading channel or the phases of a periodic jammer.
+    """Losses of a link with any states, such as the levels of a fading channel or the phases of a periodic jammer."""
 
-    Args:
-        drops: loss probability in each state, in [0, 1].
-        moves: probabilities per step of a transition from each state (row) to each state (column).
-
-    Raises:
-        ProblemError: if a number is not a probability, the sum of a row is not 1, or the stationary distribution is
-            not unique.
-
-    Example:
-        >>> jammer = Chain(drops=(1.0, 0.0, 0.0), moves=((0, 1, 0), (0, 0, 1), (1, 0, 0)))  # every third step
-        >>> round(jammer.loss, 12)
-        0.333333333333
-    """
-
-    drops: Sequence[float]
-    moves: Sequence[Sequence[float]]
+    drops: Sequence[float]  # loss probability in each state, in [0, 1]
+    moves: Sequence[Sequence[float]]  # probabilities per step of a transition from each state
 
     def __post_init__(self) -> None:
         """Check the arguments."""

@@ -55,19 +55,12 @@ class OperatingPoint(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MovedDynamics(Displayed):
-    """A step function in other coordinates: x, u, w → f(x + x₀, u + u₀, w) − rest.
+    """A step function in other coordinates: x, u, w → f(x + x₀, u + u₀, w) − rest."""
 
-    Args:
-        dynamics: f, in the units of the plant.
-        x: x₀, (n,).
-        u: u₀, (m,).
-        rest: offset that is subtracted from the next state, (n,).
-    """
-
-    dynamics: Dynamics
-    x: Array
-    u: Array
-    rest: Array
+    dynamics: Dynamics  # f, in the units of the plant
+    x: Array  # x₀, (n,)
+    u: Array  # u₀, (m,)
+    rest: Array  # offset that is subtracted from the next state, (n,)
 
     def __call__(self, x: Any, u: Any, w: Any) -> Any:
         """Return the next state, relative to ``rest``."""
@@ -76,14 +69,7 @@ class MovedDynamics(Displayed):
 
     @staticmethod
     def of(function: Dynamics, x: Array, u: Array, to: Array) -> Dynamics:
-        """Return a function in coordinates moved by x and u, without an earlier move if both cancel.
-
-        Args:
-            function: the function, which may be in moved coordinates.
-            x: added to the state, (n,).
-            u: added to the input, (m,).
-            to: subtracted from the next state, (n,).
-        """
+        """Return a function in coordinates moved by x and u, without an earlier move if both cancel."""
         inner, rest = function, to
         if isinstance(function.function, MovedDynamics):
             moved = function.function

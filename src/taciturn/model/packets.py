@@ -21,27 +21,16 @@ from taciturn.model.wire import PERSON, PLANT, SETPOINT, Encoding, PacketKind
 
 
 class PlantLink(NamedTuple):
-    """The packets between the plant and a process: the outputs in a measurement, and the inputs in an input.
+    """The packets between the plant and a process: the outputs in a measurement, and the inputs in an input."""
 
-    Args:
-        measures: role of the process that receives the measurements, if any.
-        applies: role of the process that sends the inputs, if any.
-        outputs: outputs of the plant in a measurement, in their order.
-        inputs: inputs of the plant in an input, in their order.
-    """
-
-    measures: str | None
-    applies: str | None
-    outputs: tuple[int, ...]
-    inputs: tuple[int, ...]
+    measures: str | None  # role of the process that receives the measurements, if any
+    applies: str | None  # role of the process that sends the inputs, if any
+    outputs: tuple[int, ...]  # outputs of the plant in a measurement, in their order
+    inputs: tuple[int, ...]  # inputs of the plant in an input, in their order
 
 
 def place_of(policy: Policy, role: str) -> frozenset[str]:
-    """Return the roles that are at the same site as the given role.
-
-    Raises:
-        ProblemError: if there is no such role, or the node belongs to the process of the controller.
-    """
+    """Return the roles that are at the same site as the given role."""
     names = roles(policy)
     if role not in names:
         site = policy.site(role)
@@ -170,11 +159,7 @@ DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which d
 
 
 def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
-    """Return the encoding and the number of entries of the payload of each packet, by kind and link.
-
-    Raises:
-        ProblemError: if payloads are rounded and a range is missing.
-    """
+    """Return the encoding and the number of entries of the payload of each packet, by kind and link."""
     exact, shapes = Encoding(), dict[tuple[PacketKind, str], tuple[Encoding, int]]()
     for step in policy.steps:
         if isinstance(step, Send):

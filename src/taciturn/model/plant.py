@@ -52,18 +52,7 @@ class Explicit(NamedTuple):
 
 
 def explicit(E: ArrayLike, A: ArrayLike, B: ArrayLike, W: ArrayLike | None) -> Explicit:
-    """Return E⁻¹A, E⁻¹B and E⁻¹W(E⁻¹)', each entry the double nearest to the exact value.
-
-    Args:
-        E: matrix of the next state, or of the derivative, (n, n), regular.
-        A: state matrix, (n, n).
-        B: input matrix, (n, m).
-        W: covariance, or intensity, of the noise of the equation, (n, n); or None.
-
-    Raises:
-        ProblemError: a matrix has the wrong shape or is not finite, W is indefinite, E is singular, or a result exceeds
-            the range of numbers.
-    """
+    """Return E⁻¹A, E⁻¹B and E⁻¹W(E⁻¹)', each entry the double nearest to the exact value."""
     A = square("A", A, "states × states")
     B = array("B", B, (len(A), None), "(states, inputs)")
     inverse = _Inverse.of(E, len(A))
@@ -292,13 +281,7 @@ def vector_text(values: Array, digits: int = 4) -> str:
 
 
 def counted_from(plant: AnyPlant, point: OperatingPoint | None, origin: Plant | ContinuousPlant) -> AnyPlant:
-    """Return a plant whose states and inputs already are deviations from a point, with this point as theirs.
-
-    Args:
-        plant: the plant.
-        point: the point, or None.
-        origin: the plant from which this one was made, with the same inputs and limits.
-    """
+    """Return a plant whose states and inputs already are deviations from a point, with this point as theirs."""
     if point is None:
         return plant
     found = copy(plant)
@@ -799,16 +782,7 @@ def stated_function(plant: Plant) -> Dynamics | None:
 
 
 def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: bool) -> None:
-    """Set the operating point of a new plant, and count its initial mean and its limits from there.
-
-    Args:
-        plant: the plant, in its units.
-        point: the operating point, or None.
-        mean: whether the mean of the initial state is given; it is that of the operating point otherwise.
-
-    Raises:
-        ProblemError: the point has another number of states or inputs than the plant.
-    """
+    """Set the operating point of a new plant, and count its initial mean and its limits from there."""
     object.__setattr__(plant, "operating_point", point)
     if point is None:
         return
@@ -838,11 +812,7 @@ def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> A
 
 
 def dynamics_at(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:
-    """Return the function of a plant in deviations from its operating point, which A and B must linearise there.
-
-    Raises:
-        ProblemError: the function fails, does not rest at the point, or has other derivatives than A and B there.
-    """
+    """Return the function of a plant in deviations from its operating point, which A and B must linearise there."""
     found = function if isinstance(function, Dynamics) else Dynamics(function)
     if point is None:
         found.check(plant.A, plant.B, plant.W)

@@ -89,11 +89,7 @@ def longest_silence(network: Network, link: str) -> int | None:
 
 
 def keep_intervals(policy: Policy) -> Mapping[str, Any]:
-    """Return the fields of a policy that change so that its decisions keep the limits of its network; often none.
-
-    Raises:
-        ProblemError: packets are sent at fixed steps that break the limits, or the decisions keep other limits already.
-    """
+    """Return the fields of a policy that change so that its decisions keep the limits of its network; often none."""
     steps, network = policy.steps, policy.network
     sends = {step.link: step for step in steps if isinstance(step, Send)}
     kept = {step.signal for step in steps if isinstance(step, Assign)}
@@ -545,14 +541,7 @@ class Policy(Displayed):
 
 
 def draw_diagram(policy: Policy) -> Diagram:
-    """Return the nodes of a policy and the links between them, derived from its policy steps.
-
-    Example:
-        >>> from taciturn import Cost, Plant, design
-        >>> policy = design.lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
-        >>> draw_diagram(policy).links[0].condition
-        'if send, by estimate, candidate, error'
-    """
+    """Return the nodes of a policy and the links between them, derived from its policy steps."""
     sends = [step for step in policy.steps if isinstance(step, Send)]
     sites = dict.fromkeys(policy.site(node) for node in policy.network.nodes)
     return Diagram(tuple(_place(policy, site) for site in sites), tuple(_link(policy, step) for step in sends))
@@ -607,12 +596,7 @@ def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]
 
 
 def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
-    """Return the plant, the cost and the network that a policy was designed for.
-
-    Raises:
-        ProblemError: if the policy has no cost, or it was designed for a continuous plant, of which it holds only the
-            sampled matrices.
-    """
+    """Return the plant, the cost and the network that a policy was designed for."""
     if policy.cost is None:
         raise ProblemError(
             f"{policy.kind} has no cost; expected the cost that it was designed for: theory=Theory(cost=…)"

@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 
 
 def data_frame(columns: Mapping[str, object], index: str, values: Any) -> pandas.DataFrame:
-    """Return a table of named columns, one row for each value of the named index.
-
-    Raises:
-        ProblemError: pandas is not installed.
-    """
+    """Return a table of named columns, one row for each value of the named index."""
     try:
         import pandas
     except ImportError:
@@ -40,11 +36,7 @@ def data_frame(columns: Mapping[str, object], index: str, values: Any) -> pandas
 
 
 def check_table(path: Path, formats: Sequence[str] = (".csv", ".parquet")) -> None:
-    """Reject an unsupported table file before a long computation starts.
-
-    Raises:
-        ProblemError: the format is not supported, the folder does not exist, or pandas or pyarrow is not installed.
-    """
+    """Reject an unsupported table file before a long computation starts."""
     if path.suffix not in formats:
         raise ProblemError(f"the table {str(path)!r} has an unknown format; expected {' or '.join(formats)}")
     if not path.absolute().parent.is_dir():
@@ -58,11 +50,7 @@ def check_table(path: Path, formats: Sequence[str] = (".csv", ".parquet")) -> No
 
 
 def save_table(frame: pandas.DataFrame, path: Path, origin: Mapping[str, object] | None = None) -> None:
-    """Write a table as CSV or parquet; only a parquet file also contains the attributes and the origin of the table.
-
-    Raises:
-        ProblemError: the file cannot be written.
-    """
+    """Write a table as CSV or parquet; only a parquet file also contains the attributes and the origin of the table."""
     table: Any = frame  # pandas' types are incomplete
     table.attrs.update(origin or {})
     try:
@@ -111,11 +99,7 @@ class Tabular(Displayed, ABC):
         return {name: getattr(self, name) for name in self.heading}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return the table as a data frame; an estimate has one column for its value and one for its standard error.
-
-        Raises:
-            ProblemError: if pandas is not installed.
-        """
+        """Return the table as a data frame; an estimate has one column for its value and one for its standard error."""
         columns: dict[str, Column] = {}
         for name, values in self.columns().items():
             columns[name] = values
@@ -128,11 +112,7 @@ class Tabular(Displayed, ABC):
         return data_frame(columns, "row", range(len(next(iter(columns.values()), ()))))
 
     def to_csv(self, path: str | Path | None = None) -> str:
-        """Return the table of ``to_pandas`` as CSV text, and write it to a file if a path is given.
-
-        Raises:
-            ProblemError: if the name does not end in .csv, the file cannot be written, or pandas is not installed.
-        """
+        """Return the table of ``to_pandas`` as CSV text, and write it to a file if a path is given."""
         target = None if path is None else Path(path)
         if target is not None:
             check_table(target, (".csv",))

@@ -18,21 +18,11 @@ class Saturation(Displayed):
     """The limits of each input, and of its change per step.
 
     An actuator moves its input towards the command, by at most ``rate``, and stays between ``low`` and ``high``.
-
-    Args:
-        low: lower limit of each input, (m,); −∞ for none.
-        high: upper limit of each input, (m,); ∞ for none.
-        rate: largest change of each input in a step, (m,), ∞ for none; or None.
-
-    Example:
-        >>> limits = Saturation(np.array([0.0]), np.array([10.0]), np.array([3.0]))
-        >>> limits(np.array([20.0]), np.array([5.0])), limits(np.array([-1.0]), np.array([2.0]))
-        (array([8.]), array([0.]))
     """
 
-    low: Array
-    high: Array
-    rate: Array | None = None
+    low: Array  # lower limit of each input, (m,); −∞ for none
+    high: Array  # upper limit of each input, (m,); ∞ for none
+    rate: Array | None = None  # largest change of each input in a step, (m,), ∞ for none; or None
 
     def __call__(self, wanted: Any, before: Any = None) -> Any:
         """Return the input that is applied, given the command and the input of the step before."""
@@ -75,15 +65,7 @@ def saturation(limit: Array | None, rate: Array | None) -> Saturation | None:
 
 
 def limits_from(value: ArrayLike, inputs: int) -> Array:
-    """Return the lower and the upper limit of each input, (m, 2).
-
-    Args:
-        value: one entry per input: a positive number for symmetric limits, or a pair [low, high]; ∞ for an open side.
-        inputs: number of inputs m.
-
-    Raises:
-        ProblemError: there is another number of entries, a number is not positive, or low is not below high.
-    """
+    """Return the lower and the upper limit of each input, (m, 2)."""
     entries = _entries(value)
     if not any(np.ndim(entry) for entry in entries):
         if len(entries) == 2 > inputs:
@@ -99,11 +81,7 @@ def limits_from(value: ArrayLike, inputs: int) -> Array:
 
 
 def positive(name: str, value: ArrayLike, inputs: int) -> Array:
-    """Return one positive number per input, (m,), ∞ for no limit.
-
-    Raises:
-        ProblemError: there is another number of entries, or a number is not positive.
-    """
+    """Return one positive number per input, (m,), ∞ for no limit."""
     entries = _entries(value)
     limited = [not (isinstance(entry, float) and entry == np.inf) for entry in entries]
     finite = [entry if kept else 1.0 for entry, kept in zip(entries, limited, strict=True)]

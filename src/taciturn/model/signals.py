@@ -178,30 +178,13 @@ Changes: TypeAlias = RandomSteps | Timetable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SetPoint(Displayed):
-    """The values that some combinations of the states are to have.
+    """The values that some combinations of the states are to have."""
 
-    Args:
-        outputs: C_z of the combinations z = C_z x, (z, n).
-        value: their set-points, (z,); default 0. With steps at random times, those at the start.
-        changes: how they change while the loop runs; None for constant set-points.
-        counted: whether they count from an operating point; then they are states of the exosystem also if all
-            are zero, as they are not at another operating point.
-        D: D_z of the combinations z = C_z x + D_z u, (z, m), or None for zero: that of measured outputs of a plant with
-            a direct feedthrough.
-
-    Raises:
-        ProblemError: the number of set-points is not that of the combinations, or a timetable and a value are given.
-
-    Example:
-        >>> SetPoint([[1.0, 0.0]], [2.5]).value
-        array([2.5])
-    """
-
-    outputs: Array
-    value: Array
-    changes: Changes | None
-    counted: bool
-    D: Array | None
+    outputs: Array  # C_z of the combinations z = C_z x, (z, n)
+    value: Array  # their set-points, (z,); default 0. With steps at random times, those at the start
+    changes: Changes | None  # how they change while the loop runs; None for constant set-points
+    counted: bool  # whether they count from an operating point
+    D: Array | None  # D_z of the combinations z = C_z x + D_z u
 
     def __init__(
         self,

@@ -79,9 +79,6 @@ def state_space_of(name: str, system: object) -> tuple[StateSpaceLike, float | N
     """Return the state space of a system of python-control or scipy, and its step.
 
     The step is 0 for continuous time, and None for discrete time without seconds.
-
-    Raises:
-        ProblemError: the system has no state space, delays, or its time base is unspecified.
     """
     if not isinstance(system, StateSpaceLike):
         to_state_space = getattr(system, "to_ss", None)  # transfer functions and zero-pole-gain systems
@@ -115,22 +112,14 @@ def vars_of(system: object) -> dict[str, object]:
 
 
 def descriptor_of(held: Mapping[str, object]) -> npt.NDArray[np.float64] | None:
-    """Return the descriptor matrix E of a system, or None if it has none, or the identity.
-
-    Args:
-        held: the attributes of the system by name.
-    """
+    """Return the descriptor matrix E of a system, or None if it has none, or the identity."""
     matrix = np.asarray(held.get("E", ()), dtype=np.float64)
     one = matrix.ndim == 2 and np.array_equal(matrix, np.eye(len(matrix)))
     return None if one or not matrix.size else matrix
 
 
 def refuse_descriptor(name: str, held: Mapping[str, object]) -> None:
-    """Raise an error for the descriptor matrix E of a controller, unless it is the identity.
-
-    Raises:
-        ProblemError: the controller has such a matrix.
-    """
+    """Raise an error for the descriptor matrix E of a controller, unless it is the identity."""
     if descriptor_of(held) is not None:
         raise ProblemError(
             f"{name} has a descriptor matrix E, E x⁺ = A x + B u; expected a system without E: for a regular E, "
@@ -139,15 +128,7 @@ def refuse_descriptor(name: str, held: Mapping[str, object]) -> None:
 
 
 def refuse_delays(name: str, held: Mapping[str, object]) -> None:
-    """Raise an error for delays.
-
-    Args:
-        name: name of the system, for messages.
-        held: delays by name, of those that the system has.
-
-    Raises:
-        ProblemError: a delay is not zero.
-    """
+    """Raise an error for delays."""
     for delay in DELAYS:
         if np.any(np.asarray(held.get(delay, 0.0), dtype=np.float64)):
             raise ProblemError(

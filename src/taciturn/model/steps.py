@@ -267,10 +267,6 @@ def joint_cycle(locations: Iterable[Location], triggers: Mapping[str, Trigger]) 
 
     Such a location has no condition, has equal columns in every state that it reaches, or depends on a decision whose
     options are constants or tables selected by such locations. Other locations are ignored.
-
-    Args:
-        locations: the locations of a policy.
-        triggers: the trigger of each decision, by name.
     """
     named = {location.name: location for location in locations}
     return math.lcm(*(_period(location, named, triggers) for location in named.values()))
@@ -302,13 +298,7 @@ def _deciders(location: Location, named: Mapping[str, Location], triggers: Mappi
 
 
 def fixed_choices(decision: str, locations: Iterable[Location], triggers: Mapping[str, Trigger]) -> list[str] | None:
-    """Return the labels that a decision selects until they repeat, twice, or None if they depend on data.
-
-    Args:
-        decision: name of the decision.
-        locations: the locations of a policy.
-        triggers: the trigger of each decision, by name.
-    """
+    """Return the labels that a decision selects until they repeat, twice, or None if they depend on data."""
     trigger, named = triggers[decision], {location.name: location for location in locations}
     if trigger.reads or trigger.limit is not None:
         return None

@@ -35,17 +35,11 @@ PERSON = b"taciturn"  # BLAKE2s personalisation string of tags and fingerprints
 
 
 class FieldOfHeader(NamedTuple):
-    """A field of the datagram header.
+    """A field of the datagram header."""
 
-    Args:
-        name: name of the field.
-        code: format character of ``struct``: B, H, I, Q are unsigned integers of 1, 2, 4, 8 bytes.
-        meaning: description for developers of other implementations.
-    """
-
-    name: str
-    code: str
-    meaning: str
+    name: str  # name of the field
+    code: str  # format character of ``struct``: B, H, I, Q are unsigned integers of 1, 2, 4, 8 bytes
+    meaning: str  # description for developers of other implementations
 
 
 HEADER = (
@@ -80,22 +74,10 @@ _PLACE = struct.Struct(
 
 @dataclass(frozen=True, repr=False)
 class Encoding(Displayed):
-    """The encoding of the entries of a payload.
+    """The encoding of the entries of a payload."""
 
-    Args:
-        name: ``"float64"`` (exact), ``"float32"`` (24 bits) or ``"int16"`` (round(32767·value/range), clipped).
-        full_scale: range of each entry; only with ``"int16"``.
-
-    Raises:
-        ProblemError: if the name is unknown, or a range is missing, is not positive or is given without ``"int16"``.
-
-    Example:
-        >>> Encoding("int16", (2.0,)).rounded([1.0])
-        array([1.00003052])
-    """
-
-    name: EncodingName = "float64"
-    full_scale: tuple[float, ...] = ()
+    name: EncodingName = "float64"  # ``"float64"``
+    full_scale: tuple[float, ...] = ()  # range of each entry; only with ``"int16"``
 
     def __post_init__(self) -> None:
         """Validate and store the arguments."""
@@ -112,11 +94,7 @@ class Encoding(Displayed):
         object.__setattr__(self, "full_scale", tuple(float(value) for value in scale))
 
     def parts(self, sizes: Sequence[int]) -> list[Encoding]:
-        """Return the encodings of consecutive signals of a payload; a single range applies to all entries.
-
-        Raises:
-            ProblemError: if the number of ranges is neither 1 nor the number of entries.
-        """
+        """Return the encodings of consecutive signals of a payload; a single range applies to all entries."""
         entries = sum(sizes)
         if self.name != "int16":
             return [self] * len(sizes)
@@ -141,12 +119,7 @@ class Encoding(Displayed):
 
 
 def fits(values: Iterable[float]) -> bool:
-    """Return whether payloads carry all of these numbers: none is infinite, NaN, or larger than ``LARGEST``.
-
-    Example:
-        >>> fits([0.0, -3.4e38]), fits([1.7e308]), fits([float("nan")])
-        (True, False, False)
-    """
+    """Return whether payloads carry all of these numbers: none is infinite, NaN, or larger than ``LARGEST``."""
     return all(-LARGEST <= value <= LARGEST for value in values)
 
 

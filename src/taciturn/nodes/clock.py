@@ -20,16 +20,6 @@ class Phase:
     the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows the
     earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive packets
     agree. Until then, a packet of a step that cannot have begun is ignored.
-
-    Args:
-        tick: seconds per step.
-
-    Example:
-        >>> phase = Phase(0.01)
-        >>> phase.hear(100, 5.0), phase.hear(5000, 5.01)
-        (True, False)
-        >>> round(phase.begins(102), 3)
-        5.02
     """
 
     def __init__(self, tick: float) -> None:

@@ -32,11 +32,7 @@ Function: TypeAlias = Callable[[float, Array, Array, object], Array]
 
 
 def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
-    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None.
-
-    Raises:
-        ProblemError: python-control is missing.
-    """
+    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None."""
     return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
 
 
@@ -49,22 +45,14 @@ def nonlinear_system(
     dt: float | bool,
     name: str,
 ) -> Any:
-    """Return the `control.NonlinearIOSystem` of two functions.
-
-    Raises:
-        ProblemError: python-control is missing.
-    """
+    """Return the `control.NonlinearIOSystem` of two functions."""
     return _control().NonlinearIOSystem(
         update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
     )
 
 
 def is_linear(system: object) -> bool:
-    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`.
-
-    Raises:
-        ProblemError: python-control is missing.
-    """
+    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
     control = _control()
     return isinstance(system, (control.StateSpace, control.TransferFunction))
 

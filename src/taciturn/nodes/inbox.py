@@ -84,31 +84,18 @@ USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the pac
 
 @dataclass(repr=False)
 class Stream(Displayed):
-    """The packets of one kind on one link.
+    """The packets of one kind on one link."""
 
-    Args:
-        lag: number of steps between the step of a packet and the step that reads it.
-        at: index of the first of its inputs of the node: whether a packet arrived, followed by the payload.
-        size: number of entries of the payload.
-        part: part of the step that reads the packets.
-        kept: whether the last payload remains in effect until another packet arrives, as for set-points.
-        window: window over the sequence numbers received.
-        waiting: packets that wait for their step, by step.
-        behind: newest late packet, or None.
-        missing: number of missing sequence numbers when the packets were last read.
-        newest: step of the newest packet that a step has read; older packets are never used.
-    """
-
-    lag: int
-    at: int
-    size: int
-    part: int
-    kept: bool = False
-    window: Window = field(default_factory=Window)
-    waiting: dict[int, Packet] = field(default_factory=dict[int, Packet])
-    behind: Packet | None = None
-    missing: int = 0
-    newest: int = -1
+    lag: int  # number of steps between the step of a packet and the step that reads it
+    at: int  # index of the first of its inputs of the node: whether a packet arrived, followed by the payload
+    size: int  # number of entries of the payload
+    part: int  # part of the step that reads the packets
+    kept: bool = False  # whether the last payload remains in effect until another packet arrives, as for set-points
+    window: Window = field(default_factory=Window)  # window over the sequence numbers received
+    waiting: dict[int, Packet] = field(default_factory=dict[int, Packet])  # packets that wait for their step, by step
+    behind: Packet | None = None  # newest late packet, or None
+    missing: int = 0  # number of missing sequence numbers when the packets were last read
+    newest: int = -1  # step of the newest packet that a step has read; older packets are never used
 
 
 def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
@@ -117,15 +104,7 @@ def streams_of(arrivals: Iterable[Arrival]) -> dict[tuple[str, str], Stream]:
 
 
 class Inbox:
-    """The received packets of a node.
-
-    Args:
-        streams: packets by kind and link.
-        loop: number of the node's loop.
-        lossless: whether the policy's theory assumes that every packet arrives.
-        counters: counters of the packets, to be updated.
-        degrade: function called after an event that violates an assumption of the theory.
-    """
+    """The received packets of a node."""
 
     def __init__(
         self,
@@ -154,11 +133,7 @@ class Inbox:
         return sum(len(stream.waiting) for stream in self.streams.values())
 
     def take(self, packet: Packet, past: int) -> Handling:
-        """Store a packet after the step ``past``, and return how it was handled.
-
-        Raises:
-            ProblemError: the packet was made in this process, and its payload is not one that can be sent.
-        """
+        """Store a packet after the step ``past``, and return how it was handled."""
         self.counters["received"] += 1
         stream = self.streams.get((packet.kind, packet.link))
         mark = packet.kind == "mark" and packet.back == self._back.get(packet.link)

@@ -121,14 +121,7 @@ class Keys:
 
 
 class RenewedKeys(Keys, ABC):
-    """Keys from a source that may change, which ``renew`` reads again after a change.
-
-    Args:
-        clock: function that returns the time in seconds, from any origin.
-
-    Raises:
-        ProblemError: the source cannot be read, or its content is not valid.
-    """
+    """Keys from a source that may change, which ``renew`` reads again after a change."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         """Read the source."""
@@ -167,14 +160,7 @@ class RenewedKeys(Keys, ABC):
 
 
 class KeyFile(RenewedKeys):
-    """The keys in a file, which ``renew`` reads again after a change.
-
-    Args:
-        path: file with the keys.
-
-    Raises:
-        ProblemError: the file cannot be read, other users can read it (POSIX), or its content is not valid.
-    """
+    """The keys in a file, which ``renew`` reads again after a change."""
 
     def __init__(self, path: str | Path) -> None:
         """Read the file."""
@@ -211,17 +197,7 @@ class KeyFile(RenewedKeys):
 
 
 def read_keys(path: str | Path | None = None, hosts: Iterable[str] = ()) -> Keys | None:
-    """Return the keys from a file or from the environment variable ``TACITURN_KEY``, or None if it is not set.
-
-    Args:
-        path: file that contains the keys; default: the environment variable is read.
-        hosts: addresses of this process and of its peers; an empty environment variable is accepted on the loopback
-            only.
-
-    Raises:
-        ProblemError: the file cannot be read, or other users can read it (POSIX); a key is not a valid number of
-            hexadecimal digits; the environment variable is empty, and a host is not the loopback.
-    """
+    """Return the keys from a file or from the environment variable ``TACITURN_KEY``, or None if it is not set."""
     if path is not None:
         return KeyFile(path)
     text, source = os.environ.get(KEY, ""), f"the environment variable {KEY}"
@@ -247,12 +223,7 @@ def _key(digits: str, source: str) -> bytes:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host name or address denotes this machine.
-
-    Example:
-        >>> [is_loopback(host) for host in ("127.0.0.1", "localhost", "::1", "localhost.evil.example", "0.0.0.0")]
-        [True, True, True, False, False]
-    """
+    """Return whether a host name or address denotes this machine."""
     if host.lower() == "localhost":
         return True
     try:

@@ -39,23 +39,12 @@ SEAL = "digest"
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values that JSON can represent, with their digest.
-
-    Example:
-        >>> saved = sealed({"tick": 3})
-        >>> check_seal(saved, "the saved state")
-        >>> saved["digest"] == sealed({"tick": 4})["digest"]
-        False
-    """
+    """Return values that JSON can represent, with their digest."""
     return {**content, SEAL: _digest(content)}
 
 
 def check_seal(saved: Mapping[str, Any], name: str) -> None:
-    """Check the digest of saved values.
-
-    Raises:
-        ProblemError: the values differ from those that were saved.
-    """
+    """Check the digest of saved values."""
     if saved.get(SEAL) != _digest({key: value for key, value in saved.items() if key != SEAL}):
         raise ProblemError(
             f"{name} is not a saved state of a node, or it was changed after it was saved (its digest differs); "
@@ -75,15 +64,10 @@ Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
 class Stepped(NamedTuple):
-    """The outputs of a node in a step.
+    """The outputs of a node in a step."""
 
-    Args:
-        packets: packets to send.
-        input: plant input if the node contains the actuator, else None.
-    """
-
-    packets: tuple[Packet, ...]
-    input: Values | None
+    packets: tuple[Packet, ...]  # packets to send
+    input: Values | None  # plant input if the node contains the actuator, else None
 
 
 class Node:

@@ -49,17 +49,7 @@ TRIES = 4
 def started(
     policy: Policy, network: Network, estimate: ArrayLike | None, start_input: ArrayLike | None
 ) -> tuple[Policy, tuple[str, ...]]:
-    """Return a policy whose nodes start from an estimate of the state, or from an input, and remarks on this start.
-
-    Args:
-        policy: the policy.
-        network: the network between the nodes.
-        estimate: estimate of the state before the first measurement, (n,); default: the mean of the problem.
-        start_input: input of the plant before the first step, (m,); default: that of the policy.
-
-    Raises:
-        ProblemError: the commands of the policy do not depend on the estimate of a filter, or the sizes differ.
-    """
+    """Return a policy whose nodes start from an estimate of the state, or from an input, and remarks on this start."""
     if estimate is not None:
         n = policy.model.states
         wanted = array("estimate", estimate, (n,), "(states,), those of disturbances and set-points included")
@@ -174,14 +164,7 @@ BLOCK = 256  # steps whose generators are seeded together, which takes little lo
 
 
 class StepFunction:
-    """The step of a program as a pure function of the step number, the memory and the inputs.
-
-    Args:
-        program: program of one step, with uniform random numbers among its inputs.
-        taken: number of entries of each other signal among its inputs.
-        network: network, which defines the distribution of the first state of each link.
-        seed: seed of the random draws.
-    """
+    """The step of a program as a pure function of the step number, the memory and the inputs."""
 
     def __init__(self, program: Program, taken: Mapping[str, int], network: Network, seed: int) -> None:
         """Compile the program, and draw its initial memory."""
@@ -418,11 +401,7 @@ class Nodes:
 
 
 def _checked(name: str, given: ArrayLike, size: int) -> Array:
-    """Return an argument of a step as an array.
-
-    Raises:
-        ProblemError: it has another size, or holds numbers that are not finite or that no packet carries.
-    """
+    """Return an argument of a step as an array."""
     axes = {"measurement": "(outputs,)", "reference": "(set-points,)", "applied": "(inputs,)"}
     found = array(name, given, (size,), axes[name])
     if not fits(found):

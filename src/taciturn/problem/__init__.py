@@ -370,17 +370,7 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
 def parse(
     tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | None = None, own: Kind | None = None
 ) -> Problem:
-    """Return the problem that the tables of a file define.
-
-    Args:
-        tables: the tables as read from TOML.
-        name: name of the file, for messages.
-        known: functions of plants that were already read, by their names in the tables.
-        own: a policy kind that the catalogue does not contain.
-
-    Raises:
-        ProblemError: if a key is unknown or missing, or the data are inconsistent.
-    """
+    """Return the problem that the tables of a file define."""
     try:
         file: File = validate(File, tables)
     except ValidationError as error:

@@ -35,14 +35,6 @@ def as_problem(name: str, value: object) -> Problem:
     The first parameter of a function is its tuning parameter. Its values are positive, and integers if it is
     annotated as ``int``. The rate must fall as it increases. A parameter without a default is 1 in the policy that
     determines plant, cost and network.
-
-    Args:
-        name: name of the argument, for messages.
-        value: the problem, the policy, or the function.
-
-    Raises:
-        ProblemError: if the value is neither of these, the function fails for these parameters, or the policy cannot be
-            studied without a problem.
     """
     if isinstance(value, Problem):
         return value
@@ -95,13 +87,9 @@ class _Given:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BareKind(Kind):
-    """The kind of a policy without a problem: its design function takes the parameters alone.
+    """The kind of a policy without a problem: its design function takes the parameters alone."""
 
-    Args:
-        base: the policy that determines plant, cost and network.
-    """
-
-    base: Policy | None = None
+    base: Policy | None = None  # the policy that determines plant, cost and network
 
     @cached_property
     def arguments(self) -> Mapping[str, inspect.Parameter]:

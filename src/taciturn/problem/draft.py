@@ -35,13 +35,7 @@ SHARE = 0.2  # suggested price of a send, relative to the cost of a step with ev
 
 
 def needed_parameters(kind: Kind, continuous: bool) -> tuple[str, ...]:
-    """Return the required parameters of a policy kind for a discrete or continuous plant.
-
-    Example:
-        >>> from taciturn.design.catalogue import CATALOGUE
-        >>> needed_parameters(CATALOGUE["lqg"], continuous=True)
-        ('period', 'theta')
-    """
+    """Return the required parameters of a policy kind for a discrete or continuous plant."""
     required = [name for name, one in kind.parameters.items() if one.default is one.empty]
     period = ["period"] if "period" in kind.parameters and (continuous or "period" in required) else []
     needed = (*period, *(name for name in required if name != "period"))
@@ -72,15 +66,7 @@ def over_losses() -> list[Kind]:
 def suggest_value(
     kind: Kind, name: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None
 ) -> Setting | None:
-    """Return a suggested value: a usual value, or one digit computed from plant and cost; None if there is none.
-
-    Args:
-        kind: the policy kind.
-        name: name of the parameter.
-        plant: the plant.
-        cost: the cost.
-        period: seconds between steps of a continuous plant, if already known.
-    """
+    """Return a suggested value: a usual value, or one digit computed from plant and cost; None if there is none."""
     if name in kind.usual:
         return kind.usual[name]
     try:
@@ -115,15 +101,7 @@ PER = {True: "per second", False: "per step"}
 
 
 def problem_text(tables: Mapping[str, Any], name: str) -> str:
-    """Return a problem file with its comments.
-
-    Args:
-        tables: the tables plant, cost, policy and, optionally, network and controller of the file.
-        name: name of the file, for the commands in its first lines.
-
-    Returns:
-        The text of the file in TOML, with exactly the given tables.
-    """
+    """Return a problem file with its comments."""
     plant, policy = tables["plant"], tables["policy"]
     kind = find_kind(policy["kind"], "the kind")
     continuous = "dt" not in plant
@@ -238,28 +216,14 @@ BY_CONTROLLER = {"weights": "as the controller"}
 
 @dataclass(repr=False)
 class Draft(Displayed):
-    """A partly specified problem: the known matrices of a plant and a cost, a network and a controller.
+    """A partly specified problem: the known matrices of a plant and a cost, a network and a controller."""
 
-    Args:
-        dt: seconds per step; 0 for a continuous-time plant.
-        plant: matrices A, B, E, C, D, V, W by name, in the order in which they were stored.
-        cost: matrices Q, R, N by name.
-        network: values of the keys of ``[network]``.
-        controller: values of the keys of ``[controller]``.
-
-    Example:
-        >>> draft = Draft(dt=0.1)
-        >>> for key, value in {"A": [[1.0]], "B": [[1.0]], "W": 0.1, "Q": 1.0, "R": 1.0}.items():
-        ...     draft.keep(key, value)
-        >>> "theta = 0.1" in draft.write({"kind": "lqg", "theta": 0.1}, "walk.toml")
-        True
-    """
-
-    dt: float = 0.0
+    dt: float = 0.0  # seconds per step; 0 for a continuous-time plant
+    # matrices A, B, E, C, D, V, W by name, in the order in which they were stored
     plant: dict[str, Array] = field(default_factory=lambda: {})
-    cost: dict[str, Array] = field(default_factory=lambda: {})
-    network: dict[str, Any] = field(default_factory=lambda: {})
-    controller: dict[str, Any] = field(default_factory=lambda: {})
+    cost: dict[str, Array] = field(default_factory=lambda: {})  # matrices Q, R, N by name
+    network: dict[str, Any] = field(default_factory=lambda: {})  # values of the keys of ``[network]``
+    controller: dict[str, Any] = field(default_factory=lambda: {})  # values of the keys of ``[controller]``
 
     @property
     def continuous(self) -> bool:
@@ -273,15 +237,7 @@ class Draft(Displayed):
         return plant.inputs, len(plant.C)
 
     def keep(self, key: str, value: ArrayLike) -> None:
-        """Store a matrix if it fits the known parts; a weight or covariance may be one number or a diagonal.
-
-        Args:
-            key: name of the matrix: A, B, E, C, D, V, W, Q, R or N; A and B must be stored first.
-            value: the matrix.
-
-        Raises:
-            ProblemError: if the matrix does not fit the known parts.
-        """
+        """Store a matrix if it fits the known parts; a weight or covariance may be one number or a diagonal."""
         sizes = {} if "B" not in self.plant else self._sizes()
         fitting = square_matrix(key, value, sizes[key]) if key in sizes else np.asarray(value)
         if key in COST:
@@ -308,12 +264,7 @@ class Draft(Displayed):
         return self._cost(self.cost)
 
     def keep_pid(self, text: str) -> None:
-        """Store a PID controller from the text of its gains, ``kp``, ``kp ki`` or ``kp ki kd filter``.
-
-        Raises:
-            ProblemError: if the text contains something else, the gains are invalid, or the plant has several inputs or
-                outputs.
-        """
+        """Store a PID controller from the text of its gains, ``kp``, ``kp ki`` or ``kp ki kd filter``."""
         inputs, outputs = self.counts
         if (inputs, outputs) != (1, 1):
             raise ProblemError(
@@ -338,27 +289,14 @@ class Draft(Displayed):
         return True
 
     def expect_fit(self, kind: Kind) -> None:
-        """Reject a policy kind that does not accept this plant and cost, according to a quick check.
-
-        Raises:
-            ProblemError: if the check of the kind refuses the plant or the cost.
-        """
+        """Reject a policy kind that does not accept this plant and cost, according to a quick check."""
         if self.controller and not kind.keeps_controller:
             raise ProblemError(f"{kind.name} keeps no controller; expected another kind, such as excess")
         if kind.check is not None:
             kind.check(self.made_plant(), self.made_cost())
 
     def write(self, policy: Mapping[str, Any], name: str) -> str:
-        """Return the text of a problem file, after reading it back and designing its policy as a check.
-
-        Args:
-            policy: values of the keys of ``[policy]``.
-            name: name of the file.
-
-        Raises:
-            ProblemError: if the policy does not support this problem, or a parameter is out of range.
-            UnstableError: if no stabilising gain exists.
-        """
+        """Return the text of a problem file, after reading it back and designing its policy as a check."""
         step = {} if self.continuous else {"dt": self.dt}
         tables: dict[str, Any] = {"plant": {**step, **self.plant}, "cost": self.cost or BY_CONTROLLER, "policy": policy}
         if self.network:

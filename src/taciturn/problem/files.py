@@ -44,22 +44,14 @@ Variable: TypeAlias = npt.NDArray[Any] | Foreign
 
 
 class _Sizes:
-    """The bytes of the variables of a file, which are counted before any of them is read.
-
-    Args:
-        path: the file, for messages.
-    """
+    """The bytes of the variables of a file, which are counted before any of them is read."""
 
     def __init__(self, path: Path) -> None:
         """Start at zero."""
         self._path, self._sum = path, 0
 
     def add(self, name: str, size: int) -> None:
-        """Add the bytes of a variable, or of a part of the file, to the total size.
-
-        Raises:
-            ProblemError: the sum is too large.
-        """
+        """Add the bytes of a variable, or of a part of the file, to the total size."""
         self._sum += size
         if self._sum > LARGEST:
             raise ProblemError(
@@ -68,20 +60,12 @@ class _Sizes:
             )
 
     def add_array(self, name: str, shape: Iterable[int], itemsize: int) -> None:
-        """Add the bytes of an array, from its shape and the bytes per entry, to the total size.
-
-        Raises:
-            ProblemError: the sum is too large.
-        """
+        """Add the bytes of an array, from its shape and the bytes per entry, to the total size."""
         self.add(name, math.prod(map(int, shape)) * itemsize)
 
 
 def read_variables(path: Path) -> dict[str, Variable]:
-    """Return the variables of a ``.mat`` or ``.npz`` file by name, with matrices oriented as in MATLAB.
-
-    Raises:
-        ProblemError: the file has another ending, or cannot be read.
-    """
+    """Return the variables of a ``.mat`` or ``.npz`` file by name, with matrices oriented as in MATLAB."""
     if path.suffix.lower() not in ENDINGS:
         expected = f"expected a matrix file that ends in {' or '.join(ENDINGS)}"
         raise ProblemError(f"{str(path)!r} {ending_text(path)}; {expected}")
@@ -108,11 +92,7 @@ def _numpy(path: Path) -> dict[str, Variable]:
 
 
 def _check_numpy(path: Path) -> set[str]:
-    """Return the names of the pickled Python objects in a file, which are not loaded.
-
-    Raises:
-        ProblemError: the arrays are too large, by their headers or by the sizes in the directory of the file.
-    """
+    """Return the names of the pickled Python objects in a file, which are not loaded."""
     expanded, declared, objects = _Sizes(path), _Sizes(path), set[str]()
     with ZipFile(path) as packed:
         for one in packed.infolist():
@@ -151,11 +131,7 @@ def _matlab(path: Path) -> dict[str, Variable]:
 
 
 def _check_matlab(path: Path) -> None:
-    """Count the bytes of the variables of a MATLAB file as dense arrays; compressed variables are expanded in parts.
-
-    Raises:
-        ProblemError: the variables are too large.
-    """
+    """Count the bytes of the variables of a MATLAB file as dense arrays; compressed variables are expanded in parts."""
     import scipy.io
 
     expanded, declared = _Sizes(path), _Sizes(path)
@@ -228,11 +204,7 @@ def _hdf5(path: Path) -> dict[str, Variable]:
 
 
 def _check_hdf5(name: str, item: Any, sizes: _Sizes) -> None:
-    """Add the bytes of a variable as a dense array, by its declared shape.
-
-    Raises:
-        ProblemError: the sum is too large.
-    """
+    """Add the bytes of a variable as a dense array, by its declared shape."""
     if name.startswith("#") or _class_of(item) not in NUMERIC:
         return
     if "MATLAB_sparse" in item.attrs:
@@ -294,30 +266,16 @@ SYSTEMS = ("ss", "tf", "zpk", "idss", "frd")  # MATLAB classes of systems
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Given(Displayed):
-    """The part of a problem that a file contains.
+    """The part of a problem that a file contains."""
 
-    Args:
-        arrays: matrices by key of the problem file: A, B, E, C, D if it is not 0, W, V, Q, R, N.
-        dt: seconds per step, 0 for a continuous-time plant, None if the file does not specify the time base.
-        ignored: names of the other variables in the file.
-    """
-
+    # matrices by key of the problem file: A, B, E, C, D if it is not 0, W, V, Q, R, N
     arrays: dict[str, npt.NDArray[Any]]
-    dt: float | None
-    ignored: tuple[str, ...]
+    dt: float | None  # seconds per step, 0 for a continuous-time plant, None if the file does not specify the time base
+    ignored: tuple[str, ...]  # names of the other variables in the file
 
 
 def read_given(path: Path) -> Given:
-    """Return the part of a problem that a ``.mat`` or ``.npz`` file contains.
-
-    Args:
-        path: file with variables A, B, C, D, E, W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
-
-    Raises:
-        ProblemError: if the file cannot be read, a variable is not an array or has two names, the time base is
-            unspecified, there is a delay, or the file contains a system object that only
-            MATLAB can open.
-    """
+    """Return the part of a problem that a ``.mat`` or ``.npz`` file contains."""
     held = read_variables(path)
     found: dict[str, npt.NDArray[Any]] = {}
     for key, names in NAMES.items():
@@ -347,14 +305,7 @@ def read_given(path: Path) -> Given:
 
 
 def read_controller(place: str) -> tuple[dict[str, npt.NDArray[Any]], float | None]:
-    """Return the matrices of a controller in a file by name, and its step: 0 in continuous time, None if not stated.
-
-    Args:
-        place: ``file.mat`` with the variables A, B, C, D, perhaps E, and dt or Ts; or ``file.mat:K``, a static gain.
-
-    Raises:
-        ProblemError: if the file cannot be read, or has no such matrices.
-    """
+    """Return the matrices of a controller in a file by name, and its step: 0 in continuous time, None if not stated."""
     path, named = Path(place), ""
     if ":" in path.name:
         path, named = Path(place.rpartition(":")[0]), place.rpartition(":")[2]

@@ -20,22 +20,7 @@ LONGEST = 100  # characters of a matrix that is printed on one line
 
 
 def parse_matrix(name: str, text: str) -> Array:
-    """Return the matrix that is written in a text.
-
-    Args:
-        name: name of the matrix, for messages.
-        text: ``[1 2; 3 4]`` with blanks or commas, ``[[1, 2], [3, 4]]``, or a single number.
-
-    Returns:
-        The matrix, (rows, columns); (1, 1) for a single number.
-
-    Raises:
-        ProblemError: if the text has another form, rows have different lengths, or a number is not finite.
-
-    Example:
-        >>> parse_matrix("A", "[1 2; 3 4]").tolist() == parse_matrix("A", "[[1, 2], [3, 4]]").tolist()
-        True
-    """
+    """Return the matrix that is written in a text."""
     given = text.strip()
     try:
         rows: object = ast.literal_eval(given) if re.match(r"\[\s*\[", given) else _matlab_rows(given)
@@ -63,21 +48,7 @@ def _matlab_rows(text: str) -> list[list[float]]:
 
 
 def parse_noise(name: str, text: str, B: Array) -> Array:
-    """Return the covariance of noise that is written as a matrix, or by amplitudes in units: standard deviations.
-
-    Args:
-        name: name of the covariance, V or W.
-        text: a matrix, or ``± 0.1 0.2``, the deviation of each entry; for W also ``inputs ± 0.3``, the deviation of
-            noise that is added to each input.
-        B: input matrix of the plant, (n, m).
-
-    Raises:
-        ProblemError: as for ``parse_matrix``, or the number of deviations is wrong, or one is negative.
-
-    Example:
-        >>> parse_noise("W", "inputs ± 0.5", np.array([[0.0], [2.0]])).tolist()
-        [[0.0, 0.0], [0.0, 1.0]]
-    """
+    """Return the covariance of noise that is written as a matrix, or by amplitudes in units: standard deviations."""
     place, sign, amplitudes = text.replace("+-", "±").partition("±")
     if not sign:
         return parse_matrix(name, text)
@@ -99,20 +70,7 @@ def parse_noise(name: str, text: str, B: Array) -> Array:
 
 
 def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
-    """Return a weight or covariance: a number times the identity, a vector as a diagonal, or a matrix unchanged.
-
-    Args:
-        name: name of the matrix, for messages.
-        value: a number, a vector of ``size`` entries, or a matrix (size, size).
-        size: number of rows and columns.
-
-    Raises:
-        ProblemError: if the value has none of these forms.
-
-    Example:
-        >>> square_matrix("Q", [[1.0, 2.0]], 2).tolist()
-        [[1.0, 0.0], [0.0, 2.0]]
-    """
+    """Return a weight or covariance: a number times the identity, a vector as a diagonal, or a matrix unchanged."""
     expect_unmasked(name, value)
     found = array(name, np.atleast_2d(np.asarray(value)), (None, None), "(rows, columns)")
     if found.size == 1:
@@ -128,12 +86,7 @@ def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def matrix_text(value: ArrayLike) -> str:
-    """Return a matrix in TOML notation, on one line or, if this line is too long, row by row.
-
-    Example:
-        >>> matrix_text([[0.0, 1.5], [1e-9, -2.0]])
-        '[[0, 1.5], [1e-09, -2]]'
-    """
+    """Return a matrix in TOML notation, on one line or, if this line is too long, row by row."""
     rows = [f"[{', '.join(exact_number_text(entry) for entry in row)}]" for row in np.atleast_2d(np.asarray(value))]
     line = f"[{', '.join(rows)}]"
     return line if len(line) <= LONGEST else "[\n" + "".join(f"  {row},\n" for row in rows) + "]"
@@ -146,11 +99,7 @@ def exact_number_text(value: float) -> str:
 
 
 def parse_settings(items: list[str]) -> dict[str, object]:
-    """Return the value of each name from texts ``NAME=VALUE``; ``none`` removes a key, ``"none"`` is the word.
-
-    Raises:
-        ProblemError: a text has another form or several values, or a name is given twice.
-    """
+    """Return the value of each name from texts ``NAME=VALUE``; ``none`` removes a key, ``"none"`` is the word."""
     settings = parse_grid(items, "--set")
     for name, values in settings.items():
         if len(values) > 1:
@@ -160,15 +109,7 @@ def parse_settings(items: list[str]) -> dict[str, object]:
 
 
 def parse_grid(items: list[str], option: str = "--over") -> dict[str, list[object]]:
-    """Return the values of each name from texts ``NAME=v1,v2,…``.
-
-    Args:
-        items: one text for each use of the option.
-        option: name of the option, for error messages.
-
-    Raises:
-        ProblemError: a text has another form, or a name is given twice.
-    """
+    """Return the values of each name from texts ``NAME=v1,v2,…``."""
     grid: dict[str, list[object]] = {}
     for item in items:
         name, _, listed = item.partition("=")

@@ -16,16 +16,7 @@ from taciturn.problem.schema import Rows, ValidationError, ours, suggest, valida
 
 
 def read_policy(table: Mapping[str, Any], name: str, own: Kind | None = None) -> tuple[str, dict[str, Any]]:
-    """Return the kind and the parameters in a ``[policy]`` table.
-
-    Args:
-        table: the table.
-        name: name of the file, for messages.
-        own: a kind that the catalogue does not contain, or None.
-
-    Raises:
-        ProblemError: if the kind or a parameter does not exist.
-    """
+    """Return the kind and the parameters in a ``[policy]`` table."""
     parameters = {key: value for key, value in table.items() if key != "kind"}
     try:
         if "kind" not in table:
@@ -38,15 +29,7 @@ def read_policy(table: Mapping[str, Any], name: str, own: Kind | None = None) ->
 
 
 def find_kind(kind: object, what: str = "policy.kind") -> Kind:
-    """Return the record of a policy kind.
-
-    Args:
-        kind: name of the kind.
-        what: what states the name, for the message.
-
-    Raises:
-        ProblemError: if the catalogue does not contain the kind, or its record cannot be imported.
-    """
+    """Return the record of a policy kind."""
     if not isinstance(kind, str) or kind not in CATALOGUE:
         near = suggest(str(kind), list(CATALOGUE)) if isinstance(kind, str) else ""
         raise ProblemError(f"{what} is {quoted(kind)}; expected one of {', '.join(CATALOGUE)}{near}")
@@ -54,11 +37,7 @@ def find_kind(kind: object, what: str = "policy.kind") -> Kind:
 
 
 def check_parameters(kind: Kind, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters of a policy kind, checked against its design function.
-
-    Raises:
-        ProblemError: if a parameter is unknown, missing, or of the wrong type.
-    """
+    """Return the parameters of a policy kind, checked against its design function."""
     known = _accepted(kind)
     for key in parameters:
         if key not in known:
@@ -73,11 +52,7 @@ def check_parameters(kind: Kind, parameters: Mapping[str, Any]) -> dict[str, Any
 
 
 def check_parameter(kind: Kind, key: str, value: object) -> Any:
-    """Return a parameter of a policy kind, checked against its design function.
-
-    Raises:
-        ProblemError: if the parameter is of the wrong type.
-    """
+    """Return a parameter of a policy kind, checked against its design function."""
     if isinstance(value, np.ndarray):
         given = cast("Array", value)
         expect_unmasked(f"policy.{key}", given)

@@ -60,11 +60,7 @@ SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this sha
 
 
 def is_trajectory(table: ReferenceTable | None) -> bool:
-    """Return whether a table contains a trajectory, and not set-points.
-
-    Raises:
-        ProblemError: the table contains only one of ``states`` and ``inputs``, or also a set-point.
-    """
+    """Return whether a table contains a trajectory, and not set-points."""
     if table is None or (table.states is None and table.inputs is None):
         return False
     for name, value in (("states", table.states), ("inputs", table.inputs)):
@@ -89,14 +85,7 @@ def reference_of(table: ReferenceTable | None) -> Reference | None:
 def with_exosystem(
     plant: Plant | ContinuousPlant | None, E: Rows | None, file: File, network: Network
 ) -> Plant | ContinuousPlant | None:
-    """Return a plant with the disturbances and set-points of a file, if it states any.
-
-    Args:
-        plant: the plant, without E.
-        E: the descriptor matrix of the equation on which disturbances act, or None.
-        file: all tables.
-        network: the network, which says what a node measures.
-    """
+    """Return a plant with the disturbances and set-points of a file, if it states any."""
     table = file.reference
     points = table if table is not None and table.states is None else None
     if plant is None or (points is None and not file.disturbance):
@@ -143,12 +132,7 @@ def _changes(table: ReferenceTable) -> Changes | None:
 
 
 def _rows(text: str) -> Array:
-    """Return the numbers of a text with commas between columns, (rows, columns).
-
-    Raises:
-        ValueError: an entry is not a finite number, or the numbers of columns differ; the message names the line of the
-            file, as an editor counts, and the column, both from 1 on.
-    """
+    """Return the numbers of a text with commas between columns, (rows, columns)."""
     rows, first = list[list[float]](), 0
     for line, content in enumerate(text.split("\n"), start=1):
         if not (content := content.partition("#")[0].strip()):
@@ -216,16 +200,7 @@ LARGEST_CODE = 2**20  # bytes of a Python file
 
 
 def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
-    """Return the function that a problem file specifies.
-
-    Args:
-        named: specification ``file.py:name`` of file and function.
-        known: functions that were already read, by specification.
-
-    Raises:
-        ProblemError: if the specification has another form, or the file cannot be read, is not valid Python or does
-            not define the function.
-    """
+    """Return the function that a problem file specifies."""
     if named in known:
         return known[named]
     path, _, name = named.rpartition(":")
@@ -247,15 +222,7 @@ def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
 
 
 def refuse_functions(tables: Mapping[str, Any], name: str) -> None:
-    """Refuse the tables of a file that name a function, since reading such a file executes the function's file.
-
-    Args:
-        tables: the tables as read from TOML.
-        name: name of the file, for messages.
-
-    Raises:
-        ProblemError: if a table has the key ``function``, whatever its value.
-    """
+    """Refuse the tables of a file that name a function, since reading such a file executes the function's file."""
     for path, table in _tables((), tables):
         if KEY in table:
             raise ProblemError(
@@ -307,11 +274,7 @@ def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
 
 
 def used_tables(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
-    """Return the arguments of a policy kind's design function that are no parameters.
-
-    Raises:
-        ProblemError: if the kind does not use the given reference or controller.
-    """
+    """Return the arguments of a policy kind's design function that are no parameters."""
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
     used = {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}

@@ -31,13 +31,6 @@ def validate(hint: Any, value: object) -> Any:
     """Return a value that has an annotated type; a table (mapping) becomes an instance of a dataclass.
 
     Numbers given as text, and unknown keys of a table, are not accepted.
-
-    Args:
-        hint: a dataclass, a number type, text, a literal, a list, a mapping, or a union of them.
-        value: the value.
-
-    Raises:
-        ValidationError: the value does not have the type.
     """
     return _validator(hint).validate_python(value)
 

@@ -30,12 +30,6 @@ def print_c(program: Program, name: str, places: Sequence[int], constants: list[
     """Return the source of the function ``static void name(constants, inputs, memory, outputs)``.
 
     The function updates its memory in place. It reads all numbers but 0 and 1 from the array ``constants``.
-
-    Args:
-        program: one time step.
-        name: name of the function.
-        places: for each input of the program, its position in the array ``inputs``.
-        constants: numbers of the array so far, to which those of the program are added.
     """
     return _Printer(program, name, places, constants).text()
 

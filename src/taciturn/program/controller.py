@@ -31,11 +31,6 @@ def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> P
 
     Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, within the limits of the model's
     inputs, the nodes' copies of it, and whether a packet is sent and received on each link.
-
-    Args:
-        policy: the policy.
-        network: the links between its nodes.
-        begin: the class that translates the steps; with ``Informed``, the program has further inputs.
     """
     policy = policy.in_units
     tick = _measured(policy, network, begin)
@@ -50,19 +45,12 @@ def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> P
 
 @dataclass(frozen=True, eq=False)
 class CopiedInput:
-    """A signal of a filter or controller into which the copy of an input enters at the end of a step.
+    """A signal of a filter or controller into which the copy of an input enters at the end of a step."""
 
-    Args:
-        signal: the signal.
-        held: the copy.
-        effect: its matrix.
-        inputs: indices of the inputs.
-    """
-
-    signal: str
-    held: str
-    effect: Array
-    inputs: tuple[int, ...]
+    signal: str  # the signal
+    held: str  # the copy
+    effect: Array  # its matrix
+    inputs: tuple[int, ...]  # indices of the inputs
 
 
 def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:

@@ -195,9 +195,6 @@ def with_controls(program: Program) -> Program:
     """Return a simulation program with control variates as additional sums.
 
     If there were more than MOST of them, the program is returned unchanged.
-
-    Args:
-        program: one time step, with normal numbers among its inputs.
     """
     ops, sums = list(program.ops), dict(program.sums)
     normals = [

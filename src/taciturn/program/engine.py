@@ -24,12 +24,7 @@ Runner: TypeAlias = Callable[[Array, int, int | None], Run]
 
 
 def prepare(program: Program, exact: bool = False) -> Runner:
-    """Compile a program without inputs, and return the function that runs it for a number of steps.
-
-    Args:
-        program: the program.
-        exact: whether the numbers are those of NumPy bit for bit; the fast build may differ in the last bits.
-    """
+    """Compile a program without inputs, and return the function that runs it for a number of steps."""
     if not machine.available():
         return lambda states, ticks, threads: interpreter.run(program, states, ticks)
     kernel = machine.Kernel(program, "parity" if exact else "fast")
@@ -37,11 +32,7 @@ def prepare(program: Program, exact: bool = False) -> Runner:
 
 
 class Stepper:
-    """Runner for many programs of equal structure, with one simulated path for each program.
-
-    Args:
-        programs: programs without inputs, of equal ``Program.structure``.
-    """
+    """Runner for many programs of equal structure, with one simulated path for each program."""
 
     def __init__(self, programs: Sequence[Program]) -> None:
         """Compile once for all programs."""
@@ -69,11 +60,6 @@ class StepwiseRunner:
 
     Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
     with constants shared by its paths. The results do not depend on this.
-
-    Args:
-        programs: programs with inputs, of equal ``Program.structure``.
-        paths: number of paths of each program.
-        states: initial states, (states, paths), program by program.
     """
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:

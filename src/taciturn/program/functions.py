@@ -37,17 +37,11 @@ from taciturn.program.ops import Precision
 
 
 class FloatFormat(NamedTuple):
-    """Binary format of single-precision or double-precision numbers (IEEE 754).
+    """Binary format of single-precision or double-precision numbers (IEEE 754)."""
 
-    Args:
-        word: the operation for constant bits, ``word`` or ``half``.
-        mantissa: number of stored bits of the mantissa.
-        bias: bias of the exponent.
-    """
-
-    word: str
-    mantissa: int
-    bias: int
+    word: str  # the operation for constant bits, ``word`` or ``half``
+    mantissa: int  # number of stored bits of the mantissa
+    bias: int  # bias of the exponent
 
     @property
     def shift(self) -> float:
@@ -155,10 +149,7 @@ _EXPONENTIALS = {
 
 
 def falling(b: Builder, x: int) -> int:
-    """Return e^{−x}, limited to at most 1 (for x < 0) and at least e^{−700}, or e^{−80} in single precision.
-
-    Source: muller2016
-    """
+    """Return e^{−x}, limited to at most 1 (for x < 0) and at least e^{−700}, or e^{−80} in single precision."""
     # the exponent −max(x, 0), limited to at least ``least`` so that 2^k is a normal number
     zero, least = b.constant(0.0), b.constant(_EXPONENTIALS[b.precision].least)
     exponent = b.emit("sub", zero, b.emit("select", b.emit("greater", x, zero), x, zero))
@@ -168,10 +159,7 @@ def falling(b: Builder, x: int) -> int:
 
 
 def exponential_of(b: Builder, x: int) -> int:
-    """Return e^x, saturated at e^{−708} and e^{709}, or e^{−87} and e^{88} in single precision.
-
-    Source: muller2016
-    """
+    """Return e^x, saturated at e^{−708} and e^{709}, or e^{−87} and e^{88} in single precision."""
     low, high = (b.constant(end) for end in _EXPONENTIALS[b.precision].ends)
     # comparisons with NaN are false, so that these selections return NaN for NaN
     x = b.emit("select", b.emit("greater", low, x), low, x)
@@ -180,20 +168,14 @@ def exponential_of(b: Builder, x: int) -> int:
 
 
 def exponential_less_one(b: Builder, x: int) -> int:
-    """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential_of``.
-
-    Source: muller2016
-    """
+    """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential_of``."""
     low, high = (b.constant(end) for end in _EXPONENTIALS[b.precision].ends)
     x = b.emit("select", b.emit("greater", low, x), low, x)
     return _less_one(b, b.emit("select", b.emit("greater", x, high), high, x))
 
 
 def hyperbolic_tangent(b: Builder, x: int) -> int:
-    """Return tanh x = E/(E + 2), where E = e^{2x} − 1.
-
-    Source: muller2016
-    """
+    """Return tanh x = E/(E + 2), where E = e^{2x} − 1."""
     # computed for |x|, where E ≥ 0 and nothing cancels; the sign of x is set at the end. 2|x| is limited to ``flat``,
     # from which on the quotient rounds to 1.
     twice, flat = b.scale(2.0, absolute_value(b, x)), b.constant(_EXPONENTIALS[b.precision].flat)
@@ -206,8 +188,6 @@ def logarithm(b: Builder, x: int) -> int:
 
     For x = 2^k (1 + f) with 1 + f in [√½, √2), log x = k log 2 + log(1 + f), and log(1 + f) = 2 artanh s with
     s = f/(2 + f).
-
-    Source: muller2016
     """
     f, layout, zero = _EXPONENTIALS[b.precision], LAYOUTS[b.precision], b.constant(0.0)
     # a subnormal x has fewer bits: it is multiplied by 2^lift, and lift is subtracted from k below
@@ -300,10 +280,7 @@ _KNOTS = (  # least ratio a/d for the knot c, c, and arctan c as a double and th
 
 
 def sine(b: Builder, x: int) -> int:
-    """Return sin x.
-
-    Source: muller2016
-    """
+    """Return sin x."""
     # |x| = k·π/2 + r: sin |x| = ±sin r or ±cos r, depending on the last two bits of k
     r, rest, quarter = _reduced_angle(b, x)
     sign = b.emit("word_xor", _moved(b, quarter), sign_bit(b, x))
@@ -311,10 +288,7 @@ def sine(b: Builder, x: int) -> int:
 
 
 def cosine(b: Builder, x: int) -> int:
-    """Return cos x.
-
-    Source: muller2016
-    """
+    """Return cos x."""
     # cos |x| = sin(|x| + π/2), so that k + 1 determines the sign
     r, rest, quarter = _reduced_angle(b, x)
     sign = _moved(b, b.emit("word_add", quarter, word_of_bits(b, 1)))
@@ -322,10 +296,7 @@ def cosine(b: Builder, x: int) -> int:
 
 
 def tangent(b: Builder, x: int) -> int:
-    """Return tan x.
-
-    Source: muller2016
-    """
+    """Return tan x."""
     # tan(k·π/2 + r) = tan r for even k and −1/tan r for odd k
     r, rest, quarter = _reduced_angle(b, x)
     odd, (over, under) = _odd(b, quarter), (_sine(b, r, rest), _cosine(b, r, rest))
@@ -335,10 +306,7 @@ def tangent(b: Builder, x: int) -> int:
 
 
 def arctangent(b: Builder, x: int) -> int:
-    """Return arctan x, in [−π/2, π/2].
-
-    Source: muller2016
-    """
+    """Return arctan x, in [−π/2, π/2]."""
     return signed(b, _angle(b, absolute_value(b, x), b.constant(1.0)), sign_bit(b, x))
 
 
@@ -346,8 +314,6 @@ def direction(b: Builder, y: int, x: int) -> int:
     """Return the angle of the point (x, y), in [−π, π]; the angle of the origin is 0 or π, depending on the sign of x.
 
     Larger coordinates are replaced by 2^1020 (2^124 in single precision), so that two infinities give π/4.
-
-    Source: muller2016
     """
     angle = _angle(b, absolute_value(b, y), absolute_value(b, x))
     # π − angle in the left half-plane; then the sign of y
@@ -503,11 +469,7 @@ def negate(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def power(b: Builder, x: Coefficient, exponent: Coefficient) -> Coefficient:
-    """Return the power x^p by repeated squaring, for an integer or half-integer p.
-
-    Raises:
-        ProblemError: the exponent is not a constant, or not an integer or half-integer.
-    """
+    """Return the power x^p by repeated squaring, for an integer or half-integer p."""
     if isinstance(exponent, int) or not (2 * exponent).is_integer():
         got = "a traced number" if isinstance(exponent, int) else f"{exponent:g}"
         raise ProblemError(

@@ -100,11 +100,7 @@ class Program:
 
 
 class Builder:
-    """Builder of a program: collects the operations of one time step, and stores equal operations once.
-
-    Args:
-        precision: precision of the numbers.
-    """
+    """Builder of a program: collects the operations of one time step, and stores equal operations once."""
 
     def __init__(self, precision: Precision = "float64") -> None:
         """Start without operations."""

@@ -51,27 +51,16 @@ FREE_OPERATIONS = ("const", "word", "half")  # operations that need no instructi
 
 @dataclass(frozen=True)
 class Ahead:
-    """The operations of a time step that are computed one step ahead.
+    """The operations of a time step that are computed one step ahead."""
 
-    Args:
-        operations: the operations in the order of the program.
-        carried: operations whose values the step itself reads; they are passed from one step to the next.
-    """
-
-    operations: tuple[int, ...] = ()
-    carried: tuple[int, ...] = ()
+    operations: tuple[int, ...] = ()  # the operations in the order of the program
+    carried: tuple[int, ...] = ()  # operations whose values the step itself reads
 
 
 def find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int], summed: Set[int]) -> Ahead:
     """Return the operations of a program that can run one step ahead.
 
     They depend only on words of the random generator. The result is empty if the step itself also reads these words.
-
-    Args:
-        program: the program.
-        printed: the operations that are written on their own, in order.
-        fused: the product that is fused into each sum or difference.
-        summed: products that are fused into sums over steps.
     """
     # an operation runs ahead if each operand is a constant, a word in memory, or an operation that runs ahead
     found, words = set[int](), set[int]()
@@ -112,18 +101,11 @@ VECTORS = "TACITURN_VECTORS"
 
 @dataclass(frozen=True)
 class Target:
-    """Description of a processor for the compiler LLVM.
+    """Description of a processor for the compiler LLVM."""
 
-    Args:
-        triple: architecture, vendor, and system.
-        cpu: name of the processor; empty: any processor of the architecture.
-        features: further features in LLVM's notation, such as ``"+avx2,-avx512f"``. The compiler also uses features
-            that the name implies; the translation uses only those in this list.
-    """
-
-    triple: str
-    cpu: str
-    features: str
+    triple: str  # architecture, vendor, and system
+    cpu: str  # name of the processor; empty: any processor of the architecture
+    features: str  # further features in LLVM's notation, such as ``"+avx2,-avx512f"``
 
     @property
     def permutes(self) -> int:
@@ -151,15 +133,7 @@ class Target:
         return f'"target-cpu"="{self.cpu}" "target-features"="{self.features}"'
 
     def limited(self, vectors: str) -> Target:
-        """Return a description of this processor, limited to a given set of vector instructions.
-
-        Args:
-            vectors: ``"avx512"``, ``"avx2"``, ``"baseline"`` (present in every processor of the
-                architecture), or an empty text for the widest vectors.
-
-        Raises:
-            ProblemError: the kind is unknown, or the processor does not support it.
-        """
+        """Return a description of this processor, limited to a given set of vector instructions."""
         there = {"avx512": self.permutes == 8, "avx2": self.permutes >= 4}
         known = [name for name, has in there.items() if has] + ["baseline"]
         if not vectors or vectors == known[0]:
@@ -211,14 +185,7 @@ def filled_lanes(kind: str, literal: object, lanes: int) -> str:
 
 
 class CodeLines:
-    """Lines of LLVM IR for a program, and the types and addresses that they use.
-
-    Args:
-        program: the program to translate.
-        target: the processor.
-        lanes: number of paths per vector.
-        own: whether each lane has its own constants.
-    """
+    """Lines of LLVM IR for a program, and the types and addresses that they use."""
 
     def __init__(self, program: Program, target: Target, lanes: int, own: bool) -> None:
         """Start without lines."""
@@ -389,15 +356,7 @@ def _roots(program: Program) -> list[int]:
 
 
 class Body(CodeLines):
-    """Writer of the LLVM IR of one time step, which records the name of each operation's value.
-
-    Args:
-        program: the program to translate.
-        target: the processor.
-        lanes: number of paths per vector.
-        build: ``"parity"`` or ``"fast"``, which fuses operations.
-        own: whether each lane has its own constants.
-    """
+    """Writer of the LLVM IR of one time step, which records the name of each operation's value."""
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
         """Start without lines."""
@@ -603,15 +562,7 @@ class Body(CodeLines):
 
 
 def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
-    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths.
-
-    Args:
-        program: the program.
-        target: the processor.
-        lanes: paths per block and vector, a power of two, at least 2.
-        build: ``"parity"``, bit-identical to NumPy, or ``"fast"``, which fuses multiplications and additions.
-        own: whether each lane has its own constants, (blocks, constants, lanes).
-    """
+    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths."""
     return _Printer(program, target, lanes, build, own).text()
 
 

@@ -46,11 +46,7 @@ from taciturn.program.tracing import trace
 
 
 class Truths:
-    """Operations on truth values; a truth value that is known before the program runs is a ``bool``.
-
-    Args:
-        builder: collects the operations.
-    """
+    """Operations on truth values; a truth value that is known before the program runs is a ``bool``."""
 
     def __init__(self, builder: Builder) -> None:
         """Store the builder."""
@@ -141,13 +137,6 @@ class TimeStep(Truths):
     """Translation of one time step: the operations that give the value of each signal after each policy step.
 
     A signal that is read before it is assigned becomes a memory, which is a state of the program.
-
-    Args:
-        builder: collects the operations.
-        sizes: number of entries of each signal.
-        initial: first value of each memory; omitted: 0. A string is the name of values that differ between paths.
-        locations: the locations (finite states) of the policy.
-        payloads: encoding of each signal in the packets of a link, by link; omitted: packets are exact.
     """
 
     def __init__(
@@ -419,11 +408,7 @@ class TimeStep(Truths):
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
-    """Return how each signal is encoded in the packets of a policy, by link and signal.
-
-    Raises:
-        ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.
-    """
+    """Return how each signal is encoded in the packets of a policy, by link and signal."""
     LOWERED.check(policy.parts, network)
     payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:

@@ -154,14 +154,7 @@ _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 
 
 
 class Kernel:
-    """Compiled machine code for all programs that differ only in their constants.
-
-    Args:
-        program: the program.
-        build: ``"fast"`` or ``"parity"``.
-        own: whether each path has its own constants.
-        lanes: paths per vector, a power of two; omitted: as many as fit the processor's vectors.
-    """
+    """Compiled machine code for all programs that differ only in their constants."""
 
     def __init__(self, program: Program, build: Build = "fast", own: bool = False, lanes: int | None = None) -> None:
         """Compile the program, or read its object code from the cache."""
@@ -242,14 +235,7 @@ class Kernel:
 
 
 class Resident:
-    """Runner for simulated paths of a compiled program that advances step by step, with new inputs at each step.
-
-    Args:
-        kernel: kernel compiled for the structure of the program.
-        program: the program.
-        states: initial states, (states, paths).
-        constants: constants of each path (``Kernel.pack``), if the kernel expects them.
-    """
+    """Runner for simulated paths of a compiled program that advances step by step, with new inputs at each step."""
 
     def __init__(self, kernel: Kernel, program: Program, states: Array, constants: Array | None = None) -> None:
         """Arrange the states in blocks."""

@@ -36,44 +36,21 @@ class NodeProgram:
     Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a link,
     the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a link, its
     payload (entries named by the link), the plant's ``input``, and the values of the triggers' options.
-
-    Args:
-        site: the nodes at the site.
-        parts: the time step up to the last output of the node and, if any, the part after it; with equal states.
-        draws: program that draws the uniform numbers of a step; None if nothing is drawn.
-        clocks: the step counters that the program reads.
-        hears: for each link that ends at the site, the signals of its packet.
-        lag: for each of these links, the age in steps of the packet that the time step reads.
-        late: links whose packets the second part reads.
-        acknowledged: links whose acknowledgements the second part reads.
-        sends: for each link that begins at the site, the signals of its packet.
     """
 
-    site: frozenset[str]
-    parts: tuple[Program, ...]
-    draws: Program | None
-    clocks: tuple[Location, ...]
-    hears: Mapping[str, tuple[str, ...]]
-    lag: Mapping[str, int]
-    late: frozenset[str]
-    acknowledged: tuple[str, ...]
-    sends: Mapping[str, tuple[str, ...]]
+    site: frozenset[str]  # the nodes at the site
+    parts: tuple[Program, ...]  # the time step up to the last output of the node and, if any, the part after it
+    draws: Program | None  # program that draws the uniform numbers of a step; None if nothing is drawn
+    clocks: tuple[Location, ...]  # the step counters that the program reads
+    hears: Mapping[str, tuple[str, ...]]  # for each link that ends at the site, the signals of its packet
+    lag: Mapping[str, int]  # for each of these links, the age in steps of the packet that the time step reads
+    late: frozenset[str]  # links whose packets the second part reads
+    acknowledged: tuple[str, ...]  # links whose acknowledgements the second part reads
+    sends: Mapping[str, tuple[str, ...]]  # for each link that begins at the site, the signals of its packet
 
 
 def lower_node(policy: Policy, site: frozenset[str], network: Network, precision: Precision = "float64") -> NodeProgram:
-    """Return the programs of one time step of the nodes at one site of a policy.
-
-    Args:
-        policy: the policy.
-        site: nodes that share the site, from ``Policy.site``.
-        network: the network, whose encodings determine the rounding of payloads.
-        precision: precision of the numbers.
-
-    Raises:
-        ProblemError: the site has no policy steps, or the nodes cannot be separated: a signal changes between the Send
-            of its packet and its use, both ends of a link are at one site, a packet is read both before and after it is
-            sent, or a node needs an acknowledgement before its last output.
-    """
+    """Return the programs of one time step of the nodes at one site of a policy."""
     policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
     check_separable(policy)
@@ -82,11 +59,7 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
 
 
 def check_separable(policy: Policy) -> None:
-    """Raise an error if the nodes of a policy cannot run separately.
-
-    Raises:
-        ProblemError: the nodes cannot be separated; the message has the reason.
-    """
+    """Raise an error if the nodes of a policy cannot run separately."""
     places: dict[str, int] = {}
     for place, step in enumerate(policy.steps):
         if not isinstance(step, Send):
@@ -116,11 +89,7 @@ def check_separable(policy: Policy) -> None:
 
 
 def expect_order(policy: Policy) -> None:
-    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other.
-
-    Raises:
-        ProblemError: two places wait for each other.
-    """
+    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other."""
     sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
     waits: dict[frozenset[str], set[frozenset[str]]] = {}
     for i, step in enumerate(policy.steps):
@@ -328,68 +297,41 @@ NEVER = 1 << 62
 
 
 class Arrival(NamedTuple):
-    """Packets (data or acknowledgements) that a node receives on one link, and their positions among its inputs.
+    """Packets (data or acknowledgements) that a node receives on one link, and their positions among its inputs."""
 
-    Args:
-        kind: ``"data"``, ``"acknowledgement"``, or ``"measurement"`` for set-points, of which the last are kept.
-        link: link on which they arrive.
-        lag: number of steps between the sending of a packet and the step that reads it.
-        at: position of the flag "arrived" among the inputs; the payload is after it.
-        size: number of entries of the payload.
-        part: index of the part of the step that reads the packet.
-        acknowledged: whether the receiver acknowledges packets.
-    """
-
+    # ``"data"``, ``"acknowledgement"``, or ``"measurement"`` for set-points, of which the last are kept
     kind: Literal["data", "acknowledgement", "measurement"]
-    link: str
-    lag: int
-    at: int
-    size: int
-    part: int
-    acknowledged: bool
+    link: str  # link on which they arrive
+    lag: int  # number of steps between the sending of a packet and the step that reads it
+    at: int  # position of the flag "arrived" among the inputs; the payload is after it
+    size: int  # number of entries of the payload
+    part: int  # index of the part of the step that reads the packet
+    acknowledged: bool  # whether the receiver acknowledges packets
 
 
 class Departure(NamedTuple):
-    """Packets that a node sends over one link, and their positions among its outputs.
+    """Packets that a node sends over one link, and their positions among its outputs."""
 
-    Args:
-        link: link on which they are sent.
-        at: position of the flag "sent" among the outputs; the payload is after it.
-        size: number of entries of the payload.
-    """
-
-    link: str
-    at: int
-    size: int
+    link: str  # link on which they are sent
+    at: int  # position of the flag "sent" among the outputs; the payload is after it
+    size: int  # number of entries of the payload
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions of measurements, packets, random numbers and inputs of the plant in the time step of a node.
+    """Positions of measurements, packets, random numbers and inputs of the plant in the time step of a node."""
 
-    Args:
-        inputs: names of all inputs: measurement, step counters, packets, and random numbers.
-        measured: number of entries of the measurement; 0 without a sensor.
-        wiring: for each part of the step, the positions of its inputs among all inputs.
-        clocks: position of the first step counter among the inputs.
-        drawn: positions of the random numbers among the inputs.
-        arrivals: the packets that the node reads.
-        departures: the packets that the node sends.
-        applied: positions of the plant's input among the outputs; None if the node does not apply it.
-        options: positions of the values of all trigger options among the outputs, by name.
-        remembers: number of steps after which the effect of a fault, which the theory excludes, is negligible.
-    """
-
-    inputs: tuple[Name, ...]
-    measured: int
-    wiring: tuple[tuple[int, ...], ...]
-    clocks: int
-    drawn: slice
-    arrivals: tuple[Arrival, ...]
-    departures: tuple[Departure, ...]
-    applied: slice | None
+    inputs: tuple[Name, ...]  # names of all inputs: measurement, step counters, packets, and random numbers
+    measured: int  # number of entries of the measurement; 0 without a sensor
+    wiring: tuple[tuple[int, ...], ...]  # for each part of the step, the positions of its inputs among all inputs
+    clocks: int  # position of the first step counter among the inputs
+    drawn: slice  # positions of the random numbers among the inputs
+    arrivals: tuple[Arrival, ...]  # the packets that the node reads
+    departures: tuple[Departure, ...]  # the packets that the node sends
+    applied: slice | None  # positions of the plant's input among the outputs; None if the node does not apply it
+    # positions of the values of all trigger options among the outputs, by name
     options: dict[Option, int] = field(hash=False)
-    remembers: int
+    remembers: int  # number of steps after which the effect of a fault, which the theory excludes, is negligible
 
 
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:

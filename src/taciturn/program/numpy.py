@@ -107,32 +107,16 @@ _GIVEN = ("const", "word", "half", "state", "input")  # operations without a com
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The result of a run.
+    """The result of a run."""
 
-    Args:
-        states: states after the last step, as doubles; words are reinterpreted as doubles, (states, paths).
-        sums: sums over the steps by name, (paths,) each.
-        outputs: outputs at each step by name, (steps, paths) each.
-    """
-
-    states: Array
-    sums: Mapping[Name, Array]
-    outputs: Mapping[Name, Array]
+    states: Array  # states after the last step, as doubles; words are reinterpreted as doubles, (states, paths)
+    sums: Mapping[Name, Array]  # sums over the steps by name, (paths,) each
+    outputs: Mapping[Name, Array]  # outputs at each step by name, (steps, paths) each
 
 
 @np.errstate(all="ignore")  # branches that a selection discards may divide by zero
 def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
-    """Run ``ticks`` steps of a program on every simulated path, with NumPy.
-
-    Args:
-        program: the program.
-        states: states before the first step, (states, paths): doubles, or the bits of words as doubles.
-        ticks: number of steps.
-        inputs: values of the inputs, (steps, inputs, paths), if the program has any.
-
-    Returns:
-        The states after the last step, the sums and the outputs.
-    """
+    """Run ``ticks`` steps of a program on every simulated path, with NumPy."""
     assert inputs is not None or not program.inputs, "the program has inputs, and none are supplied"
     paths = states.shape[1]
     kind = np.dtype(program.precision)

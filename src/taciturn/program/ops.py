@@ -113,18 +113,12 @@ class Tile(NamedTuple):
     """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero.
 
     Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
-
-    Args:
-        first: first row.
-        rows: number of rows.
-        begin: first column.
-        end: column after the last one.
     """
 
-    first: int
-    rows: int
-    begin: int
-    end: int
+    first: int  # first row
+    rows: int  # number of rows
+    begin: int  # first column
+    end: int  # column after the last one
 
 
 MatrixRows = tuple[tuple[float, ...], ...]
@@ -141,17 +135,11 @@ def tiles(matrix: MatrixRows) -> list[Tile]:
 
 
 class Total(NamedTuple):
-    """A sum over time steps of the form factor·Σ op + offset·steps, for an operation ``op`` of a program.
+    """A sum over time steps of the form factor·Σ op + offset·steps, for an operation ``op`` of a program."""
 
-    Args:
-        op: index of the operation whose values are added up at each step.
-        factor: applied once, after the last step.
-        offset: added for each step, after the last step.
-    """
-
-    op: int
-    factor: float
-    offset: float
+    op: int  # index of the operation whose values are added up at each step
+    factor: float  # applied once, after the last step
+    offset: float  # added for each step, after the last step
 
     def of(self, added: Array, ticks: int) -> Array:
         """Return the value of this sum, given Σ op and the number of steps."""

@@ -25,11 +25,7 @@ _INFIX: Mapping[str, str] = {
 
 
 def print_python(program: Program) -> str:
-    """Return the Python source of a program as a function ``tick(s, u)`` of states s and inputs u.
-
-    Args:
-        program: a program in double precision.
-    """
+    """Return the Python source of a program as a function ``tick(s, u)`` of states s and inputs u."""
     assert program.precision == "float64", "nodes compute in double precision"
     roots = [*program.following, *program.outputs.values()]
     live = needed(program.ops, roots)

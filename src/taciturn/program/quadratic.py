@@ -17,16 +17,7 @@ from taciturn.program.ops import Name, needed
 
 
 def read_polynomials(program: Program, coordinates: int, inputs: Mapping[Name, Array]) -> dict[int, Array]:
-    """Return the values of all states, sums and outputs of a program, by operation.
-
-    Args:
-        program: program of one step; its states are the first coordinates.
-        coordinates: number of coordinates without the last one, the number 1.
-        inputs: row of each input by name, (coordinates + 1,).
-
-    Raises:
-        ProblemError: an operation is not a sum, a product of two linear values, or a multiple of a value.
-    """
+    """Return the values of all states, sums and outputs of a program, by operation."""
     unit, values = np.eye(coordinates + 1), dict[int, Array]()
     for index in sorted(needed(program.ops, [*program.following, *program.sums.values(), *program.outputs.values()])):
         name, (first, *rest) = program.ops[index]

@@ -35,16 +35,6 @@ def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
 
     A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step
     has more jumps than this number with a probability below 1e-14.
-
-    Args:
-        tick: the time step under construction.
-        noise: the jumps.
-
-    Returns:
-        One operation for each state.
-
-    Raises:
-        ProblemError: a step has too many jumps on average.
     """
     b, n = tick.builder, len(noise.A)
     half, spread = noise.period / 2, noise.jumps.spread
@@ -134,12 +124,8 @@ def draw_noise(tick: TimeStep, spread: Array) -> Operands:
 
 
 def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges) -> Operands:
-    """Return the process noise: Gaussian noise of all other states, and the changes of the last states, the set-points.
-
-    Args:
-        tick: the time step under construction.
-        W: covariance of the noise, (n, n).
-        changes: how the set-points change.
+    """Return the process noise: Gaussian noise of all other states, and the changes of the last states, the set-
+    points.
     """
     b, others = tick.builder, W[: -changes.size, : -changes.size]
     noise = draw_noise(tick, factor(others)) if others.any() else [b.constant(0.0)] * len(others)

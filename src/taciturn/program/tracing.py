@@ -39,12 +39,7 @@ _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or
 
 
 class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
-    """Placeholder that a traced function receives instead of a number or a truth value.
-
-    Args:
-        recorder: records operations on the symbol.
-        index: operation that the symbol represents.
-    """
+    """Placeholder that a traced function receives instead of a number or a truth value."""
 
     def __init__(self, recorder: Recorder, index: int) -> None:
         """Store recorder and operation."""
@@ -127,12 +122,7 @@ class SymbolicArray(np.ndarray[Any, Any]):
 
 
 class Recorder:
-    """Recorder of a traced function: stores its computations as operations of a program.
-
-    Args:
-        builder: collects the operations.
-        name: name of the function, for messages.
-    """
+    """Recorder of a traced function: stores its computations as operations of a program."""
 
     def __init__(self, builder: Builder, name: str) -> None:
         """Start without operations."""
@@ -149,11 +139,7 @@ class Recorder:
         return value if isinstance(value, float) else Number(self, value)
 
     def number(self, value: object) -> Coefficient:
-        """Return an array entry as a constant if it is a number, else as the operation that computes it.
-
-        Raises:
-            ProblemError: the entry is not a number.
-        """
+        """Return an array entry as a constant if it is a number, else as the operation that computes it."""
         if isinstance(value, Number):
             return value.index
         if isinstance(value, SymbolicTruth):
@@ -521,10 +507,6 @@ def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., A
     """Return a copy of a function in which given NumPy functions are replaced.
 
     Functions that it calls by name or from a list are copied in the same way.
-
-    Args:
-        function: a function written in Python; any other function is returned unchanged.
-        stand_ins: the replacement of each NumPy function.
     """
     if not isinstance(function, FunctionType | MethodType | partial) and callable(type(function).__call__):
         method = type(function).__call__
@@ -619,20 +601,6 @@ def trace(
     traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
     during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
     ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
-
-    Args:
-        builder: collects the operations.
-        function: function with one vector per argument.
-        arguments: operations of the entries of each vector, by name, in the order of the parameters.
-        results: number of entries of each returned vector, by name. The function returns one vector, or a tuple of
-            several vectors. A number may replace a vector of one entry.
-
-    Returns:
-        The operations of the entries of each result.
-
-    Raises:
-        ProblemError: the function fails, needs the value of a number, uses a function that cannot be traced, or
-            returns a wrong number of results or a result of wrong size.
     """
     name = getattr(function, "__name__", type(function).__name__)
     recorder = Recorder(builder, name)

@@ -136,38 +136,23 @@ AGES = 20_000  # most checks without a send
 
 @dataclass(frozen=True, eq=False, repr=False)
 class White(Displayed):
-    """Error process x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, the error is not sent and costs x'Γx.
+    """Error process x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, the error is not sent and costs x'Γx."""
 
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        m: weights of the trigger, ascending, so that the least bounded axes come first, (n,).
-        Gamma: Γ, weight of the cost, (n, n).
-        rows: map to these coordinates, x = rows e for an error e of the original chain, (n, states).
-    """
-
-    F: Array
-    m: Array
-    Gamma: Array
-    rows: Array
+    F: Array  # map of the error from one check to the next, (n, n)
+    m: Array  # weights of the trigger, ascending, so that the least bounded axes come first, (n,)
+    Gamma: Array  # Γ, weight of the cost, (n, n)
+    rows: Array  # map to these coordinates, x = rows e for an error e of the original chain, (n, states)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Data(Displayed):
-    """Error process that a send resets, with its trigger scaled to the threshold 1.
+    """Error process that a send resets, with its trigger scaled to the threshold 1."""
 
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of the noise, (n, n).
-        Psi: Ψ/δ, (n, n).
-        Gamma: Γ, weight of the cost, (n, n).
-        rows: map from the coordinates of the original chain to these, (n, states).
-    """
-
-    F: Array
-    noise: Array
-    Psi: Array
-    Gamma: Array
-    rows: Array
+    F: Array  # map of the error from one check to the next, (n, n)
+    noise: Array  # covariance of the noise, (n, n)
+    Psi: Array  # Ψ/δ, (n, n)
+    Gamma: Array  # Γ, weight of the cost, (n, n)
+    rows: Array  # map from the coordinates of the original chain to these, (n, states)
 
     def seen_in(self, rows: Array, columns: Array) -> Data:
         """Return the same error process in other coordinates z = rows·e, where e = columns·z."""
@@ -181,18 +166,8 @@ class Data(Displayed):
 
 
 def reduced(chain: Chain) -> Data:
-    """Return an error process without the directions that noise never reaches or that affect neither trigger nor cost.
-
-    Args:
-        chain: chain with Gaussian noise.
-
-    Returns:
-        The chain in the least number of coordinates.
-
-    Raises:
-        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
-
-    Source: khashooei2017
+    """Return an error process without the directions that noise never reaches or that affect neither trigger nor
+    cost.
     """
     if isinstance(chain.noise, JumpNoise):
         raise NoQuadratureError("the noise consists of jumps; expected Gaussian noise; use solve_jumps instead")
@@ -206,21 +181,7 @@ def reduced(chain: Chain) -> Data:
 
 
 def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
-    """Return an error process in as few coordinates as possible, with white noise and a diagonal trigger weight Ψ.
-
-    Args:
-        chain: chain with Gaussian noise.
-        otherwise: the remedy in an error message.
-
-    Returns:
-        The chain in at most three coordinates.
-
-    Raises:
-        NoQuadratureError: the noise consists of jumps, nothing is ever sent, more than three directions remain, or one
-            of them gets no noise in a check.
-
-    Source: khashooei2017
-    """
+    """Return an error process in as few coordinates as possible, with white noise and a diagonal trigger weight Ψ."""
     data = reduced(chain)
     n = len(data.F)
     if n > MOST_STATES:
@@ -247,17 +208,6 @@ def unsent_covariance(white: White) -> Array:
 
     Under this random rule, errors are Gaussian at any number of checks since the last send, so that their covariances
     and probabilities have a closed form.
-
-    Args:
-        white: the chain.
-
-    Returns:
-        The covariance, (n, n), definite; usually too large in directions that the trigger bounds.
-
-    Raises:
-        NoQuadratureError: unsent errors grow without bound.
-
-    Source: khashooei2017
     """
     unit = np.eye(len(white.m))
     before, last, share = unit, np.zeros_like(unit), 1.0

@@ -166,15 +166,10 @@ class CycleEstimate(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample(Displayed):
-    """Durations and costs of simulated cycles between sends, from the first cycles of each path.
+    """Durations and costs of simulated cycles between sends, from the first cycles of each path."""
 
-    Args:
-        durations: θ, (cycles,).
-        costs: ∫_0^θ e'Se ds, (cycles,).
-    """
-
-    durations: Array
-    costs: Array
+    durations: Array  # θ, (cycles,)
+    costs: Array  # ∫_0^θ e'Se ds, (cycles,)
 
 
 def estimate_cycles(
@@ -278,23 +273,7 @@ def sample_cycles(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> Sample:
-    """Simulate cycles between sends and return their durations and costs, for quantiles and histograms.
-
-    Args:
-        process: the error.
-        trigger: when the error is sent.
-        cycles: least number of cycles; every path contributes the same number.
-        seed: seed of the random numbers.
-        paths: largest number of independent paths.
-        threads: number of threads; omitted: all processors.
-
-    Returns:
-        Durations and costs, path after path.
-
-    Raises:
-        ProblemError: an effort that means nothing.
-        UnstableError: a cycle that does not end.
-    """
+    """Simulate cycles between sends and return their durations and costs, for quantiles and histograms."""
     count("seed", seed, 0)
     paths = min(count("paths", paths), count("cycles", cycles))
     each = -(-cycles // paths)

@@ -28,12 +28,6 @@ class Martingale:
 
     The Gaussian function (called bell) has the height and the curvature of φ at 0. Its conditional mean under Gaussian
     noise has a closed form, so that only the conditional mean of the rest, φ minus the bell, is sampled.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: Γ, weight of the cost of silence, (n, n).
-        fitted: the schedule.
     """
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, fitted: Fitted) -> None:
@@ -51,15 +45,7 @@ class Martingale:
         self.less = float(np.prod(widths)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the mean, over given noises, of the function φ minus its Gaussian part at the next check.
-
-        Args:
-            error: errors before the check, (batches, paths, n).
-            w: noises, (batches, noises, n).
-
-        Returns:
-            The means, (batches, paths).
-        """
+        """Return the mean, over given noises, of the function φ minus its Gaussian part at the next check."""
         rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
 
@@ -134,26 +120,16 @@ class SampledDual(Displayed):
     h is concave, and its slope is minus a mean number of checks. Therefore, for either sign of h(g),
 
         g° ≥ g + ρ h(g),   ρ = 1/|h'(g°)|.
-
-    Args:
-        gain: g, close to the root.
-        above: unbiased estimate of h(g).
-        error: standard error of ``above``.
-        batches: number of independent batches whose mean is ``above``.
-        least: lower bound on ρ, from the slope of h above the root; 0 if unknown.
-        most: upper bound on ρ, from the slope of h below the root; 1 if unknown.
-        expected: estimate of the root.
-        checks: number of checks of the longest path.
     """
 
-    gain: float
-    above: float
-    error: float
-    batches: int
-    least: float
-    most: float
-    expected: float
-    checks: int
+    gain: float  # g, close to the root
+    above: float  # unbiased estimate of h(g)
+    error: float  # standard error of ``above``
+    batches: int  # number of independent batches whose mean is ``above``
+    least: float  # lower bound on ρ, from the slope of h above the root; 0 if unknown
+    most: float  # upper bound on ρ, from the slope of h below the root; 1 if unknown
+    expected: float  # estimate of the root
+    checks: int  # number of checks of the longest path
 
 
 def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> float:
@@ -162,10 +138,6 @@ def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> 
     The ρ_i are unknown constants, not random numbers. For any values of them, the estimate of Σ c_i ρ_i h_i is unbiased
     and has the standard error of a sum of independent terms. The bound uses the least value over all ρ_i within their
     bounds. The confidence does not decrease with the number of terms.
-
-    Args:
-        terms: c_i ≥ 0 and the estimate of g°_i, for each root.
-        confidence: confidence level of the bound, in (0, 1), one-sided.
     """
     if not terms:
         return 0.0
@@ -176,17 +148,13 @@ def bound_sum(terms: Sequence[tuple[float, SampledDual]], confidence: float) -> 
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """A lower bound on the mean cost per check of every send schedule, where the cost includes the price of the sends.
-
-    Args:
-        gain: the bound, at the requested confidence.
-        expected: the estimate of which ``gain`` is the lower confidence limit.
-        checks: number of checks of the longest path.
+    """A lower bound on the mean cost per check of every send schedule, where the cost includes the price of the
+    sends.
     """
 
-    gain: float
-    expected: float
-    checks: int
+    gain: float  # the bound, at the requested confidence
+    expected: float  # the estimate of which ``gain`` is the lower confidence limit
+    checks: int  # number of checks of the longest path
 
 
 def bound_schedules(
@@ -199,30 +167,7 @@ def bound_schedules(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DualBound:
-    """Return a lower bound on E[e'Γe(1−σ) + λσ] that holds for all causal send schedules σ of e⁺ = F e(1−σ) + w.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: Γ, weight of the cost of silence, (n, n).
-        price: λ > 0, the price of a send.
-        fitted: a nearly optimal schedule, which makes the bound tight; the bound holds for any schedule here.
-        confidence: confidence level of the bound, in (0, 1), one-sided.
-        seed: seed of the random numbers.
-        progress: called with the fraction done.
-
-    Raises:
-        ProblemError: the further saving of a schedule has no bound within the longest path.
-
-    Source: brown2010, rogers2002
-
-    Example:
-        >>> from taciturn.renewal.fitted import fit_schedule
-        >>> unit = np.eye(1)
-        >>> fitted = fit_schedule(unit, unit, unit, 10.0)
-        >>> 0.98 < bound_schedules(unit, unit, unit, 10.0, fitted, 0.999).gain / fitted.gain < 1.02
-        True
-    """
+    """Return a lower bound on E[e'Γe(1−σ) + λσ] that holds for all causal send schedules σ of e⁺ = F e(1−σ) + w."""
     found = sample_dual(F, noise, Gamma, price, fitted, confidence, seed, progress=progress)
     return DualBound(max(bound_sum([(1.0, found)], confidence), 0.0), found.expected, found.checks)
 
@@ -257,9 +202,6 @@ def sample_dual(
 
     A pilot run, which may end before its minima are certain, locates the root approximately. Independent draws then
     give h near the root, and the slope of h on either side.
-
-    Args:
-        precise: margin between estimate and bound to aim at, in the units of the gain; omitted: 5e-4 of the gain.
     """
     game = Martingale(F, noise, Gamma, fitted)
     draws, told = np.random.default_rng(seed), Stages(progress)
@@ -298,19 +240,12 @@ def sample_dual(
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """The estimates of batches at one g.
+    """The estimates of batches at one g."""
 
-    Args:
-        least: mean minimum of each batch, (batches,).
-        when: mean check at which the minimum is attained, an estimate of −h'(g), (batches,).
-        checks: number of checks of the longest path.
-        work: number of checks of all paths.
-    """
-
-    least: Array
-    when: Array
-    checks: int
-    work: int
+    least: Array  # mean minimum of each batch, (batches,)
+    when: Array  # mean check at which the minimum is attained, an estimate of −h'(g), (batches,)
+    checks: int  # number of checks of the longest path
+    work: int  # number of checks of all paths
 
     @property
     def slope(self) -> float:
@@ -416,11 +351,7 @@ def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
 
 
 def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random.Generator) -> float:
-    """Return β, an upper bound on the further saving of any schedule, from any error.
-
-    Raises:
-        ProblemError: no bound is found within the longest path.
-    """
+    """Return β, an upper bound on the further saving of any schedule, from any error."""
     looks = max(16, int(4 * interval))
     while looks <= LONGEST:
         check_time()

@@ -49,13 +49,7 @@ _ORDER_ERROR = 1e-14  # size of the first omitted term of the Taylor series
 
 
 class TaylorMotion:
-    """Prediction of an error ė = A e over short pieces of time, by a Taylor series that is exact if A is nilpotent.
-
-    Args:
-        A: dynamics per second, (n, n).
-        wait: mean time between jumps, seconds.
-        most: longest piece, as a multiple of ``wait``.
-    """
+    """Prediction of an error ė = A e over short pieces of time, by a Taylor series that is exact if A is nilpotent."""
 
     def __init__(self, A: Array, wait: float, most: float) -> None:
         """Choose the longest piece and the orders of the series."""
@@ -125,18 +119,8 @@ def bernstein(b: Builder, monomials: Monomials) -> list[int]:
 
 
 def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: int) -> tuple[int, int, int, int]:
-    """Find the only root in [0, 1] of a polynomial that changes from negative to positive, by bracketed Newton steps.
-
-    Args:
-        b: collects the operations.
-        monomials: coefficients of the polynomial.
-        first: its value at 0, which must be negative.
-        last: its value at 1, which must not be negative.
-        there: truth value, whether these conditions hold; if not, the results have no meaning.
-
-    Returns:
-        The root, whether it is accurate to ``ROOT_WIDTH``, and the ends of the remaining bracket. The polynomial is
-        negative at the lower end of the bracket, and not negative at the upper end.
+    """Find the only root in [0, 1] of a polynomial that changes from negative to positive, by bracketed Newton
+    steps.
     """
     zero, one = b.constant(0.0), b.constant(1.0)
     low, high = zero, one
@@ -284,20 +268,7 @@ CycleTrigger = IntegralTrigger | LevelTrigger
 
 
 def cycle_program(process: JumpProcess, trigger: CycleTrigger) -> Program:
-    """Return the program that advances an error over one short piece of time, or to its next send.
-
-    Args:
-        process: the error.
-        trigger: when the error is sent.
-
-    Returns:
-        The program. Its sums over counted cycles are ``cycles``, ``duration``, ``cost``, and ``undisturbed``, the
-        number of cycles that ended without a jump. Its outputs are whether a cycle ``ended`` in the step, and the
-        ``duration`` and ``cost`` of that cycle.
-
-    Raises:
-        ProblemError: the trigger and the process have different numbers of states.
-    """
+    """Return the program that advances an error over one short piece of time, or to its next send."""
     if isinstance(trigger, LevelTrigger):
         array("Psi", trigger.Psi, process.A.shape, "(states, states)")
     return _Attempt(process, trigger).program()
@@ -330,16 +301,7 @@ def filled_states(program: Program, paths: int, values: Mapping[str, Array]) -> 
 def count_cycle(
     b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
 ) -> tuple[int, dict[Name, int], dict[Name, int]]:
-    """Return the operations at the end of a cycle: whether later cycles count, the sums, and the outputs.
-
-    Args:
-        b: collects the operations.
-        ended: truth value, whether a cycle ends in this step.
-        duration: duration of that cycle.
-        cost: cost of that cycle.
-        opened: 1 while cycles count, else 0.
-        closing: 1 if the next cycle to end is the last one that counts, else 0.
-    """
+    """Return the operations at the end of a cycle: whether later cycles count, the sums, and the outputs."""
     zero, half = b.constant(0.0), b.constant(0.5)
     last = b.emit("and", ended, b.emit("greater", closing, half))
     counted = b.emit("and", ended, b.emit("greater", opened, half))
@@ -533,11 +495,7 @@ class _Attempt:
 
 
 def check(process: object, trigger: object) -> None:
-    """Raise an error if ``process`` is not a jump process, or ``trigger`` is not a trigger.
-
-    Raises:
-        ProblemError: an argument has the wrong type.
-    """
+    """Raise an error if ``process`` is not a jump process, or ``trigger`` is not a trigger."""
     instance("process", process, JumpProcess)
     if not isinstance(trigger, IntegralTrigger | LevelTrigger):
         raise ProblemError(f"trigger is a {type(trigger).__name__}; expected an IntegralTrigger or a LevelTrigger")

@@ -27,12 +27,7 @@ from taciturn.lqg.equation import stationary
 
 
 class Lattice:
-    """A fixed set of Sobol points; each use shifts all points by a new random vector.
-
-    Args:
-        points: number of points, a power of 2.
-        dimensions: dimension of the points, at least 0.
-    """
+    """A fixed set of Sobol points; each use shifts all points by a new random vector."""
 
     def __init__(self, points: int, dimensions: int) -> None:
         """Compute the points."""
@@ -63,15 +58,10 @@ SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative t
 
 @dataclass(frozen=True, repr=False)
 class Rarity(Displayed):
-    """Bounds on the send rate and the cost of the optimal schedule for a given price per send.
+    """Bounds on the send rate and the cost of the optimal schedule for a given price per send."""
 
-    Args:
-        rate: upper bound on its sends per check.
-        gain: lower bound on its mean cost per check, including the price of the sends.
-    """
-
-    rate: float
-    gain: float
+    rate: float  # upper bound on its sends per check
+    gain: float  # lower bound on its mean cost per check, including the price of the sends
 
 
 def decayed(F: Array, W: Array) -> Array | None:
@@ -99,18 +89,6 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
 
     because ē − e is symmetric given e. The tail of ē'Sē bounds the rate too. Both bounds use exponential moments
     (``bound_tail``). For an error that does not decay, the bounds are 1 and 0.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
-        price: λ > 0, the price of a send.
-
-    Example:
-        >>> unit = np.eye(1)
-        >>> found = bound_rare_sends(0.2 * unit, unit, unit, 100.0)
-        >>> found.rate < 1e-9, abs(found.gain - 1 / 0.96) < 1e-9
-        (True, True)
     """
     covariance, value = decayed(F, noise), decayed(F.T, Gamma)
     if covariance is None or value is None:
@@ -129,19 +107,6 @@ def bound_rare_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> f
     The bound is P(e'Γe > threshold) for the error without sends.
 
     An error that was not sent so far is closer to 0 than one without this condition (Gaussian correlation inequality).
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: Γ, weight of the trigger, (n, n), semidefinite.
-        threshold: threshold of the trigger, positive.
-
-    Source: royen2014
-
-    Example:
-        >>> unit = np.eye(1)
-        >>> [bound_rare_rate(F * unit, unit, unit, 100.0) < 1e-9 for F in (0.2, 1.0)]
-        [True, False]
     """
     covariance = decayed(F, noise)
     if covariance is None:
@@ -155,10 +120,6 @@ def bound_tail(weights: Array, limit: float) -> tuple[float, float]:
 
     For every 0 < s < 1/(2 max w): 1{q > x} ≤ exp(s(q − x)) and max(q − x, 0) ≤ exp(s(q − x) − 1)/s, with
     E exp(sq) = Π (1 − 2 s w_i)^{-1/2}. The bounds are minimised over several values of s.
-
-    Args:
-        weights: w_i ≥ 0, not all 0.
-        limit: x, the value that q exceeds.
     """
     s = SHARES / (2 * weights.max())
     logs = -0.5 * np.log1p(-2 * s[:, None] * weights).sum(axis=1) - s * limit
@@ -191,19 +152,12 @@ FLOOR = 1e-9  # times the price: values below count as 0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fitted(Displayed):
-    """Near-optimal schedule that sends an error e if and only if e'Γe − height·exp(−½e'Πe) > gain.
+    """Near-optimal schedule that sends an error e if and only if e'Γe − height·exp(−½e'Πe) > gain."""
 
-    Args:
-        gain: approximation of the least mean cost per check, including the price of the sends.
-        height: largest mean saving from not sending an error.
-        Pi: Π, (n, n), semidefinite.
-        interval: mean number of checks between sends of the threshold policy whose errors were used for the fit.
-    """
-
-    gain: float
-    height: float
-    Pi: Array
-    interval: float
+    gain: float  # approximation of the least mean cost per check, including the price of the sends
+    height: float  # largest mean saving from not sending an error
+    Pi: Array  # Π, (n, n), semidefinite
+    interval: float  # mean number of checks between sends of the threshold policy whose errors were used for the fit
 
     def sends(self, error: Array, Gamma: Array) -> Bits:
         """Return for each error whether this schedule sends it, (errors, n) to (errors,)."""
@@ -219,24 +173,6 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
     The optimal schedule sends if and only if U(e) = e'Γe − g + V(e) > 0. Here V(e) = E min(0, U(F e + w)), and g solves
     λ − g + V(0) = 0. This function approximates V by −exp(a − ½e'Πe). In each value iteration, a and Π minimise the
     squared errors of log(−V), weighted with |V|, at errors that a threshold policy does not send.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
-        price: λ > 0, the price of a send.
-        seed: seed of the simulated errors at which V is fitted.
-        points: number of these errors.
-
-    Raises:
-        ProblemError: hardly anything is ever sent at this price, or nothing at any price.
-
-    Source: cogill2007
-
-    Example:
-        >>> found = fit_schedule(np.eye(1), np.eye(1), np.eye(1), 10.0)
-        >>> 0 < found.gain < 10 and found.height > 0
-        True
     """
     return Fitting(F, noise, Gamma, seed, points).at(price)
 
@@ -245,13 +181,6 @@ class Fitting:
     """Fits of near-optimal send schedules to simulated errors, for many prices per send.
 
     All prices within half an octave use the same errors.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
-        seed: seed of the simulated errors at which the value function is fitted.
-        points: number of these errors.
     """
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, seed: int = 0, points: int = POINTS) -> None:
@@ -260,11 +189,7 @@ class Fitting:
         self._grounds: tuple[float, _Ground] | None = None
 
     def at(self, price: float) -> Fitted:
-        """Return a near-optimal send schedule for a price λ > 0 per send, as :func:`fit_schedule` does.
-
-        Raises:
-            ProblemError: hardly anything is ever sent at this price, or nothing at any price.
-        """
+        """Return a near-optimal send schedule for a price λ > 0 per send, as :func:`fit_schedule` does."""
         F, noise, Gamma, _, _ = self._given
         half = root(noise)
         if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
@@ -282,23 +207,14 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """The errors at which a value function is fitted, and samples of the errors one check later.
+    """The errors at which a value function is fitted, and samples of the errors one check later."""
 
-    Args:
-        here: terms of the quadratic form at the errors, (errors, terms).
-        mean: mean of each error one check later, (blocks, errors per block, size).
-        noise: half of the noises that the errors of a block share; the others are mirrored, (blocks, noises, size).
-        cost: cost of the errors one check later, (2, blocks, errors per block, noises).
-        into: map to coordinates in which unsent errors have about unit covariance, (size, n).
-        interval: mean number of checks between sends of the threshold policy that gave the errors.
-    """
-
-    here: Array
-    mean: Array
-    noise: Array
-    cost: Array
-    into: Array
-    interval: float
+    here: Array  # terms of the quadratic form at the errors, (errors, terms)
+    mean: Array  # mean of each error one check later, (blocks, errors per block, size)
+    noise: Array  # half of the noises that the errors of a block share; the others are mirrored, (blocks, noises, size)
+    cost: Array  # cost of the errors one check later, (2, blocks, errors per block, noises)
+    into: Array  # map to coordinates in which unsent errors have about unit covariance, (size, n)
+    interval: float  # mean number of checks between sends of the threshold policy that gave the errors
 
     def fit(self, price: float) -> Fitted:
         """Return the near-optimal send schedule at a given price of a send, by fitted value iteration."""
@@ -330,16 +246,7 @@ class _Ground:
 
 
 def shifted_forms(mean: Array, noise: Array, weight: Array) -> Array:
-    """Return the quadratic forms (m + w)'M(m + w) and (m − w)'M(m − w) of errors m plus or minus noises w.
-
-    Args:
-        mean: m, (blocks, errors, n).
-        noise: w, (blocks, noises, n).
-        weight: M, (n, n), symmetric.
-
-    Returns:
-        Both forms, (2, blocks, errors, noises).
-    """
+    """Return the quadratic forms (m + w)'M(m + w) and (m − w)'M(m − w) of errors m plus or minus noises w."""
     crossed = 2 * (mean @ weight) @ np.swapaxes(noise, 1, 2)
     apart = squares(mean, weight)[:, :, None] + squares(noise, weight)[:, None]
     return np.stack([apart + crossed, apart - crossed])
@@ -406,19 +313,6 @@ def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: in
     """Return simulated errors that a given send rule does not send, and the mean interval between sends.
 
     The errors are collected after every path had a few sends.
-
-    Args:
-        F: map of the error from one check to the next, (n, n).
-        noise: covariance of w, (n, n).
-        sends: returns for each error whether it is sent, (errors, n) to (errors,).
-        seed: seed of the random numbers.
-
-    Returns:
-        Unsent errors, (any, n), or draws of w if all errors are sent; and the mean number of checks between sends, to a
-        few per cent.
-
-    Raises:
-        ProblemError: hardly any error is ever sent.
     """
     draws, half = np.random.default_rng(seed), root(noise)
     error, sent_ever, counted, checks = np.zeros((PATHS, len(F))), 0, 0, 0

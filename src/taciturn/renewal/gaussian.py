@@ -54,17 +54,6 @@ def intervals(start: Array, check: CheckMatrix | GridCheck, checks: Array, mean:
 
     After the last check, the survival is assumed to decrease by a constant factor per check, such that its sum is the
     mean interval. If the survival is geometric, this factor is the dominant eigenvalue of the map.
-
-    Args:
-        start: probability of each node after the first check, (nodes,).
-        check: the map of a check.
-        checks: expected checks until the next send, with the next check included, (nodes,).
-        mean: mean interval in checks.
-
-    Returns:
-        The distribution.
-
-    Source: khashooei2017
     """
     survival, error, done = _one_by_one(start, check)
     if not done and isinstance(check, CheckMatrix) and len(start) <= MOST_NODES:
@@ -161,22 +150,7 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
 
 
 class Quadrature:
-    """Solver for the renewal equations of an error with Gaussian noise, which can first predict the computation.
-
-    Args:
-        chain: chain with Gaussian noise.
-
-    Raises:
-        NoQuadratureError: as ``solve_gaussian``, if it can be found before any node is placed.
-
-    Source: khashooei2017
-
-    Example:
-        >>> unit = np.eye(2)
-        >>> work = [Quadrature(Chain(unit, unit, unit, delta, unit)).predict(1e-4) for delta in (1.0, 20.0)]
-        >>> work[0] < work[1]
-        True
-    """
+    """Solver for the renewal equations of an error with Gaussian noise, which can first predict the computation."""
 
     def __init__(self, chain: Chain) -> None:
         """Find coordinates, and the approximate covariance of unsent errors."""

@@ -24,36 +24,22 @@ RESOLVED = 1e-6  # largest characteristic function at the highest frequency, rel
 
 @dataclass(frozen=True, repr=False)
 class Fineness(Displayed):
-    """Numbers of nodes in the tables that represent the probability density of an error increment.
+    """Numbers of nodes in the tables that represent the probability density of an error increment."""
 
-    Args:
-        angles: nodes of a table in the angle.
-        radii: nodes in the radius of each of the two tables per angle.
-        waves: frequencies of the Fourier sum per direction.
-        times: nodes of an integral over the period.
-    """
-
-    angles: int
-    radii: int
-    waves: int
-    times: int = 200
+    angles: int  # nodes of a table in the angle
+    radii: int  # nodes in the radius of each of the two tables per angle
+    waves: int  # frequencies of the Fourier sum per direction
+    times: int = 200  # nodes of an integral over the period
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompoundPoissonNoise(Displayed):
-    """Noise in a two-dimensional error between two checks: normally distributed jumps at Poisson times.
+    """Noise in a two-dimensional error between two checks: normally distributed jumps at Poisson times."""
 
-    Args:
-        A: (2, 2) dynamics per second.
-        G: a jump is Gξ with standard normal ξ, (2, 1) or (2, 2).
-        rate: λ, jumps per second.
-        period: τ, seconds.
-    """
-
-    A: Array
-    G: Array
-    rate: float
-    period: float
+    A: Array  # (2, 2) dynamics per second
+    G: Array  # a jump is Gξ with standard normal ξ, (2, 1) or (2, 2)
+    rate: float  # λ, jumps per second
+    period: float  # τ, seconds
 
     @property
     def quiet(self) -> float:
@@ -132,17 +118,11 @@ class Rays(Displayed):
     """Probability density p of a two-dimensional error increment, as a function of the distance ρ from 0 along rays.
 
     The probability of an area element is ρ p(ρ) dρ dθ.
-
-    Args:
-        tables: Chebyshev coefficients in √(ρ/reach) of ρ p without single jumps, below and above SPLIT,
-            (2, rays, radii).
-        single: amplitude of single jumps, whose ρ p is single·exp(−(ρ/size)²/2), (rays,).
-        size: standard deviation of a single jump that points along the ray, (rays,).
     """
 
-    tables: Array
-    single: Array
-    size: Array
+    tables: Array  # Chebyshev coefficients in √(ρ/reach) of ρ p without single jumps, below and above SPLIT
+    single: Array  # amplitude of single jumps, whose ρ p is single·exp(−(ρ/size)²/2), (rays,)
+    size: Array  # standard deviation of a single jump that points along the ray, (rays,)
 
     def part(self, chosen: npt.NDArray[np.bool_]) -> Rays:
         """Return the chosen rays."""
@@ -170,14 +150,6 @@ class Density:
     A single jump of rank one has a density only in the cone that its direction sweeps until the check; this part has a
     closed form. The density of two such jumps has a logarithmic singularity and is integrated over both times. The
     density of more jumps, or of jumps of rank two, is smooth enough for a Fourier sum of the characteristic function.
-
-    Args:
-        shower: the jumps, in coordinates in which the increment of a period has the identity as covariance.
-        fineness: numbers of nodes of the tables.
-
-    Raises:
-        NoQuadratureError: the direction of a jump turns by half a turn or more within a period, or does not turn, or
-            jumps are nearly flat.
     """
 
     def __init__(self, shower: CompoundPoissonNoise, fineness: Fineness) -> None:
@@ -316,12 +288,7 @@ class Density:
 
 
 def jump_reach(jump: float, mean: float) -> float:
-    """Return a distance from 0 that the sum of the jumps in one period exceeds only with negligible probability.
-
-    Args:
-        jump: largest standard deviation of one jump in any direction.
-        mean: mean number of jumps.
-    """
+    """Return a distance from 0 that the sum of the jumps in one period exceeds only with negligible probability."""
     counts = range(1, int(mean + 12 * sqrt(mean) + 30))
     chances = [exp(m * log(mean) - mean - lgamma(m + 1)) for m in counts]
     distance = jump

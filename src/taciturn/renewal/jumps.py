@@ -50,22 +50,15 @@ class Sums(Displayed):
     next period. The error e after a jump is still unsent after j checks without a jump if e, Fe, …, F^j e ∈ E; no jump
     occurs in these checks with probability e^{−λτj}. So v = Σ_j ∫ p (a + v)(F^j e), with the density p of e, and a = 1
     to count checks or a = e'Γe for costs. The density of the jumps makes v smooth: few polynomials represent it.
-
-    Args:
-        basis: values of the basis polynomials at the nodes, (nodes, nodes).
-        steps: for each j, the integrals of the polynomials at F^j e, (checks, nodes + 1, nodes).
-        ones: for each j, the integrals of 1, (checks, nodes + 1).
-        costs: for each j, the integrals of the cost, (checks, nodes + 1).
-        quiet: e^{−λτ}, the probability of no jump in a period.
-        far: for each j, the integrals of a high power of the distance, relative to the distance at which the set is
-            truncated, (checks, nodes + 1).
     """
 
-    basis: Array
-    steps: Array
-    ones: Array
-    costs: Array
-    quiet: float
+    basis: Array  # values of the basis polynomials at the nodes, (nodes, nodes)
+    steps: Array  # for each j, the integrals of the polynomials at F^j e, (checks, nodes + 1, nodes)
+    ones: Array  # for each j, the integrals of 1, (checks, nodes + 1)
+    costs: Array  # for each j, the integrals of the cost, (checks, nodes + 1)
+    quiet: float  # e^{−λτ}, the probability of no jump in a period
+    # for each j, the integrals of a high power of the distance, relative to the distance at which the set is
+    # truncated, (checks, nodes + 1)
     far: Array
 
     @cached_property
@@ -132,36 +125,19 @@ POWER_OF_DISTANCE = 16  # power of the distance (relative to the truncation), wh
 
 @dataclass(frozen=True, repr=False)
 class PlaneGrid(Displayed):
-    """Numbers of quadrature nodes for a two-dimensional error.
+    """Numbers of quadrature nodes for a two-dimensional error."""
 
-    Args:
-        along: nodes along the longer axis of the set, an even number.
-        across: nodes along the shorter axis.
-        angles: angles between two splits.
-        radii: nodes on a piece of a ray.
-        checks: checks without a jump that are followed one by one.
-        cut: where the longer axis is truncated, in standard deviations of the increment of a period.
-        density: numbers of nodes in the tables of the density.
-    """
-
-    along: int
-    across: int
-    angles: int
-    radii: int
-    checks: int
-    cut: float
-    density: Fineness
+    along: int  # nodes along the longer axis of the set, an even number
+    across: int  # nodes along the shorter axis
+    angles: int  # angles between two splits
+    radii: int  # nodes on a piece of a ray
+    checks: int  # checks without a jump that are followed one by one
+    cut: float  # where the longer axis is truncated, in standard deviations of the increment of a period
+    density: Fineness  # numbers of nodes in the tables of the density
 
 
 class Plane:
-    """A two-dimensional error with Poisson jumps, scaled so that its increment over one period has unit covariance.
-
-    Args:
-        shower: the jumps.
-        F: map of the error from one check to the next, without jumps, (2, 2).
-        Psi: Ψ/δ, weight of the trigger over its threshold, (2, 2).
-        Gamma: Γ, weight of the cost, (2, 2).
-    """
+    """A two-dimensional error with Poisson jumps, scaled so that its increment over one period has unit covariance."""
 
     def __init__(self, shower: CompoundPoissonNoise, F: Array, Psi: Array, Gamma: Array) -> None:
         """Store the coordinates."""
@@ -180,11 +156,7 @@ class Plane:
         return self._densities[fineness]
 
     def sums(self, grid: PlaneGrid) -> Sums:
-        """Return the renewal equations of this error on a grid of quadrature nodes.
-
-        Raises:
-            NoQuadratureError: too many nodes, or an increment without a density.
-        """
+        """Return the renewal equations of this error on a grid of quadrature nodes."""
         if grid.along * grid.across > 2 * MOST_NODES_OF_PLANE:
             raise NoQuadratureError(
                 f"between sends, the error spreads over a region that needs {grid.along} × {grid.across} quadrature "
@@ -394,34 +366,21 @@ FADED = 9.0  # frequency times the smallest standard deviation at which the char
 
 @dataclass(frozen=True, repr=False)
 class Line(Displayed):
-    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold.
+    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold."""
 
-    Args:
-        a: dynamics between jumps, ė = a e, per second.
-        jump: standard deviation of a jump.
-        rate: λ, jumps per second.
-        period: τ, seconds between two checks.
-        F: factor of the error from one check to the next, without jumps.
-        bound: an error e is sent if |e| is above it.
-        Gamma: Γ, weight of the cost of an unsent error.
-    """
-
-    a: float
-    jump: float
-    rate: float
-    period: float
-    F: float
-    bound: float
-    Gamma: float
+    a: float  # dynamics between jumps, ė = a e, per second
+    jump: float  # standard deviation of a jump
+    rate: float  # λ, jumps per second
+    period: float  # τ, seconds between two checks
+    F: float  # factor of the error from one check to the next, without jumps
+    bound: float  # an error e is sent if |e| is above it
+    Gamma: float  # Γ, weight of the cost of an unsent error
 
     def sums(self, fineness: float, checks: int) -> Sums:
         """Return the renewal equations of this error, discretised on a number of nodes proportional to ``fineness``.
 
         Given the times of the jumps, the increment of a period is normal. The narrowest of these normal densities sets
         the scale of all nodes.
-
-        Raises:
-            NoQuadratureError: too many nodes.
         """
         # a jump grows by e^{a·left} in the time ``left`` from the jump to the check
         left, weights = legendre_nodes(60, 0.0, self.period)
@@ -489,23 +448,6 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
     expectation over later checks is discontinuous wherever F^j e leaves the set of unsent errors. After a jump it is
     smooth. The equations are therefore written for expectations after a jump, represented by polynomials, and every
     integral is split at these discontinuities.
-
-    Args:
-        chain: chain with normal jumps as noise, in at most two dimensions that the jumps reach and that Ψ or Γ weighs.
-        accuracy: requested relative error; the result contains the error that was reached.
-        progress: called with the fraction done.
-
-    Returns:
-        Rate and excess with claimed errors: sixteen times the change at the last refinement. In two dimensions some
-        five digits take seconds, six up to a minute.
-
-    Raises:
-        NoQuadratureError: more than two dimensions, another distribution, jumps that turn by half a turn within a
-            period or are nearly flat or rare, an error that is never sent, a threshold too large for the noise, or
-            refinements that do not agree.
-        ProblemError: an accuracy that is not positive.
-
-    Source: khashooei2017
     """
     number("accuracy", accuracy, 0.0)
     noise = chain.noise

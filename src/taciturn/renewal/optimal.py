@@ -54,22 +54,14 @@ class ContinuationRegion(Displayed):
     mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
 
     The expectation is a sum of Gaussians, Σ_k v_k φ(x_k − F x). So U and its derivatives have a closed form at any x.
-
-    Args:
-        white: the chain, with costs in units of the price of a send.
-        x: nodes, one of each pair ±x, (nodes, n).
-        v: weight of each node times U at the node, (nodes,).
-        deepest: −U at the node where it is lowest, the largest saving of silence.
-        cost: g, the mean cost per check.
-        covariance: approximate covariance of unsent errors, (n, n).
     """
 
-    white: White
-    x: Array
-    v: Array
-    deepest: float
-    cost: float
-    covariance: Array
+    white: White  # the chain, with costs in units of the price of a send
+    x: Array  # nodes, one of each pair ±x, (nodes, n)
+    v: Array  # weight of each node times U at the node, (nodes,)
+    deepest: float  # −U at the node where it is lowest, the largest saving of silence
+    cost: float  # g, the mean cost per check
+    covariance: Array  # approximate covariance of unsent errors, (n, n)
 
     @cached_property
     def _pairs(self) -> tuple[Array, Array]:
@@ -114,15 +106,6 @@ class ContinuationRegion(Displayed):
         """Return both ends of the region along the next coordinate axis, for given coordinates on the earlier axes.
 
         At the ends, the minimum of U over the later axes changes its sign.
-
-        Args:
-            outer: coordinates on the axes so far, (places, outer axes).
-            low: start of the window on the next axis, (places,).
-            high: end of the window, (places,).
-
-        Returns:
-            The ends. An end inside the window is exact to rounding, any other one is some number outside the window.
-            Where U > 0 throughout, both ends are the same number.
         """
         axis = outer.shape[1]
         inside, empty = self._inside(outer)
@@ -235,16 +218,6 @@ def improve(white: White, solved: Solved, window: ErrorRegion) -> ContinuationRe
     Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.
 
     The errors with U < 0 form a region with a lower cost: this is one step of policy iteration.
-
-    Args:
-        white: the chain, with costs in units of the price of a send.
-        solved: solution of the renewal equations of the region.
-        window: where unsent errors are.
-
-    Returns:
-        The new region.
-
-    Source: khashooei2017
     """
     system, dear = solved.system, beyond_a_send(solved)
     deepest = float(np.maximum(-dear, 0.0).max())
@@ -264,15 +237,6 @@ def holes(solved: Solved, negligible: float) -> tuple[float, float, float]:
     A chord through a region that is not convex contains such nodes. Removing a node changes a mean by the number of
     visits to the node times the change of the expected future by a send there. This is exact if the visits are counted
     after the removal.
-
-    Args:
-        solved: solution of the renewal equations, in units of the price.
-        negligible: excess of the cost of silence over that of a send that is ignored.
-
-    Returns:
-        Rate, excess, cost.
-
-    Source: khashooei2017
     """
     dear = beyond_a_send(solved)
     inside = dear > negligible
@@ -304,35 +268,21 @@ OTHERWISE = "use the policy 'near-optimal', which supports any number of states,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """Optimal send schedule for a given price per send, with its rate, its cost, and error estimates of the quadrature.
-
-    Args:
-        cost: g = excess + price · rate, the least mean cost per check.
-        cost_error: claimed absolute error of the cost.
-        price: λ, the price of a send.
-        iterations: number of policy iterations.
-        region: the errors that are not sent, in coordinates with white noise and in units of the price.
+    """Optimal send schedule for a given price per send, with its rate, its cost, and error estimates of the
+    quadrature.
     """
 
-    cost: float
-    cost_error: float
-    price: float
-    iterations: int
+    cost: float  # g = excess + price · rate, the least mean cost per check
+    cost_error: float  # claimed absolute error of the cost
+    price: float  # λ, the price of a send
+    iterations: int  # number of policy iterations
+    # the errors that are not sent, in coordinates with white noise and in units of the price
     region: ContinuationRegion
 
     def value(self, e: ArrayLike) -> Array:
         """Return U(e), the cost of silence minus the cost of a send, for errors e before the decision.
 
         Beyond the window of the quadrature, where errors hardly ever occur, U(e) = e'Γe − g is returned.
-
-        Args:
-            e: errors, (…, n).
-
-        Returns:
-            U(e) in the units of the price, (…,).
-
-        Raises:
-            ProblemError: e does not contain finite numbers, or has another size.
         """
         states = self.region.white.rows.shape[1]
         given = np.asarray(e)
@@ -340,17 +290,7 @@ class Optimum(Renewal):
         return self.price * self.region.values(points @ self.region.white.rows.T).reshape(given.shape[:-1])
 
     def sends(self, e: ArrayLike) -> np.typing.NDArray[np.bool_]:
-        """Return, for each error e, whether the optimal schedule sends it because silence would cost more: U(e) > 0.
-
-        Args:
-            e: errors, (…, n).
-
-        Returns:
-            Whether each error is sent, (…,).
-
-        Raises:
-            ProblemError: e does not contain finite numbers, or has another size.
-        """
+        """Return, for each error e, whether the optimal schedule sends it because silence would cost more: U(e) > 0."""
         return self.value(e) > 0
 
 
@@ -372,30 +312,6 @@ def solve_optimal(
     cost until the next send. From these follow g = (C₀ + λ)/T₀ and U, and the errors with U < 0 form the next region.
     Four or five iterations converge. The quadrature is the same as for a threshold: nodes on nested chords, with a
     resolution and a window that are increased together until rate and excess no longer change.
-
-    Args:
-        F: map of the error from one check to the next, any (n, n) matrix.
-        noise: covariance of w ~ N(0, ·), (n, n), semidefinite.
-        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
-        price: λ > 0, the price of a send.
-        accuracy: relative accuracy of rate and excess; if it is not reached, the claimed errors are larger. Omitted:
-            1e-8, or 1e-6 in three dimensions.
-        progress: called with the fraction done.
-
-    Returns:
-        Cost, rate and excess per check, their errors, the distribution of the intervals, and the scheduler.
-
-    Raises:
-        ProblemError: a matrix has the wrong shape or is not semidefinite, or price or accuracy is out of range.
-        NoQuadratureError: more than three directions of the error matter, a direction gets no noise in a check, silence
-            costs nothing, hardly anything is sent, or the region has several pieces along an axis.
-
-    Source: khashooei2017
-
-    Example:
-        >>> found = solve_optimal([[1.0]], [[1.0]], [[1.0]], 4.0)
-        >>> round(found.cost, 6), bool(found.sends([0.1])), bool(found.sends([3.0]))
-        (1.346628, False, True)
     """
     F = square("F", F)
     n = len(F)
@@ -427,40 +343,14 @@ def solve_optimal(
 def optimal_curve(
     F: ArrayLike, noise: ArrayLike, Gamma: ArrayLike, prices: ArrayLike, accuracy: float | None = None
 ) -> tuple[Optimum, ...]:
-    """Return the optimal send schedules for several prices per send, which trace the curve of least cost against rate.
-
-    Args:
-        F: map of the error from one check to the next, any (n, n) matrix.
-        noise: covariance of w ~ N(0, ·), (n, n), semidefinite.
-        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
-        prices: λ > 0, the prices of a send, (prices,).
-        accuracy: relative accuracy of rates and excesses.
-
-    Returns:
-        One scheduler for each price.
-
-    Raises:
-        ProblemError: as ``solve_optimal``.
-        NoQuadratureError: as ``solve_optimal``.
-
-    Source: khashooei2017
-
-    Example:
-        >>> curve = optimal_curve([[1.0]], [[1.0]], [[1.0]], [1.0, 4.0])
-        >>> [round(found.rate, 3) for found in curve]
-        [0.388, 0.202]
+    """Return the optimal send schedules for several prices per send, which trace the curve of least cost against
+    rate.
     """
     return tuple(solve_optimal(F, noise, Gamma, float(price), accuracy) for price in array("prices", prices, (None,)))
 
 
 class _Iteration:
-    """Policy iteration on the region of unsent errors; the nodes are placed anew in every iteration.
-
-    Args:
-        white: the chain, in units of the price.
-        accuracy: relative accuracy of rate and excess.
-        told: reports the progress.
-    """
+    """Policy iteration on the region of unsent errors; the nodes are placed anew in every iteration."""
 
     def __init__(self, white: White, accuracy: float, told: Stages) -> None:
         self.white = white

@@ -40,9 +40,6 @@ class Walk:
     lies on a chord whose length depends on the coordinates before it, and is drawn from the normal distribution
     truncated to this chord. If the chord is wide, z_i is drawn without truncation; then no chord may be left for the
     next coordinate, and the path gets the weight 0. The last coordinate is the one on which e'Ψe depends most.
-
-    Args:
-        data: the chain, scaled to the threshold 1.
     """
 
     def __init__(self, data: Data) -> None:
@@ -63,10 +60,6 @@ class Walk:
         """Return the next unsent error of each path, the probability that it is unsent, and its expected cost.
 
         The expectation of the cost is over the last coordinate that is drawn.
-
-        Args:
-            errors: errors before the step, (paths, n).
-            uniform: uniform random numbers, the one for the last noise first, (paths, draws).
         """
         moved = errors @ self.F.T
         rest = moved @ self.seen.T
@@ -110,21 +103,14 @@ def _certain_root(weight: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledInterval(Displayed):
-    """Estimated distribution and cost of the interval between two sends, from one randomisation.
+    """Estimated distribution and cost of the interval between two sends, from one randomisation."""
 
-    Args:
-        survival: P(no send at the checks 1 … k) for k = 0, 1, …, (checks + 1,).
-        cost: E[e'Γe, no send so far] at each of these checks.
-        checks_later: sum of the survival at later checks, assumed to be geometric, and the uncertainty of the sum.
-        cost_later: sum of the cost at later checks, and its uncertainty.
-        work: number of paths times checks.
-    """
-
-    survival: Array
-    cost: Array
+    survival: Array  # P(no send at the checks 1 … k) for k = 0, 1, …, (checks + 1,)
+    cost: Array  # E[e'Γe, no send so far] at each of these checks
+    # sum of the survival at later checks, assumed to be geometric, and the uncertainty of the sum
     checks_later: tuple[float, float]
-    cost_later: tuple[float, float]
-    work: int
+    cost_later: tuple[float, float]  # sum of the cost at later checks, and its uncertainty
+    work: int  # number of paths times checks
 
     @property
     def sums(self) -> tuple[float, float]:
@@ -144,17 +130,6 @@ def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float
     The remaining length of an interval is no longer than a new interval, P(T > j + k) ≤ P(T > j) P(T > k), because an
     error of 0 has the largest probability to stay in a symmetric convex set (Anderson). So the checks after check j
     contribute at most the fraction P(T > j) of the sum. A course ends when this fraction is negligible.
-
-    Args:
-        walk: the chain.
-        paths: number of paths, a power of two.
-        draws: the source of all random numbers.
-        negligible: largest fraction of checks and cost that the geometric tail may contribute.
-
-    Raises:
-        NoQuadratureError: an interval has too many checks, or its cost is infinite.
-
-    Source: anderson1955, delmoral2006, lecuyer2018
     """
     known = DIMENSIONS // walk.draws
     points = _scipy.sobol(known * walk.draws, paths, draws) if known else np.empty((paths, 0))
@@ -265,29 +240,17 @@ LOOKED = 16  # checks from which the mean interval is estimated roughly
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathAnswer(Displayed):
-    """Estimates of send rate, excess cost and intervals of an error, from conditional sampling.
+    """Estimates of send rate, excess cost and intervals of an error, from conditional sampling."""
 
-    Args:
-        rate: sends per check.
-        excess: mean cost per check, E[(1−σ) e'Γe].
-        covariance: covariance of both estimates, (2, 2).
-        intervals: distribution of the intervals between sends.
-        survival_error: standard errors of the survival of the intervals, (checks,).
-        randomisations: number of independent randomisations, from whose spread the standard errors follow.
-        paths: number of paths of each randomisation.
-        steps: number of paths times checks that were computed.
-        reached: whether both standard errors are at most the requested one.
-    """
-
-    rate: Estimate
-    excess: Estimate
-    covariance: Array
-    intervals: Intervals
-    survival_error: Array
-    randomisations: int
-    paths: int
-    steps: int
-    reached: bool
+    rate: Estimate  # sends per check
+    excess: Estimate  # mean cost per check, E[(1−σ) e'Γe]
+    covariance: Array  # covariance of both estimates, (2, 2)
+    intervals: Intervals  # distribution of the intervals between sends
+    survival_error: Array  # standard errors of the survival of the intervals, (checks,)
+    randomisations: int  # number of independent randomisations, from whose spread the standard errors follow
+    paths: int  # number of paths of each randomisation
+    steps: int  # number of paths times checks that were computed
+    reached: bool  # whether both standard errors are at most the requested one
 
 
 def solve_paths(
@@ -308,28 +271,6 @@ def solve_paths(
     the number of points, then the number of randomisations is increased until the standard errors are small enough. The
     remainder of an interval, which is assumed to be geometric, is at most a hundredth of the requested error; the
     uncertainty of its ratio is part of the standard errors.
-
-    Args:
-        chain: chain with Gaussian noise, which need not reach all directions in one check.
-        standard_error: requested relative standard error of rate and excess.
-        seed: seed of the random numbers, at least 0.
-        steps: limit of paths times checks; if it is too low, the standard errors are larger than requested.
-        progress: called with the fraction done; when time runs out, the best answer so far is returned.
-
-    Returns:
-        Rate and excess with standard errors, and the distribution of the intervals.
-
-    Raises:
-        NoQuadratureError: nothing, or hardly anything, is ever sent, or the cost is infinite.
-        ProblemError: an accuracy outside (0, 1), or a seed or a number of steps out of range.
-
-    Source: hajivassiliou1996, lecuyer2018
-
-    Example:
-        >>> unit = np.eye(4)
-        >>> found = solve_paths(Chain(unit, unit, unit, 4.0, unit), standard_error=1e-3)
-        >>> found.reached, round(found.rate.value, 2)
-        (True, 0.52)
     """
     number("standard_error", standard_error, 0.0, 1.0)
     count("seed", seed, 0)
@@ -378,11 +319,6 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
     """Return approximately how many operations ``solve_paths`` needs, given a less accurate solution.
 
     The result is 0 if the coarser answer is accurate enough.
-
-    Args:
-        chain: chain with Gaussian noise.
-        known: answer from fewer paths.
-        standard_error: requested relative standard error of the excess.
     """
     off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
     if off <= standard_error:
@@ -392,14 +328,7 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
 
 
 def predict_fewest(chain: Chain) -> float:
-    """Return approximately how many operations ``solve_paths`` needs for its smallest number of paths.
-
-    Args:
-        chain: chain with Gaussian noise.
-
-    Raises:
-        NoQuadratureError: nothing is ever sent, or jumps.
-    """
+    """Return approximately how many operations ``solve_paths`` needs for its smallest number of paths."""
     return _fewest(chain, least_interval(chain, LOOKED))
 
 
@@ -417,19 +346,6 @@ def expect_quicker(chain: Chain) -> bool:
 
     Quasi-random points help only if intervals have few checks; ``benchmarks/paths.py`` measures the limit. The mean
     interval is at least that of independent checks (:func:`least_interval`), and usually close to it.
-
-    Args:
-        chain: chain with Gaussian noise.
-
-    Raises:
-        NoQuadratureError: nothing is ever sent, or jumps.
-
-    Source: royen2014
-
-    Example:
-        >>> unit = np.eye(4)
-        >>> [expect_quicker(Chain(unit, unit, unit, delta, unit)) for delta in (4.0, 40.0)]
-        [True, False]
     """
     return least_interval(chain) <= SHORT
 

@@ -37,28 +37,15 @@ class Region(Protocol):
     """
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the ends of the region's chord on the next axis, for given coordinates on the outer axes.
-
-        Args:
-            outer: coordinates on the outer axes, (places, outer axes).
-            low: start of the window on the next axis, (places,).
-            high: end of the window, (places,).
-
-        Returns:
-            The ends, which need not be exact outside the window; both are the same number where the chord is empty.
-        """
+        """Return the ends of the region's chord on the next axis, for given coordinates on the outer axes."""
         ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ellipsoid(Displayed):
-    """Ellipsoid Σ_i m_i x_i² ≤ 1 of the errors x that are not sent.
+    """Ellipsoid Σ_i m_i x_i² ≤ 1 of the errors x that are not sent."""
 
-    Args:
-        m: weights, (n,).
-    """
-
-    m: Array
+    m: Array  # weights, (n,)
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
         """Return the exact ends of the ellipsoid's chord on the next axis; they are infinite if m is 0 on this axis."""
@@ -71,16 +58,12 @@ class Ellipsoid(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ErrorRegion(Displayed):
-    """Bounded region that contains nearly all unsent errors: on each axis, an interval that depends on the outer axes.
-
-    Args:
-        covariance: approximate covariance of unsent errors, (n, n). This covariance determines the conditional mean
-            and standard deviation of each axis, given the outer ones.
-        reach: half-width of the window on each axis, in conditional standard deviations, (n,).
+    """Bounded region that contains nearly all unsent errors: on each axis, an interval that depends on the outer
+    axes.
     """
 
-    covariance: Array
-    reach: Array
+    covariance: Array  # approximate covariance of unsent errors, (n, n)
+    reach: Array  # half-width of the window on each axis, in conditional standard deviations, (n,)
 
     def scaled(self, factor: float) -> ErrorRegion:
         """Return this window with its half-widths multiplied by a factor."""
@@ -95,15 +78,10 @@ class ErrorRegion(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AxisNodes(Displayed):
-    """Coordinates of nested quadrature nodes on one axis.
+    """Coordinates of nested quadrature nodes on one axis."""
 
-    Args:
-        x: coordinates, (places,).
-        first: for each point of the outer axes, the index of its first coordinate on this axis, ascending,
-            (outer places,).
-    """
-
-    x: Array
+    x: Array  # coordinates, (places,)
+    # for each point of the outer axes, the index of its first coordinate on this axis, ascending, (outer places,)
     first: npt.NDArray[np.int64]
 
     def gathered(self, fall: Array, sums: Array) -> Array:
@@ -124,17 +102,11 @@ class AxisNodes(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuadratureNodes(Displayed):
-    """Quadrature nodes of a symmetric region; only one node of each pair ±x is stored.
+    """Quadrature nodes of a symmetric region; only one node of each pair ±x is stored."""
 
-    Args:
-        x: nodes, (nodes, n).
-        weight: weights, (nodes,).
-        levels: the coordinates on each axis, outer axes first.
-    """
-
-    x: Array
-    weight: Array
-    levels: tuple[AxisNodes, ...]
+    x: Array  # nodes, (nodes, n)
+    weight: Array  # weights, (nodes,)
+    levels: tuple[AxisNodes, ...]  # the coordinates on each axis, outer axes first
 
 
 class TooManyNodes(Exception):  # noqa: N818
@@ -160,20 +132,6 @@ def place(white: White, region: Region, window: ErrorRegion, density: float, mor
     An axis has equidistant nodes if the window ends before the chord on both sides, and Gauss–Legendre nodes otherwise.
     An outer axis has them in the angle φ, x = centre + c sin φ, as the integral over the inner axes ends like a square
     root.
-
-    Args:
-        white: the chain.
-        region: the errors that are not sent.
-        window: the window of unsent errors.
-        density: density of the nodes, relative to the usual one.
-        more: additional pairs of nodes on each Gauss–Legendre axis, so that a finer set is finer on every axis.
-        most: largest number of nodes.
-
-    Returns:
-        One node of every pair ±x.
-
-    Raises:
-        TooManyNodes: more than ``most`` nodes are needed.
     """
     n = len(white.m)
     levels = list[AxisNodes]()
@@ -265,13 +223,9 @@ DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckMatrix(Displayed):
-    """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another.
+    """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another."""
 
-    Args:
-        entries: probability to go from the node of the row to that of the column without a send, (nodes, nodes).
-    """
-
-    entries: Array
+    entries: Array  # probability to go from the node of the row to that of the column without a send, (nodes, nodes)
 
     @property
     def slack(self) -> float:
@@ -293,17 +247,11 @@ class CheckMatrix(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class QuadratureEffort(Displayed):
-    """Requested accuracy of a quadrature, and limits on its computation.
+    """Requested accuracy of a quadrature, and limits on its computation."""
 
-    Args:
-        accuracy: requested relative accuracy of rate and excess.
-        alive: called regularly; it may raise ``OutOfTime``.
-        dense: largest number of nodes for which the map is a matrix.
-    """
-
-    accuracy: float
-    alive: Callable[[], None]
-    dense: int
+    accuracy: float  # requested relative accuracy of rate and excess
+    alive: Callable[[], None]  # called regularly; it may raise ``OutOfTime``
+    dense: int  # largest number of nodes for which the map is a matrix
 
 
 class GridCheck:
@@ -311,14 +259,6 @@ class GridCheck:
 
     The expectation over the noise is a smooth function of the error without noise, F x. So it is summed at the points
     of a grid, one axis after the other because the nodes are nested, and interpolated between these points.
-
-    Args:
-        white: the chain.
-        nodes: nodes at which values are given.
-        effort: accuracy to which the equations are solved.
-
-    Raises:
-        TooManyNodes: the grid would be too large.
     """
 
     def __init__(self, white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> None:
@@ -439,42 +379,25 @@ USELESS = 0.01  # relative error above which an answer is rejected
 
 @dataclass(frozen=True, eq=False, repr=False)
 class System(Displayed):
-    """Discretised renewal equations: the distribution of the unsent error after one check, and the map of a check.
+    """Discretised renewal equations: the distribution of the unsent error after one check, and the map of a check."""
 
-    Args:
-        x: nodes, (nodes, n).
-        share: weight of each node times (2π)^{-n/2}, the factor of the normal density, (nodes,).
-        start: probability of each node after the first check, (nodes,).
-        check: the map of a check.
-        cost: x'Γx at each node, (nodes,).
-    """
-
-    x: Array
-    share: Array
-    start: Array
-    check: CheckMatrix | GridCheck
-    cost: Array
+    x: Array  # nodes, (nodes, n)
+    share: Array  # weight of each node times (2π)^{-n/2}, the factor of the normal density, (nodes,)
+    start: Array  # probability of each node after the first check, (nodes,)
+    check: CheckMatrix | GridCheck  # the map of a check
+    cost: Array  # x'Γx at each node, (nodes,)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solved(Displayed):
-    """Solution of the renewal equations: send rate, excess cost, and the expected time and cost until the next send.
+    """Solution of the renewal equations: send rate, excess cost, and the expected time and cost until the next send."""
 
-    Args:
-        system: the equations that were solved.
-        checks: expected checks until the next send, (nodes,).
-        costs: expected cost until the next send, (nodes,).
-        rate: sends per check.
-        excess: cost per check.
-        left: relative error of rate and excess that further policy iterations would remove.
-    """
-
-    system: System
-    checks: Array
-    costs: Array
-    rate: float
-    excess: float
-    left: float = 0.0
+    system: System  # the equations that were solved
+    checks: Array  # expected checks until the next send, (nodes,)
+    costs: Array  # expected cost until the next send, (nodes,)
+    rate: float  # sends per check
+    excess: float  # cost per check
+    left: float = 0.0  # relative error of rate and excess that further policy iterations would remove
 
     @property
     def rounding(self) -> float:
@@ -489,19 +412,14 @@ class Solved(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolutionPair(Displayed):
-    """Solutions of the renewal equations on fine and on coarser nodes, and the error estimated from their difference.
-
-    Args:
-        found: the finer solution.
-        rate_error: absolute error of the rate.
-        excess_error: absolute error of the excess.
-        previous: the coarser solution.
+    """Solutions of the renewal equations on fine and on coarser nodes, and the error estimated from their
+    difference.
     """
 
-    found: Solved
-    rate_error: float
-    excess_error: float
-    previous: Solved
+    found: Solved  # the finer solution
+    rate_error: float  # absolute error of the rate
+    excess_error: float  # absolute error of the excess
+    previous: Solved  # the coarser solution
 
     @property
     def off(self) -> float:
@@ -543,23 +461,6 @@ def climb(
     """Solve the renewal equations on finer nodes and wider windows until rate and excess no longer change.
 
     The claimed error is twice the last change, which is the error of the coarser answer.
-
-    Args:
-        attempt: solves for a density of the nodes, a factor of the window, and a number of the attempt; returns None if
-            this fails.
-        accuracy: requested relative accuracy.
-        less: remedy in error messages, such as a smaller threshold.
-        instead: alternative in error messages, such as a simulation.
-        told: reports the progress; when time runs out, the best answer so far is returned.
-
-    Returns:
-        The most accurate answer.
-
-    Raises:
-        NoQuadratureError: too many nodes are needed, or the answers do not agree.
-        OutOfTime: time runs out before the first answer.
-
-    Source: khashooei2017
     """
     density, factor = first_density(accuracy), NARROW
     previous, best, missed = None, None, 0
@@ -598,17 +499,7 @@ def climb(
 
 
 def find_window(white: White, region: Region, covariance: Array, effort: QuadratureEffort) -> ErrorRegion:
-    """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors.
-
-    Args:
-        white: the chain.
-        region: the errors that are not sent.
-        covariance: approximate covariance of unsent errors, (n, n).
-        effort: budget, with the accuracy of rate and excess.
-
-    Returns:
-        A window outside which the share of checks and cost is negligible.
-    """
+    """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors."""
     window = ErrorRegion(covariance, np.full(len(covariance), REACH))
     accuracy, rough = min(effort.accuracy, LOOSEST), replace(effort, dense=DENSE)
     for _ in range(PASSES):
@@ -632,19 +523,7 @@ def find_window(white: White, region: Region, covariance: Array, effort: Quadrat
 
 
 def discretise_renewal(white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> System:
-    """Return the discretised renewal equations; because of symmetry, one node represents both x and −x.
-
-    Args:
-        white: the chain.
-        nodes: nodes in the region of unsent errors.
-        effort: budget; it decides between matrix and grid.
-
-    Returns:
-        The system.
-
-    Raises:
-        TooManyNodes: the grid would be too large.
-    """
+    """Return the discretised renewal equations; because of symmetry, one node represents both x and −x."""
     n = len(white.m)
     density = (2 * np.pi) ** (-n / 2) * nodes.weight
     start = 2 * density * np.exp(-0.5 * (nodes.x * nodes.x).sum(axis=1))
@@ -660,19 +539,7 @@ def discretise_renewal(white: White, nodes: QuadratureNodes, effort: QuadratureE
 
 
 def solve_on_nodes(white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> Solved | None:
-    """Return the solution of the renewal equations on given nodes, or None if the nodes are too coarse.
-
-    Args:
-        white: the chain.
-        nodes: nodes in the region of unsent errors.
-        effort: budget of the solution.
-
-    Returns:
-        The solution.
-
-    Raises:
-        TooManyNodes: the grid would be too large.
-    """
+    """Return the solution of the renewal equations on given nodes, or None if the nodes are too coarse."""
     system = discretise_renewal(white, nodes, effort)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
     solution = system.check.settled(known)

@@ -31,15 +31,6 @@ def enclosed(weights: Array, limit: float) -> tuple[float, float]:
     missing weight times the probability of the first omitted distribution completes it to an upper bound. If very
     different μ_i would make the series long, Imhof's integral is used instead, along a contour around the negative axis
     on which the integrand decays exponentially. Its error is estimated by the change from fewer to more points.
-
-    Args:
-        weights: μ ≥ 0, (k,).
-        limit: x > 0.
-
-    Returns:
-        A lower and an upper bound.
-
-    Source: ruben1962, imhof1961, trefethen2006
     """
     scaled = weights[weights > NEGLIGIBLE * limit] / limit
     if not len(scaled):
@@ -105,15 +96,10 @@ ROUNDED = 1e-12  # absolute error of a probability that is convolved by Fourier 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WindowBound(Displayed):
-    """Upper bounds on the number of sends in a window of consecutive checks.
+    """Upper bounds on the number of sends in a window of consecutive checks."""
 
-    Args:
-        mean: upper bound on the mean number of sends.
-        most: upper bound on the number of sends that holds with the requested confidence.
-    """
-
-    mean: float
-    most: int
+    mean: float  # upper bound on the mean number of sends
+    most: int  # upper bound on the number of sends that holds with the requested confidence
 
 
 def rate_bounds(chain: Chain) -> tuple[float, float]:
@@ -132,24 +118,6 @@ def rate_bounds(chain: Chain) -> tuple[float, float]:
     over the unsent errors e gives the inequality. So u_0 = 1, u_j = min_{k ≤ j} u_{j−k} p_k is an upper bound of a_j.
     For any k, the sum of the a_j after check J is at most (p_k + p_k² + …)(u_{J−k+1} + … + u_J). This is finite, since
     some p_k < 1.
-
-    Args:
-        chain: chain with Gaussian noise.
-
-    Returns:
-        A lower and an upper bound of the rate, in (0, 1]. If unsent errors are large compared with the noise of one
-        check, the upper bound is well above the rate and the lower bound is well below it.
-
-    Raises:
-        NoQuadratureError: the noise consists of jumps, or nothing is ever sent, so that the rate is 0.
-
-    Source: royen2014, anderson1955
-
-    Example:
-        >>> unit = np.eye(2)
-        >>> low, high = rate_bounds(Chain(unit, unit, unit, 1.0, unit))
-        >>> round(low, 3), round(high, 3)
-        (0.607, 0.669)
     """
     data = _seen(chain)
     onward = _onward(data)
@@ -180,21 +148,6 @@ def least_interval(chain: Chain, checks: int = FEW) -> float:
     It is 1 + Σ_j p_1 ⋯ p_j over a number of checks j, with the p_j of :func:`rate_bounds`.
 
     Its inverse is the upper bound of :func:`rate_bounds` if this number of checks suffices.
-
-    Args:
-        chain: chain with Gaussian noise.
-        checks: number of terms of the sum.
-
-    Raises:
-        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
-        ProblemError: checks is not an integer of at least 1.
-
-    Source: royen2014
-
-    Example:
-        >>> unit = np.eye(1)
-        >>> round(least_interval(Chain(0 * unit, unit, unit, 1.0, unit)), 4)  # 1/P(|z| > 1)
-        3.1515
     """
     return float(_survival(chain, count("checks", checks)).sum())
 
@@ -208,26 +161,6 @@ def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound
     k checks is at most 1 + N'(k − 1), where N' counts the renewals with intervals X'. With f_j = q_{j−1} − q_j its mean
     solves U_m = Σ_{j ≤ m} f_j (1 + U_{m−j}). Its distribution follows by convolution from
     P(1 + N'(k − 1) > m) = P(X'_1 + … + X'_m ≤ k − 1).
-
-    Args:
-        chain: chain with Gaussian noise; its past is arbitrary.
-        checks: k ≥ 1, the length of the window.
-        confidence: probability that at most ``most`` errors are sent, in (0, 1 − 10⁻¹⁰).
-
-    Returns:
-        The bound on the mean, and the least bound on the number at this confidence.
-
-    Raises:
-        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
-        ProblemError: checks or confidence is out of range.
-
-    Source: royen2014
-
-    Example:
-        >>> unit = np.eye(2)
-        >>> found = sends_in_window(Chain(unit, unit, unit, 1.0, unit), 20, 0.99)
-        >>> round(found.mean, 2), found.most
-        (13.65, 17)
     """
     count("checks", checks)
     number("confidence", confidence, 0.0, 1 - 1e-10)

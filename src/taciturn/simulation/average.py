@@ -213,28 +213,6 @@ class Averaging:
     The identity J = J_base + E[cost of silence] has large errors if the cost is far below that of its base, for example
     over a horizon if sending every sample destabilises the loop. So in this case, the first steps are also simulated
     with the plain average, and the estimator with the smaller error is used.
-
-    Args:
-        loop: the closed loop.
-        estimator: estimator of the cost; default: the best that is valid.
-        seed: seed of the random draws.
-        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
-        steps: total number of steps to simulate, over all paths, instead of a standard error.
-        progress: callback that receives the fraction done.
-        threads: number of threads, at least 1; default: all processors.
-
-    Raises:
-        ProblemError: as for ``average``.
-
-    Example:
-        >>> from taciturn import load
-        >>> problem = load("two-mass-lqg")
-        >>> loop = problem.close(problem.design())
-        >>> rough, fine = (Averaging(loop, standard_error=error) for error in (1e-3, 1e-5))
-        >>> rough.predict(1e-3) < fine.predict(1e-5)
-        True
-        >>> rough.finish().cost == average(loop, standard_error=1e-3).cost
-        True
     """
 
     def __init__(
@@ -261,12 +239,6 @@ class Averaging:
         """Simulate the first windows, and return the approximate number of remaining operations.
 
         The number is infinite if the loop is unstable.
-
-        Args:
-            standard_error: absolute standard error of the cost.
-
-        Raises:
-            OutOfTime: the time limit has passed.
         """
         self._begin()
         if isinstance(self.failed, OutOfTime):
@@ -278,12 +250,7 @@ class Averaging:
         return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
-        """Continue the simulation to its end, and return the same result as :func:`average`.
-
-        Raises:
-            UnstableError: the loop diverges.
-            OutOfTime: the time limit passed before any answer was available.
-        """
+        """Continue the simulation to its end, and return the same result as :func:`average`."""
         self._begin()
         if self.failed is not None:
             raise self.failed
@@ -317,12 +284,7 @@ class Averaging:
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
-    """Raise an error for an invalid seed, standard error or number of simulated steps.
-
-    Raises:
-        ProblemError: the seed is below 0, the standard error is not positive, there are too few steps, or both a
-            standard error and steps are given.
-    """
+    """Raise an error for an invalid seed, standard error or number of simulated steps."""
     count("seed", seed, 0)
     if standard_error is not None and steps is not None:
         raise ProblemError("standard_error and steps are both given; expected one of them")

@@ -20,15 +20,10 @@ from taciturn.simulation.sampling import find_loss, sends
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tally(Displayed):
-    """Simulated cost and sends of each loop in a bank of loops.
+    """Simulated cost and sends of each loop in a bank of loops."""
 
-    Args:
-        cost: mean stage cost of each loop per unit of time, as for an average cost, (loops,).
-        sends: mean sends per step of each loop, by link, (loops,); 0 if a loop does not have the link.
-    """
-
-    cost: Array
-    sends: Mapping[str, Array]
+    cost: Array  # mean stage cost of each loop per unit of time, as for an average cost, (loops,)
+    sends: Mapping[str, Array]  # mean sends per step of each loop, by link, (loops,)
 
 
 class Bank:

@@ -29,11 +29,7 @@ HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its v
 
 
 def expect_arrivals(loop: Loop) -> None:
-    """Raise an error if link outages make the mean square of a loop infinite, whatever the send decisions.
-
-    Raises:
-        UnstableError: a link drops every packet, or too many in a row, and the plant does not come to rest by itself.
-    """
+    """Raise an error if link outages make the mean square of a loop infinite, whatever the send decisions."""
     for link, outage, growth in _outages(loop):
         if outage == 1:
             raise UnstableError(
@@ -58,15 +54,7 @@ def expect_arrivals(loop: Loop) -> None:
 def find_doubts(
     loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
 ) -> tuple[str, ...]:
-    """Return the warnings about a simulated average.
-
-    Args:
-        loop: the closed loop.
-        cost: the average cost.
-        rates: sends per step, by link.
-        steps: simulated steps of all paths together.
-        settled: whether the initial transient has decayed.
-    """
+    """Return the warnings about a simulated average."""
     silent = " and ".join(f"the {link} link" for link, rate in rates.items() if rate.value == 0)
     notes = loop.problem.remarks
     if escapes(loop):

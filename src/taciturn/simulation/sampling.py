@@ -76,17 +76,11 @@ class Estimator(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Part(Displayed):
-    """A loop in a simulation, with its cost estimator and the sign with which its cost and rates are added.
+    """A loop in a simulation, with its cost estimator and the sign with which its cost and rates are added."""
 
-    Args:
-        loop: the closed loop.
-        estimator: estimator of its cost.
-        sign: 1, or −1 if cost and rates are subtracted.
-    """
-
-    loop: Loop
-    estimator: Estimator
-    sign: float = 1.0
+    loop: Loop  # the closed loop
+    estimator: Estimator  # estimator of its cost
+    sign: float = 1.0  # 1, or −1 if cost and rates are subtracted
 
     @property
     def names(self) -> list[Name]:
@@ -134,15 +128,7 @@ def sends(loop: Loop) -> list[Sent]:
 
 
 def expect_numbers(loop: Loop, states: Array) -> None:
-    """Raise an error if a simulated path contains non-finite states of a nonlinear plant.
-
-    Args:
-        loop: the closed loop.
-        states: x at each step, (steps, n).
-
-    Raises:
-        UnstableError: there is a non-finite value; the message contains the entry and the previous state.
-    """
+    """Raise an error if a simulated path contains non-finite states of a nonlinear plant."""
     lost = np.flatnonzero(~np.isfinite(states).all(axis=1))
     if loop.problem.plant.function is None or not lost.size:
         return
@@ -154,16 +140,6 @@ def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: i
     """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation.
 
     One path is run again to find the step.
-
-    Args:
-        loop: the closed loop.
-        program: program of the loop, which contains the state ``x``.
-        run: function that runs the program.
-        before: states before the run, (states, paths).
-        ticks: number of steps of the run.
-
-    Raises:
-        UnstableError: there is a non-finite value; the message contains the entry and the previous state.
     """
     rows = [i for i, state in enumerate(program.states) if state.name == "x"]
     if loop.problem.plant.function is None or not rows:
@@ -217,11 +193,7 @@ Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
 
 
 class History:
-    """The windows of steps since the start of all paths.
-
-    Args:
-        counted: which sums are numbers of sends.
-    """
+    """The windows of steps since the start of all paths."""
 
     def __init__(self, counted: Bits) -> None:
         """Start without windows."""
@@ -286,9 +258,6 @@ class Snapshots:
         """Return whether the distribution of a state has changed since the last call, and keep the states.
 
         A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
-
-        Args:
-            states: states of the paths, (states, paths); there may be fewer paths than before.
         """
         before, self._states = self._states, states
         spread = states.std(axis=1)
@@ -315,9 +284,6 @@ def shared_end(windows: Sequence[Window]) -> float:
     after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ … 1 − 1/ℓ, all
     alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have equal rates, and no
     such error.
-
-    Args:
-        windows: steps and sends of each path, (paths,), of each window.
     """
     steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
     rates = [float(sums.mean()) / length for length, sums in windows]
@@ -392,13 +358,8 @@ class Averages(Displayed):
 
 
 class Sampling:
-    """Simulation of one loop, or of two loops with the same noise whose results are added or subtracted on each path.
-
-    Args:
-        parts: one loop, or two loops that are compared.
-        seed: seed of the random draws.
-        progress: callback that receives the fraction done.
-        threads: number of threads; default: all processors.
+    """Simulation of one loop, or of two loops with the same noise whose results are added or subtracted on each
+    path.
     """
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
@@ -539,14 +500,7 @@ class Sampling:
         return -(-ticks // cycle) * cycle
 
     def settle(self, most: int, budget: int, watch: Watch | None = None) -> tuple[list[Array], History, bool]:
-        """Return states of at most so many paths in stationary operation, their history, and whether they settled.
-
-        Args:
-            most: largest number of paths.
-            budget: largest number of steps of all paths together.
-            watch: function that returns further values of each path from the states of the only part, (values,
-                paths). Their means have to settle, too.
-        """
+        """Return states of at most so many paths in stationary operation, their history, and whether they settled."""
         width = len(self.parts)
         least = max(
             SHORTEST_BURN_IN, int(max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts))
@@ -682,15 +636,7 @@ class Sampling:
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
-    """Return the last of successively better simulation results, or the last one before the time limit.
-
-    Args:
-        answers: answers still to be computed.
-        found: the previous answer, or None.
-
-    Raises:
-        OutOfTime: the time limit passed before the first answer.
-    """
+    """Return the last of successively better simulation results, or the last one before the time limit."""
     try:
         for found in answers:  # noqa: B007 (only the last one is used)
             pass

@@ -47,10 +47,6 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
     """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0.
 
     The mean is the intercept of a least-squares fit on the control variates, with the standard error of the intercept.
-
-    Args:
-        values: one value per path, (paths,).
-        controls: control variates, (controls, paths).
     """
     spread = controls.std(axis=1)
     fitted = np.column_stack([np.ones(len(values)), (controls[spread > 0] / spread[spread > 0, None]).T])
@@ -64,13 +60,7 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
 
 
 def tail_index(values: Array) -> float:
-    """Return Hill's estimate of the power-law index of the largest values, relative to the median.
-
-    Args:
-        values: independent values, (values,); for fewer than 4,096 values the index is infinite.
-
-    Source: hill1975
-    """
+    """Return Hill's estimate of the power-law index of the largest values, relative to the median."""
     largest = len(values) // TAIL
     if largest < TAIL:
         return float(np.inf)
@@ -82,13 +72,7 @@ def tail_index(values: Array) -> float:
 
 
 def rate_of(values: Array, seen: int, end: float = 0.0) -> Estimate:
-    """Return the mean of observed send rates, with a standard error of at least one event in the observed steps.
-
-    Args:
-        values: rate on each path, (paths,).
-        seen: observed steps of all paths.
-        end: standard deviation of the error that all paths share because their records end at the same step.
-    """
+    """Return the mean of observed send rates, with a standard error of at least one event in the observed steps."""
     found = mean(values)
     return Estimate(found.value, float(np.hypot(max(found.standard_error, 1 / seen), end)), found.method)
 

@@ -240,48 +240,19 @@ class Course(Displayed):
 
     For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
     or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the total.
-
-    Args:
-        time: time in seconds, or in steps if the plant has no ``dt``, (steps,).
-        cost: mean of x'Qx + û'Rû + 2x'Nû, (steps,).
-        standard_error: standard error of the cost, (steps,).
-        sends: fraction of the paths that send, by link, (steps,).
-        sends_standard_error: standard error of these fractions, (steps,); 0 if all paths agree.
-        final: mean cost of the final state; None before the end of a finite-horizon run, or without a terminal weight.
-        paths: number of paths.
     """
 
-    time: Array
-    cost: Array
-    standard_error: Array
-    sends: Mapping[str, Array]
-    sends_standard_error: Mapping[str, Array]
-    final: Estimate | None
-    paths: int
+    time: Array  # time in seconds, or in steps if the plant has no ``dt``, (steps,)
+    cost: Array  # mean of x'Qx + û'Rû + 2x'Nû, (steps,)
+    standard_error: Array  # standard error of the cost, (steps,)
+    sends: Mapping[str, Array]  # fraction of the paths that send, by link, (steps,)
+    sends_standard_error: Mapping[str, Array]  # standard error of these fractions, (steps,); 0 if all paths agree
+    final: Estimate | None  # mean cost of the final state
+    paths: int  # number of paths
 
 
 def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Course:
-    """Simulate independent paths of a loop from its initial distribution, and average cost and sends at each step.
-
-    Args:
-        loop: the closed loop.
-        ticks: number of steps, at least 1, and not beyond the end of a finite-horizon run.
-        paths: number of paths, at least 2.
-        seed: seed of the random draws.
-
-    Returns:
-        Cost and sends at each step.
-
-    Raises:
-        ProblemError: steps, paths or seed are out of range.
-        UnstableError: the function of a nonlinear plant gives a non-finite number.
-
-    Example:
-        >>> from taciturn import Cost, Plant, close, design
-        >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]], mean=[3.0]), Cost([[1.0]], [[1.0]])
-        >>> round(float(course(close(plant, design.all_time(plant, cost)), 20).cost[0]), 3)
-        14.667
-    """
+    """Simulate independent paths of a loop from its initial distribution, and average cost and sends at each step."""
     instance("loop", loop, Loop)
     ticks, paths, seed = loop.ticks(ticks), count("paths", paths, 2), count("seed", seed, 0)
     names = sends(loop)

@@ -41,16 +41,7 @@ Whole = npt.NDArray[np.int64]
 
 
 class Splitting:
-    """Paths of a loop with their copies, advanced step by step.
-
-    Args:
-        loop: the loop.
-        program: its program, with the states ``x``.
-        run: the runner of the program.
-        states: initial states of the original paths, (states, paths).
-        seed: seed of the random numbers of copies.
-        height: function from the states x, (n, paths), to the height of each path, (paths,).
-    """
+    """Paths of a loop with their copies, advanced step by step."""
 
     def __init__(
         self, loop: Loop, program: Program, run: Runner, states: Array, seed: int, height: Callable[[Array], Array]
@@ -224,16 +215,7 @@ def violations(
 
 
 class _Search:
-    """Simulations of a loop for its limits.
-
-    Args:
-        loop: the loop.
-        limits: the limits.
-        seed: seed of the random draws.
-        accuracy: relative standard error.
-        budget: steps of all paths in one simulation.
-        progress: progress of all simulations.
-    """
+    """Simulations of a loop for its limits."""
 
     def __init__(self, loop: Loop, limits: Limits, seed: int, accuracy: float, budget: int, progress: Stages) -> None:
         """Bring the loop to stationary operation."""
@@ -320,14 +302,6 @@ class _Search:
 
         A standard error is at least that of one event, and at least the share of time above the highest threshold if
         few paths have seen a violation.
-
-        Args:
-            shares: weighted number of steps with a violation, of each original path, (paths,).
-            hits: weighted number of windows whose first violation is in each part, (parts, paths).
-            steps: steps of each path.
-            windows: windows of each path.
-            near: share of the steps above the highest threshold.
-            levels: number of thresholds.
         """
         least = float(COPIES) ** -levels / len(shares)
         few = np.count_nonzero(shares) < SEEN
@@ -395,11 +369,7 @@ class _Search:
         return self.loop.start(self.program, paths, self.seed, self.fresh - paths)
 
     def _stationary(self, paths: int) -> Array:
-        """Return paths in stationary operation.
-
-        Raises:
-            ProblemError: there is no stationary distribution.
-        """
+        """Return paths in stationary operation."""
         if not any(state.name == GENERATOR for state in self.program.states):
             raise ProblemError(
                 "nothing in the loop is random, so its states have no distribution; expected noise W or V, or a horizon"

@@ -46,11 +46,7 @@ if TYPE_CHECKING:
 
 
 def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "rate") -> dict[str, Problem]:
-    """Return the problems to compare by name, at the same ``budget``: the rate or the traffic.
-
-    Raises:
-        ProblemError: if they cannot be compared.
-    """
+    """Return the problems to compare by name, at the same ``budget``: the rate or the traffic."""
     instance("problems", given, Mapping)
     problems = {name: as_problem(f"problems[{name!r}]", problem) for name, problem in given.items()}
     if len(problems) < 2:

@@ -37,22 +37,13 @@ GAINS = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Description(Displayed):
-    """Properties of a problem's policy that are known without a simulation.
+    """Properties of a problem's policy that are known without a simulation."""
 
-    Args:
-        problem: the problem that the policy was designed for.
-        policy: the designed policy.
-        nodes: the policy that the nodes run (for ``optimal``, a policy with the same nodes), or None if the policy has
-            no sampling steps.
-        violated_assumptions: differences between the loop and its design; if there are any, no guarantee holds.
-        remarks: what the cost counts, if it is not the integral of the stage cost.
-    """
-
-    problem: Problem
-    policy: AnyPolicy
-    nodes: Policy | None
-    violated_assumptions: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
+    problem: Problem  # the problem that the policy was designed for
+    policy: AnyPolicy  # the designed policy
+    nodes: Policy | None  # the policy that the nodes run
+    violated_assumptions: tuple[str, ...]  # differences between the loop and its design
+    remarks: tuple[str, ...] = ()  # what the cost counts, if it is not the integral of the stage cost
 
     @property
     def diagram(self) -> Diagram | None:
@@ -221,23 +212,7 @@ class Description(Displayed):
 
 
 def describe(problem: Studied) -> Description:
-    """Design a problem's policy and describe it, without a simulation.
-
-    Args:
-        problem: from ``load`` or ``Problem``.
-
-    Returns:
-        The description, which prints itself as a table.
-
-    Raises:
-        ProblemError: the data of the problem are inconsistent.
-        UnstableError: no stabilising gain exists.
-
-    Example:
-        >>> from taciturn import load
-        >>> describe(load("two-mass")).gains["L"].shape
-        (1, 4)
-    """
+    """Design a problem's policy and describe it, without a simulation."""
     problem = as_problem("problem", problem)
     policy = problem.designed()
     if isinstance(policy, EventPolicy):

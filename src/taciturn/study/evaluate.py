@@ -92,11 +92,7 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
 
 
 def expect_bound(problem: Problem) -> None:
-    """Reject a problem without a lower bound on the cost of any scheduling.
-
-    Raises:
-        ProblemError: the problem has no lower bound; the message gives the reason.
-    """
+    """Reject a problem without a lower bound on the cost of any scheduling."""
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         raise ProblemError(
@@ -107,11 +103,7 @@ def expect_bound(problem: Problem) -> None:
 
 
 def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
-    """Return the lower bound at a measured rate, evaluated at the upper confidence limit of this rate.
-
-    Raises:
-        ProblemError: nothing is sent, or no bound exists.
-    """
+    """Return the lower bound at a measured rate, evaluated at the upper confidence limit of this rate."""
     if rate.value == 0:
         raise ProblemError("nothing is sent")
     from statistics import NormalDist  # which most evaluations do not need
@@ -122,13 +114,7 @@ def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: 
 
 
 def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit) -> tuple[str, ...]:
-    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds.
-
-    Args:
-        rate: the simulated rate, per unit of time.
-        certified: its certified bounds.
-        unit: the unit of time.
-    """
+    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds."""
     nearest = min(max(rate.value, certified[0]), certified[1])
     gap, error = abs(rate.value - nearest), rate.standard_error
     if rate.method != "simulation" or gap < CONTRADICTION * error or gap <= SAME * nearest:
@@ -146,15 +132,7 @@ def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit)
 def with_violations(
     problem: Problem, limits: Limits, request: Request, found: Evaluation, progress: Progress
 ) -> Evaluation:
-    """Return an evaluation with the probabilities that limits are violated, or with a note that tells why not.
-
-    Args:
-        problem: the problem.
-        limits: its limits.
-        request: seed and number of steps.
-        found: the evaluation of cost and rates.
-        progress: callback that receives the fraction done.
-    """
+    """Return an evaluation with the probabilities that limits are violated, or with a note that tells why not."""
     policy = problem.designed()
     try:
         if not isinstance(policy, Policy):
@@ -174,17 +152,7 @@ def with_violations(
 def plant_as_written(
     problem: Problem, policy: object, request: Request, progress: Progress | None = None
 ) -> AsWritten | None:
-    """Return cost and rates of a policy on the plant as written, or None if no default has added anything.
-
-    Args:
-        problem: the problem.
-        policy: its policy.
-        request: seed and steps; a standard error applies if it is larger than 0.1 % of the cost of every sample.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        OutOfTime: the time limit passed before any answer was available.
-    """
+    """Return cost and rates of a policy on the plant as written, or None if no default has added anything."""
     kept = problem.controller
     if kept is None or not isinstance(policy, Policy) or isinstance(problem.own, BareKind):
         return None
@@ -331,11 +299,7 @@ def _evaluated(
     after_step: bool,
     told: Stages,
 ) -> Evaluation:
-    """Return the evaluation; the caller adds the time that it took.
-
-    Raises:
-        OutOfTime: the time limit passed before any answer was available.
-    """
+    """Return the evaluation; the caller adds the time that it took."""
     policy = problem.designed()
     optimum = isinstance(policy, OptimalPolicy)
     if isinstance(policy, EventPolicy):

@@ -97,12 +97,7 @@ def proved(bound: float | None) -> float | None:
 
 
 def proof_text(proved: bool, every_sample: bool) -> str:
-    """Return in words which numbers of a guarantee are computed with proved errors.
-
-    Args:
-        proved: whether the whole guarantee is.
-        every_sample: whether the cost of sending every sample is.
-    """
+    """Return in words which numbers of a guarantee are computed with proved errors."""
     if proved:
         return "J_all and guarantee are proved for the gains as stored"
     if every_sample:
@@ -128,12 +123,6 @@ def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = Tr
     """Return the excess of a cost over the cost of sending every sample, in percent, with at most two decimals.
 
     The last digit is that of the first digit of the standard error.
-
-    Args:
-        cost: the cost, or a bound on it.
-        base: the cost of sending every sample.
-        up: direction of rounding: 1 for an upper bound, -1 for a lower bound, and 0 for a cost.
-        signed: whether a positive number has a sign.
     """
     error, decimals = 100 * cost.standard_error / base, MOST_DECIMALS
     if error > 0:
@@ -256,14 +245,7 @@ class AfterStep(Displayed):
 def averages_after_step(
     problem: Problem, policy: Policy, request: Request, progress: Progress | None = None
 ) -> AfterStep | None:
-    """Return the averages after a step of the disturbance that the policy assumes, or None if it assumes none.
-
-    Args:
-        problem: the problem.
-        policy: its policy.
-        request: seed and steps; a standard error applies if it is larger than 0.1 % of the cost of every sample.
-        progress: callback that receives the fraction done.
-    """
+    """Return the averages after a step of the disturbance that the policy assumes, or None if it assumes none."""
     assumed = policy.disturbance
     if assumed is None or assumed.deviation is None:
         return None
@@ -369,18 +351,7 @@ class WithoutLimits(Displayed):
 def compare_without_limits(
     problem: Problem, loop: Loop, request: Request, pace: float, progress: Progress | None
 ) -> WithoutLimits | None:
-    """Return the comparison of a loop with the same loop without limits, or None if no input has a limit.
-
-    Args:
-        problem: the problem.
-        loop: its loop.
-        request: accuracy of the cost.
-        pace: unit of the rates, in steps.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        OutOfTime: the time limit passed before any answer was available.
-    """
+    """Return the comparison of a loop with the same loop without limits, or None if no input has a limit."""
     limits = loop.problem.plant.saturation
     if limits is None:
         return None

@@ -101,11 +101,7 @@ class RateGoal(Goal):
     link: str | None = None
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link.
-
-        Raises:
-            ProblemError: the policy does not decide on it, or decides on several links and the budget names none.
-        """
+        """Return the rate of the link."""
         rates = evaluation.rates
         if self.link is None and len(rates) > 1:
             raise ProblemError(
@@ -126,11 +122,7 @@ class TrafficGoal(Goal):
     name: ClassVar[str] = "traffic"
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the traffic.
-
-        Raises:
-            ProblemError: the policy decides on no link.
-        """
+        """Return the traffic."""
         if evaluation.traffic is None:
             raise ProblemError(f"{evaluation.policy} decides on no link, so it has no traffic; expected a rate")
         return evaluation.traffic
@@ -159,11 +151,7 @@ class RatesGoal(Goal):
         return dict(self.limits)
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the largest ratio of a rate to its limit.
-
-        Raises:
-            ProblemError: the policy does not decide on one of the links, or a limit is above the largest rate.
-        """
+        """Return the largest ratio of a rate to its limit."""
         most = evaluation.base_rate
         for link, limit in self.limits.items():
             _rate(evaluation, link)
@@ -178,17 +166,12 @@ class RatesGoal(Goal):
 
 @dataclass(frozen=True, repr=False)
 class CostGoal(Goal):
-    """A limit on the cost.
-
-    Args:
-        budget: the limit.
-        link: link whose rate is the use of the network; default: the traffic on all links.
-    """
+    """A limit on the cost."""
 
     name: ClassVar[str] = "cost"
     limits_cost: ClassVar[bool] = True
 
-    link: str | None = None
+    link: str | None = None  # link whose rate is the use of the network; default: the traffic on all links
 
     def text(self, evaluation: Evaluation) -> str:
         """Return the budget as text, with the unit of the cost."""
@@ -226,11 +209,7 @@ class ViolationGoal(CostGoal):
         return f"{self.short()} of the steps"
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return the probability per step that any limit is violated.
-
-        Raises:
-            ProblemError: there is none, for the reason that the last note of the evaluation gives.
-        """
+        """Return the probability per step that any limit is violated."""
         if evaluation.violations is None:
             raise ProblemError(evaluation.notes[-1])
         return evaluation.violations.total.per_step
@@ -264,15 +243,7 @@ EXAMPLES = {
 
 
 def parse_budget(name: str, text: str) -> float | str:
-    """Return the number that a text contains, or the text itself if it is a percentage.
-
-    Args:
-        name: ``"rate"``, ``"traffic"`` or ``"cost"``.
-        text: a text such as ``"0.3"``, ``"50%"`` for a rate, or ``"+5%"`` or ``"-5%"`` for a cost.
-
-    Raises:
-        ProblemError: the text is neither a number nor a percentage.
-    """
+    """Return the number that a text contains, or the text itself if it is a percentage."""
     found = None
     with suppress(ValueError):
         found = float(text)
@@ -288,18 +259,7 @@ def parse_budget(name: str, text: str) -> float | str:
 
 
 def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: object) -> float:
-    """Return a budget as a number; percentages refer to the rate or cost of sending at every step.
-
-    Args:
-        problem: the problem whose policy is tuned.
-        tuning: the tuning parameter.
-        name: ``"rate"`` or ``"cost"``.
-        budget: the budget, as in ``tune``.
-
-    Raises:
-        ProblemError: the budget is malformed, or it is a percentage of a value that is unknown or depends on the tuning
-            parameter.
-    """
+    """Return a budget as a number; percentages refer to the rate or cost of sending at every step."""
     if not isinstance(budget, str):
         return number(name, budget, 0.0)
     share, given = _share(name, budget), problem.parameters
@@ -323,11 +283,7 @@ def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: ob
 
 
 def _share(name: str, text: str) -> float:
-    """Return the value of a percentage as a fraction.
-
-    Raises:
-        ProblemError: the text is not a percentage of the expected form.
-    """
+    """Return the value of a percentage as a fraction."""
     found = re.fullmatch(FORMS[name], text.strip())
     if found is None:
         raise ProblemError(f"{name} is {text!r}; expected a number, or a percentage such as {EXAMPLES[name]}")

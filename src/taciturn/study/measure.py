@@ -28,66 +28,37 @@ SHARE = 0.5  # share of the time limit for a method that has no answer before it
 
 @dataclass(frozen=True, repr=False)
 class Candidate(Displayed):
-    """A method that computes cost and rates, with its predicted work, counted in operations.
+    """A method that computes cost and rates, with its predicted work, counted in operations."""
 
-    Args:
-        name: name of the method.
-        least: lower bound on the work, known in advance.
-        predict: function that predicts the remaining work for the requested error. A simulation continues from the
-            steps that it ran for this prediction. The argument is the least work of the other methods; a prediction
-            above it may be any lower bound.
-        run: function that computes the answer.
-        gradual: whether the method has a preliminary answer long before its end.
-    """
-
-    name: str
-    least: float
-    predict: Callable[[float], float]
-    run: Callable[[Progress | None], Averages]
-    gradual: bool
+    name: str  # name of the method
+    least: float  # lower bound on the work, known in advance
+    predict: Callable[[float], float]  # function that predicts the remaining work for the requested error
+    run: Callable[[Progress | None], Averages]  # function that computes the answer
+    gradual: bool  # whether the method has a preliminary answer long before its end
 
 
 @dataclass(frozen=True, repr=False)
 class Request(Displayed):
-    """Requested accuracy of a measurement, and its budget.
+    """Requested accuracy of a measurement, and its budget."""
 
-    Args:
-        seed: seed of the random draws.
-        standard_error: absolute standard error of the cost; None for 1e-4 of the cost.
-        steps: total number of steps to simulate over all paths, instead of a standard error; or None.
-        method: ``"auto"``, ``"simulation"``, ``"exact"`` or ``"conditional sampling"``.
-    """
-
-    seed: int
-    standard_error: float | None
-    steps: int | None
-    method: str
+    seed: int  # seed of the random draws
+    standard_error: float | None  # absolute standard error of the cost; None for 1e-4 of the cost
+    steps: int | None  # total number of steps to simulate over all paths, instead of a standard error; or None
+    method: str  # ``"auto"``, ``"simulation"``, ``"exact"`` or ``"conditional sampling"``
 
 
 @dataclass(frozen=True, repr=False)
 class Measured(Displayed):
-    """Cost and rates of a loop, as computed by one method.
+    """Cost and rates of a loop, as computed by one method."""
 
-    Args:
-        averages: cost and rates.
-        method: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or ``"simulation"``.
-        reason: why this method was chosen.
-        notes: warnings and remarks for the reader.
-    """
-
-    averages: Averages
-    method: str
-    reason: str
-    notes: tuple[str, ...] = ()
+    averages: Averages  # cost and rates
+    method: str  # ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or ``"simulation"``
+    reason: str  # why this method was chosen
+    notes: tuple[str, ...] = ()  # warnings and remarks for the reader
 
 
 def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured:
-    """Return cost and rates, in closed form or by the method with the shortest predicted computing time.
-
-    Raises:
-        ProblemError: the requested method does not apply.
-        OutOfTime: the time limit passed before any answer was available.
-    """
+    """Return cost and rates, in closed form or by the method with the shortest predicted computing time."""
     policy, method = loop.policy, request.method
     if method in ("auto", "exact") and loop.nominal and policy.theory.closed_form is not None:
         form = policy.theory.closed_form
@@ -139,9 +110,6 @@ def rank(candidates: list[Candidate]) -> tuple[list[Candidate], str]:
     A candidate whose least work exceeds the work of another candidate is not predicted more closely. A method that has
     begun counts only its remaining work. A candidate comes last if it has no preliminary answer and is predicted to
     need more than its share of the time limit, or if its prediction runs out of time.
-
-    Args:
-        candidates: at least one.
     """
     work, known, left = dict[str, float](), dict[str, str](), seconds_left()
     for candidate in sorted(candidates, key=lambda one: one.least):

@@ -125,12 +125,7 @@ class Clock(ABC):
         """Return the points of the cost curve between two rates; straight lines connect them."""
 
     def at(self, rate: float, error: float = 0.0) -> ClockMix | None:
-        """Return the cheapest periodic control at a rate, or None if no stable one was found.
-
-        Args:
-            rate: sends per step or per second.
-            error: standard error of the rate, which gives the cost a standard error along the cost curve.
-        """
+        """Return the cheapest periodic control at a rate, or None if no stable one was found."""
         found = self.around(rate) if rate > 0 else None
         if found is None:
             return None
@@ -154,12 +149,7 @@ class Clock(ABC):
 
 
 class Timed(Clock):
-    """Periodic control that measures only when it sends, at any period in seconds.
-
-    Args:
-        words: actuation.
-        cost_of: function that returns the exact cost for a period, or None if the loop is unstable.
-    """
+    """Periodic control that measures only when it sends, at any period in seconds."""
 
     def __init__(self, words: ClockKind, cost_of: Callable[[float], float | None]) -> None:
         """Compute nothing yet."""
@@ -183,15 +173,7 @@ class Timed(Clock):
 
 
 class Ticked(Clock):
-    """Periodic control that sends at sampling instants: the best of several cycles of send intervals.
-
-    Args:
-        words: actuation.
-        tick: seconds per step, or 1.
-        solve: function that returns the exact cost of a cycle; it raises an error if the loop is unstable.
-        screen: function for the approximate costs of cycles with equally many intervals; None: single intervals only.
-        most: largest number of cycles to try.
-    """
+    """Periodic control that sends at sampling instants: the best of several cycles of send intervals."""
 
     def __init__(
         self,
@@ -240,10 +222,6 @@ class Ticked(Clock):
 
         The answer does not depend on earlier calls, which threads may make in any order: each call begins with the
         approximate costs and replaces those of the chosen corners by the exact ones until the choice stays the same.
-
-        Args:
-            lengths: the shortest interval, the longest, and the one around which cycles are tried most densely.
-            choose: takes some of the corners.
         """
         if lengths not in self._tried:
             self._tried[lengths] = self._screened(self._candidates(*lengths))
@@ -312,13 +290,6 @@ class Either(Clock):
     """Periodic control that sends at sampling instants or at any period, whichever costs less, or a mix of both.
 
     A period of 1.5 steps, for example, reaches a rate that needs two cycles at sampling instants.
-
-    Args:
-        ticked: control that sends at sampling instants.
-        timed: control that sends at any period.
-        tick: seconds per step.
-        near: number of periods to try next to the period with the requested rate.
-        longest: longest period to try, in steps.
     """
 
     def __init__(self, ticked: Ticked, timed: Timed, tick: float, near: int, longest: float = FREE) -> None:
@@ -400,20 +371,7 @@ def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
 
 
 def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
-    """Return fair periodic control for a policy: the same measurements and actuator, and optimal gains.
-
-    Args:
-        problem: plant, cost and network.
-        policy: policy that was designed for the problem.
-
-    Returns:
-        The least cost of periodic control as a function of its rate.
-
-    Raises:
-        NoClockError: the simulated loop differs from the design, the horizon is finite, the policy schedules two
-            links or follows a reference, or with every sample it costs more than LQG: it keeps a controller,
-            or it uses measurements later than periodic control would.
-    """
+    """Return fair periodic control for a policy: the same measurements and actuator, and optimal gains."""
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
         return sampling_clock(problem, "model")

@@ -79,21 +79,13 @@ class NoLinkClocksError(Exception):
 
 @dataclass(eq=False)
 class _Search:
-    """The search for the timing of each link.
+    """The search for the timing of each link."""
 
-    Args:
-        control: the cost of a timing.
-        prices: price of a packet by link.
-        tick: seconds per step.
-        progress: receives the fraction done.
-        found: cost of each timing that was tried; inf if it does not stabilise the plant.
-    """
-
-    control: MultirateControl
-    prices: Mapping[str, float]
-    tick: float
-    progress: Stages
-    found: dict[Timings, float] = field(default_factory=lambda: {})
+    control: MultirateControl  # the cost of a timing
+    prices: Mapping[str, float]  # price of a packet by link
+    tick: float  # seconds per step
+    progress: Stages  # receives the fraction done
+    found: dict[Timings, float] = field(default_factory=lambda: {})  # cost of each timing that was tried
 
     @cached_property
     def links(self) -> list[str]:
@@ -169,17 +161,7 @@ def _replaced(timings: Timings, place: int, timing: Timing) -> Timings:
 
 
 def clocks_of_links(problem: Problem, traffic: float, progress: Progress | None = None) -> LinkClocks:
-    """Return the periodic control over the links of a problem with the least cost found at a traffic.
-
-    Args:
-        problem: plant, cost and network; for a continuous plant, the parameter ``period`` is the sampling period.
-        traffic: sum of the rates of all links, each times the price of a packet.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        NoLinkClocksError: the cost is not an average, links drop packets, the simulated plant differs from the design,
-            or no timing with at most this traffic stabilises the plant.
-    """
+    """Return the periodic control over the links of a problem with the least cost found at a traffic."""
     network, policy = problem.network, problem.designed()
     if not isinstance(policy, Policy):
         raise NoLinkClocksError("the policy has no sampling steps")

@@ -36,15 +36,10 @@ QUEUED = 3  # tasks per worker that are submitted in advance
 
 @dataclass(frozen=True, repr=False)
 class Cell(Displayed):
-    """One evaluation of a sweep.
+    """One evaluation of a sweep."""
 
-    Args:
-        values: values of the swept keys.
-        seed: seed of the cell's random draws.
-    """
-
-    values: Mapping[str, object] = field(hash=False)
-    seed: int
+    values: Mapping[str, object] = field(hash=False)  # values of the swept keys
+    seed: int  # seed of the cell's random draws
 
 
 @dataclass(frozen=True, repr=False)
@@ -56,17 +51,11 @@ class Refusal(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Effort(Displayed):
-    """Requested accuracy of the evaluation in every cell of a grid.
+    """Requested accuracy of the evaluation in every cell of a grid."""
 
-    Args:
-        standard_error: absolute standard error of the cost; None for 1e-4 of the cost, or if ``steps`` is given.
-        confidence: confidence of the lower bound, in cells that have one; None for no lower bound.
-        steps: number of steps of each simulation, instead of a standard error.
-    """
-
-    standard_error: float | None = None
-    confidence: float | None = None
-    steps: int | None = None
+    standard_error: float | None = None  # absolute standard error of the cost
+    confidence: float | None = None  # confidence of the lower bound, in cells that have one; None for no lower bound
+    steps: int | None = None  # number of steps of each simulation, instead of a standard error
 
 
 Answer: TypeAlias = Evaluation | Refusal
@@ -95,19 +84,6 @@ def run_cells(
     """Yield each cell's index and answer as they become available; a failing cell does not stop the others.
 
     An answer depends only on its cell: not on the order, the workers, or the number of workers.
-
-    Args:
-        problem: the problem in which each cell changes the named keys.
-        cells: the cells to evaluate.
-        effort: requested accuracy.
-        executor: executor that runs blocks of cells, each on one thread; None to run one cell after the other in this
-            process, on all processors.
-        store: store of answers; stored answers are not computed again, and new answers are added.
-        progress: callback that receives the fraction done.
-
-    Raises:
-        ProblemError: the executor fails, a worker runs another version or other code of this package, or the store
-            cannot be written to.
     """
     if store is not None and problem.own is not None:
         raise ProblemError(
@@ -179,11 +155,7 @@ def evaluate_cells(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> list[Evaluation]:
-    """Return the evaluations of cells that must all succeed; the arguments are those of ``run_cells``.
-
-    Raises:
-        TaciturnError: the evaluation of a cell fails.
-    """
+    """Return the evaluations of cells that must all succeed; the arguments are those of ``run_cells``."""
     found: dict[int, Evaluation] = {}
     for index, answer in run_cells(problem, cells, effort, executor, store, progress):
         if isinstance(answer, Refusal):
@@ -193,12 +165,7 @@ def evaluate_cells(
 
 
 def check_confidence(problems: Sequence[Problem], confidence: float | None) -> None:
-    """Reject a request for lower bounds if no problem has one.
-
-    Raises:
-        ProblemError: the confidence is outside (0, 1), or no problem has a lower bound; the message gives the reason
-            for the first problem.
-    """
+    """Reject a request for lower bounds if no problem has one."""
     if confidence is None:
         return
     number("confidence", confidence, 0.0, 1.0)
@@ -305,11 +272,7 @@ def _answer(problem: Problem, cell: Cell, effort: Effort, progress: Progress | N
 
 
 def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
-    """Return the values of each name as lists.
-
-    Raises:
-        ProblemError: there are no names or no values, a value is given twice, or the values are not a list.
-    """
+    """Return the values of each name as lists."""
     instance("over", over, Mapping)
     listed: dict[str, list[object]] = {}
     for name, values in over.items():
@@ -341,11 +304,7 @@ def label_of(problem: Problem) -> dict[str, str]:
 
 
 def labels_of(name: str, values: Sequence[object]) -> list[Any]:
-    """Return the coordinates of a dimension: numbers and words unchanged, other values as JSON.
-
-    Raises:
-        ProblemError: a value occurs twice.
-    """
+    """Return the coordinates of a dimension: numbers and words unchanged, other values as JSON."""
     numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
     plain = numbers or all(isinstance(one, str) for one in values)
     labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]
@@ -362,11 +321,7 @@ def path_of(name: str) -> list[str]:
 
 
 def plain_value(name: str, value: object) -> object:
-    """Return a value in the form of a problem file: arrays as lists of rows.
-
-    Raises:
-        ProblemError: a problem file cannot contain the value.
-    """
+    """Return a value in the form of a problem file: arrays as lists of rows."""
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
         expect_unmasked(f"a value of {name}", value)
         value = cast("Any", value).tolist()

@@ -45,11 +45,7 @@ def encode(value: object) -> str:
 
 
 def decode(text: str) -> Any:
-    """Return the data of an encoded text; sequences become tuples.
-
-    Raises:
-        ValueError: the text is not JSON, is nested too deeply, or names an unknown class of data.
-    """
+    """Return the data of an encoded text; sequences become tuples."""
     try:
         return _restored(json.loads(text))
     except RecursionError:
@@ -79,16 +75,7 @@ def fingerprint(problem: Problem) -> str:
 def origin(
     problem: Problem | Mapping[str, Problem] | None = None, seed: int | None = None, method: str | None = None
 ) -> dict[str, Any]:
-    """Return the data needed to reproduce a result, as JSON documents and files contain them.
-
-    Args:
-        problem: the problem that was solved, or several by name; None for no problem.
-        seed: seed of the random numbers; None if nothing was drawn.
-        method: method that gave the numbers; None if nothing was computed.
-
-    Returns:
-        ``version``, ``seed``, ``method``, and ``problem_digest``: one digest, or one for each name.
-    """
+    """Return the data needed to reproduce a result, as JSON documents and files contain them."""
     found: dict[str, Any] = {"version": __version__}
     found |= {} if seed is None else {"seed": seed}
     found |= {} if method is None else {"method": method}
@@ -177,13 +164,6 @@ class Store:
     complete. So all stored answers are complete, even after a crash, and a file under the name of another answer is
     detected. Answers for another problem or version stay in the store but are not used. A store on a read-only disk can
     be read.
-
-    Args:
-        folder: an empty folder, a new folder, or a store.
-        label: problem and version of the answers, as readable text.
-
-    Raises:
-        ProblemError: the folder cannot be created, is new and cannot be written to, or contains other files.
     """
 
     def __init__(self, folder: str | Path, label: dict[str, str]) -> None:
@@ -248,11 +228,7 @@ class Store:
         return None
 
     def write(self, key: str, answer: object) -> None:
-        """Store an answer.
-
-        Raises:
-            ProblemError: the answer cannot be written; the answers stored before remain.
-        """
+        """Store an answer."""
         text = encode(answer)
         try:
             write_whole(self._path(key), f"{_digest_under(key, text)}\n{text}".encode())
@@ -309,13 +285,8 @@ def _digest_under(key: str, text: str) -> str:
 
 
 def save_whole(result: xarray.Dataset, path: Path) -> tuple[bool, str]:
-    """Write a result as netCDF atomically; another result of the same name is renamed, an equal one is left as it is.
-
-    Returns:
-        Whether the file contains the result, which is not the case on a read-only disk; and a note, or "".
-
-    Raises:
-        ProblemError: a file cannot be written although the disk is not read-only.
+    """Write a result as netCDF atomically; another result of the same name is renamed, an equal one is left as it
+    is.
     """
     whole: Any = result  # xarray's types are incomplete
     content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # in memory, as HDF5 aborts the process on a full disk

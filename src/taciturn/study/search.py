@@ -42,15 +42,7 @@ LONGER = 8  # factor on the steps of a trial if the loop has not settled
 def look_at(
     problem: Problem, seed: int, steps: int | None, standard_error: float | None, progress: Progress | None = None
 ) -> Evaluation:
-    """Return an evaluation by quadrature if one applies, else by a simulation of the given number of steps.
-
-    Args:
-        problem: the problem to evaluate.
-        seed: seed of the random draws.
-        steps: number of steps of the simulation; None for full precision, also of the quadrature.
-        standard_error: absolute standard error of the cost at full precision.
-        progress: callback that receives the fraction done.
-    """
+    """Return an evaluation by quadrature if one applies, else by a simulation of the given number of steps."""
     policy = problem.designed()
     if isinstance(policy, Policy) and policy.theory.cost_all_time == 0:
         raise ProblemError(
@@ -75,19 +67,7 @@ def look_at(
 def settled(
     problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None, longer: int = LONGER
 ) -> Evaluation:
-    """Return the evaluation of a loop that settles.
-
-    Args:
-        problem: the problem to evaluate.
-        tuned: name of the parameter that is tuned.
-        seed: seed of the random draws.
-        steps: number of steps of the simulation.
-        progress: callback that receives the fraction done.
-        longer: factor on the steps of a second simulation, if the loop has not settled in the first.
-
-    Raises:
-        UnstableError: the loop diverges or does not settle.
-    """
+    """Return the evaluation of a loop that settles."""
     found = look_at(problem, seed, steps, None, progress)
     if not found.reached and longer > 1:
         found = look_at(problem, seed, longer * steps, None, progress)
@@ -100,16 +80,7 @@ def settled(
 def out_of_reach(
     policy: str, tuned: str, name: str, budget: float, tried: Sequence[tuple[float, float]], failed: str = ""
 ) -> ProblemError:
-    """Return an error that states the range that can be reached.
-
-    Args:
-        policy: kind of the policy.
-        tuned: name of the parameter that is tuned.
-        name: name of the quantity that has a budget.
-        budget: the budget.
-        tried: values of the parameter, each with the quantity that it gives; the first one is where a search began.
-        failed: why other values give no policy.
-    """
+    """Return an error that states the range that can be reached."""
     found, first = sorted(value for _, value in tried), np.log(max(tried[0][0], TINY))
     same = ALIKE_OF_RANGE * (found[-1] - found[0])
 
@@ -163,11 +134,7 @@ class Look(Displayed):
 
 
 class _FailedError(Exception):
-    """A trial between two others failed.
-
-    Args:
-        place: its place on the axis of the search.
-    """
+    """A trial between two others failed."""
 
     def __init__(self, place: float) -> None:
         """Keep the place."""
@@ -176,15 +143,7 @@ class _FailedError(Exception):
 
 
 class Search:
-    """A search over values of the tuning parameter.
-
-    Args:
-        problem: the problem that is tuned.
-        tuning: the tuning parameter.
-        goal: the budget.
-        seed: seed of the random draws.
-        progress: callback that receives the fraction done.
-    """
+    """A search over values of the tuning parameter."""
 
     def __init__(
         self,
@@ -237,11 +196,7 @@ class Search:
         return look.above + KEPT * look.error <= EXACT * self.goal.budget
 
     def bracket(self) -> tuple[Look, Look]:
-        """Return two trials that bracket the budget: one that is not above it, and one that is above it.
-
-        Raises:
-            ProblemError: no value reaches the budget.
-        """
+        """Return two trials that bracket the budget: one that is not above it, and one that is above it."""
         here = self._start()
         self.expect_possible(here.evaluation)
         if self.meets_exactly(here):
@@ -275,9 +230,6 @@ class Search:
         """Return the trials on both sides of a jump, or the same trial twice if it meets the budget exactly.
 
         If a trial between them fails, the search continues between one of them and the last trial before the failure.
-
-        Raises:
-            ProblemError: no value reaches the budget.
         """
         ends = [low, high]
         try:
@@ -291,11 +243,7 @@ class Search:
             self._refuse()
 
     def _close_in(self, ends: list[Look]) -> tuple[Look, Look]:
-        """Return the same as ``close_in``, and keep the last trials on both sides in ``ends``.
-
-        Raises:
-            _FailedError: a trial fails.
-        """
+        """Return the same as ``close_in``, and keep the last trials on both sides in ``ends``."""
 
         def above(place: float) -> float:
             look = self.look(self.value(place))
@@ -334,19 +282,11 @@ class Search:
         raise why
 
     def expect_start(self) -> None:
-        """Reject a budget that no value can meet, before a search of more than this parameter.
-
-        Raises:
-            ProblemError: no policy can be designed, or the budget is beyond that of sending at every step.
-        """
+        """Reject a budget that no value can meet, before a search of more than this parameter."""
         self.expect_possible(self._start().evaluation)
 
     def expect_possible(self, found: Evaluation) -> None:
-        """Reject a budget that no value can meet, by comparison with sending at every step.
-
-        Raises:
-            ProblemError: the rate is above, or the cost below, that of sending at every step.
-        """
+        """Reject a budget that no value can meet, by comparison with sending at every step."""
         budget, most, least = self.goal.budget, self.goal.most(found), self.goal.least(found)
         # without acknowledgement, or with a controller that is not optimal, sending every sample may not cost least
         if (
@@ -435,11 +375,7 @@ class Search:
         return last
 
     def _refuse(self) -> Never:
-        """Raise an error that states the range that can be reached.
-
-        Raises:
-            ProblemError: always.
-        """
+        """Raise an error that states the range that can be reached."""
         start = self.looks()[0]
         for outwards in (-1.0, 1.0):
             self._walk(start, outwards)
@@ -475,12 +411,7 @@ AIMED, FAR = 3.0, 8.0  # standard errors below the budget: target of a correctio
 
 
 class Refinement:
-    """Trials of a search at full precision.
-
-    Args:
-        search: the search.
-        standard_error: absolute standard error of the cost.
-    """
+    """Trials of a search at full precision."""
 
     def __init__(self, search: Search, standard_error: float | None) -> None:
         """Try nothing yet."""
@@ -491,17 +422,7 @@ class Refinement:
         return self._search.try_at(self._search.value(place), standard_error=self._standard_error)
 
     def refine(self, low: Look, high: Look) -> tuple[Look, Look, float | None, float | None]:
-        """Repeat trials at full precision, and correct their values for the remaining distance from the budget.
-
-        Args:
-            low: trial that is not above the budget.
-            high: trial on the other side of a jump, or the same trial.
-
-        Returns:
-            The trial that meets the budget twice, or those on both sides of a jump; the standard error of the value
-            as a solution of the budget, or None if the budget does not depend on the value here; and the derivative of
-            the cost with respect to the rate, or None if the rate does not change or jumps.
-        """
+        """Repeat trials at full precision, and correct their values for the remaining distance from the budget."""
         tried = [] if low is high else [self.measure(look) for look in (low, high)]
         place = self._search.place(low.value)
         span = self._search.goal.span
@@ -537,11 +458,7 @@ class Refinement:
         return self._search.keeps(look) and look.above >= -max(FAR * look.error, EXACT * self._search.goal.budget)
 
     def _straddle(self, tried: list[Look]) -> tuple[Look, Look]:
-        """Return a trial that nearly meets the budget twice, or else the trials on both sides of a jump.
-
-        Args:
-            tried: trials at full precision.
-        """
+        """Return a trial that nearly meets the budget twice, or else the trials on both sides of a jump."""
         closest: dict[bool, Look] = {}  # by whether the trial is below the budget
 
         def add(look: Look) -> None:
@@ -607,27 +524,15 @@ LEFT_OF_SHARES = 0.97  # share of the remaining progress that a trial leaves
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trial(Displayed):
-    """A trial of the thresholds of all links.
+    """A trial of the thresholds of all links."""
 
-    Args:
-        logs: logarithm of the share of each link, plus that of a common scale, whose square is the tuning parameter.
-        evaluation: cost and rates.
-    """
-
+    # logarithm of the share of each link, plus that of a common scale, whose square is the tuning parameter
     logs: Array
-    evaluation: Evaluation
+    evaluation: Evaluation  # cost and rates
 
 
 class Division:
-    """The division of a threshold among the links on which a policy decides.
-
-    Args:
-        problem: the problem, whose policy kind has shares.
-        tuning: the parameter of the threshold.
-        goal: the budget.
-        seed: seed of the random draws.
-        progress: callback that receives the fraction done.
-    """
+    """The division of a threshold among the links on which a policy decides."""
 
     def __init__(
         self, problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, progress: Progress | None
@@ -642,10 +547,8 @@ class Division:
         self._slopes: tuple[float, float] | None = None
 
     def best(self) -> dict[str, object]:
-        """Return the best shares, with three digits and the mean 1, and the threshold at which the search found them.
-
-        Raises:
-            ProblemError: no threshold reaches the budget.
+        """Return the best shares, with three digits and the mean 1, and the threshold at which the search found
+        them.
         """
         logs = self._given_rates(self._goal) if isinstance(self._goal, RatesGoal) else self._cheapest()
         return {self._tuning.name: self._whole(logs), self._name: self._shares(logs)}
@@ -710,10 +613,8 @@ class Division:
         sign: float,
         budget: tuple[str, float],
     ) -> tuple[Trial, float]:
-        """Return a trial along a direction at which ``above`` is 0, and the value of ``other`` at exactly this place.
-
-        Raises:
-            ProblemError: no trial reaches 0.
+        """Return a trial along a direction at which ``above`` is 0, and the value of ``other`` at exactly this
+        place.
         """
         place, last = 0.0, None
         slope, along = self._slopes or (SLOPE * sign, None)

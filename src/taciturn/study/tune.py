@@ -276,11 +276,7 @@ def _found(
 
 
 def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, object], link: str | None) -> Goal:
-    """Return the one budget that is given.
-
-    Raises:
-        ProblemError: no budget or several budgets are given, or the budget is not valid.
-    """
+    """Return the one budget that is given."""
     given = {name: budget for name, budget in budgets.items() if budget is not None}
     if len(given) != 1:
         got = " and ".join(given) + " are given" if given else "none of rate, cost, traffic and violation is given"
@@ -304,11 +300,7 @@ def _goal(problem: Problem, tuning: TradeoffParameter, budgets: Mapping[str, obj
 
 
 def _divides(problem: Problem, goal: Goal, link: str | None) -> bool:
-    """Return whether the shares of several links are to be tuned.
-
-    Raises:
-        ProblemError: several rates are given, but the policy kind has one parameter for all links.
-    """
+    """Return whether the shares of several links are to be tuned."""
     name = problem.record.shares
     stated = name is None or name in problem.parameters
     if isinstance(goal, RatesGoal):

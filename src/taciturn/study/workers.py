@@ -37,30 +37,19 @@ PATIENCE = 5.0  # seconds in which workers must report their version after a tas
 
 @dataclass(frozen=True, repr=False)
 class Code(Displayed):
-    """The version of taciturn that a process runs, and the digest of its sources.
+    """The version of taciturn that a process runs, and the digest of its sources."""
 
-    Args:
-        version: version of taciturn.
-        digest: digest of the sources of the package.
-    """
-
-    version: str
-    digest: str
+    version: str  # version of taciturn
+    digest: str  # digest of the sources of the package
 
 
 @dataclass(frozen=True, repr=False)
 class Report(Displayed, Generic[Answer]):
-    """The answer of a worker to a task, with the name of the worker and its code.
+    """The answer of a worker to a task, with the name of the worker and its code."""
 
-    Args:
-        worker: machine and process.
-        code: code that the process runs.
-        answer: the answer; None if the worker has other code than the process that asked.
-    """
-
-    worker: str
-    code: Code
-    answer: Answer | None
+    worker: str  # machine and process
+    code: Code  # code that the process runs
+    answer: Answer | None  # the answer; None if the worker has other code than the process that asked
 
 
 def code_of(folder: Path, version: str) -> Code:
@@ -79,13 +68,7 @@ def own_code() -> Code:
 
 
 def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:
-    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal.
-
-    Args:
-        executor: executor of this or of other processes.
-        ask: a module-level function.
-        given: its arguments.
-    """
+    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal."""
     return executor.submit(_report, own_code(), ask, *given)
 
 
@@ -99,11 +82,7 @@ def _place() -> str:
 
 
 def accepted(report: Report[Answer]) -> Answer:
-    """Return the answer in the report of a worker, if the worker runs the same code as this process.
-
-    Raises:
-        ProblemError: the worker runs another version, or other code of the same version.
-    """
+    """Return the answer in the report of a worker, if the worker runs the same code as this process."""
     own = own_code()
     if report.code != own:
         raise ProblemError(_refusal(report.worker, report.code, own))
@@ -128,14 +107,6 @@ def refuse_other_versions(executor: Executor, workers: int, error: BaseException
 
     This is done on dask before the first task, because a worker of dask shuts down if it cannot import a task, and on
     any executor after a task failed. The question is a function of the standard library, so every version answers.
-
-    Args:
-        executor: executor of this or of other processes.
-        workers: number of questions; on dask one for each worker of the scheduler instead.
-        error: exception of the failed task; None before the first task.
-
-    Raises:
-        ProblemError: a worker runs another version, or has no taciturn.
     """
     client: Any = getattr(executor, "_client", None)
     if client is None and error is None:
@@ -198,18 +169,7 @@ def idle(fraction: float) -> None:
 def answer_all(
     executor: Executor | None, answer: Callable[[Job], Answer], jobs: Sequence[Job], progress: Progress
 ) -> list[Answer]:
-    """Return the answers to some jobs, in their order; the first exception ends the computation.
-
-    Args:
-        executor: executor that answers each job on one thread; None to answer one job after the other in this process,
-            on all processors.
-        answer: a module-level function, so that executors of other processes can import it.
-        jobs: the arguments of the function, one for each call.
-        progress: callback that receives the fraction answered.
-
-    Raises:
-        ProblemError: the executor fails, or a worker runs another version of this package.
-    """
+    """Return the answers to some jobs, in their order; the first exception ends the computation."""
     found: list[Answer] = []
     if executor is not None:
         refuse_other_versions(executor, workers_of(executor))

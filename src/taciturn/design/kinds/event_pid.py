@@ -43,17 +43,12 @@ STATE = ("command", "area", "derivative", "before", "elapsed")
 
 @dataclass(frozen=True, repr=False)
 class EventPID(Displayed):
-    """The law of a PID controller that computes at packets.
+    """The law of a PID controller that computes at packets."""
 
-    Args:
-        pid: the gains.
-        step: seconds per step.
-        area: function of the error, the time since the last packet and the time of a step, all in seconds, that returns
-            the area under the error.
-    """
-
-    pid: PID
-    step: float
+    pid: PID  # the gains
+    step: float  # seconds per step
+    # function of the error, the time since the last packet and the time of a step, all in seconds, that returns the
+    # area under the error
     area: Callable[[Any, Any, float], Any]
 
     def __call__(
@@ -85,22 +80,7 @@ def design_event_pid(
     period: float | None,
     area: Callable[[Any, Any, float], Any],
 ) -> Policy:
-    """Return the policy of a PID controller that computes when a measurement arrives.
-
-    Args:
-        kind: name of the policy kind.
-        plant: the plant, without the slow disturbance that the controller compensates.
-        cost: the average cost.
-        controller: a PID controller of the only output and input of the plant.
-        delta: the sensor sends if the output has changed by more than this since the last packet.
-        longest: seconds after which the sensor sends in any case, or None.
-        period: seconds between steps; only with a continuous plant.
-        area: the area under the error, as for ``EventPID``.
-
-    Raises:
-        ProblemError: the controller is no PID controller, or the plant has several inputs or outputs.
-        UnstableError: the loop that sends every sample is unstable.
-    """
+    """Return the policy of a PID controller that computes when a measurement arrives."""
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     loops = pids_of(controller_from(controller))
     if not loops:

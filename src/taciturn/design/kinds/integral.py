@@ -254,28 +254,16 @@ def _places(trigger: IntegralTrigger, period: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for a consistent α, with α ≤ L(α).
+    """The search for a consistent α, with α ≤ L(α)."""
 
-    Args:
-        process: process of the error between sends.
-        trigger: the trigger, except for its factor c.
-        slope: slope C of f.
-        largest: largest slope with f < g.
-        period: seconds between checks, if given by the user.
-    """
-
-    process: JumpProcess | SampledProcess
-    trigger: IntegralTrigger
-    slope: float
-    largest: float
-    period: float | None
+    process: JumpProcess | SampledProcess  # process of the error between sends
+    trigger: IntegralTrigger  # the trigger, except for its factor c
+    slope: float  # slope C of f
+    largest: float  # largest slope with f < g
+    period: float | None  # seconds between checks, if given by the user
 
     def given(self, alpha: float) -> Estimate:
-        """Return a given α after a check that it is consistent with the mean interval L(α) that results.
-
-        Raises:
-            ProblemError: if α > L(α), or the effective slope αC/L(α) is too large.
-        """
+        """Return a given α after a check that it is consistent with the mean interval L(α) that results."""
         interval = self.after(alpha, CYCLES).interval
         if alpha > interval.value + SURE * interval.standard_error:
             raise ProblemError(
@@ -292,11 +280,7 @@ class _Search:
         return Estimate(alpha, 0.0, "exact")
 
     def fixed_point(self) -> Estimate:
-        """Return the largest fixed point α* = L(α*) of the mean interval L(α), by simulation.
-
-        Raises:
-            ProblemError: if the slope is too large.
-        """
+        """Return the largest fixed point α* = L(α*) of the mean interval L(α), by simulation."""
         if self.slope > self.largest * (1 + PRINTED):
             raise ProblemError(
                 f"slope is {self.slope:g}, but the threshold f is below the cost of periodic control only up to a "
@@ -324,11 +308,7 @@ class _Search:
         )
 
     def _bracket(self) -> tuple[float, float]:
-        """Return values of α below and above L(α) that differ by a factor of two.
-
-        Raises:
-            ProblemError: if α ≤ L(α) for every α, or for no α that is much longer than the period.
-        """
+        """Return values of α below and above L(α) that differ by a factor of two."""
         least = 8 * self.process.period if isinstance(self.process, SampledProcess) else 0.0
         low = high = max(self.trigger.h_min, self._first())
         while self.after(high, FIRST_CYCLES).interval.value >= high:

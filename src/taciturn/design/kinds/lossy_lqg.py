@@ -155,11 +155,7 @@ def lossy_lqg(
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
-    """Return the plant if the design for lossy links supports plant and cost; otherwise raise an error.
-
-    Raises:
-        ProblemError: if the plant is continuous in time or has C or V, or the cost has N or a discount.
-    """
+    """Return the plant if the design for lossy links supports plant and cost; otherwise raise an error."""
     instance("cost", cost, Cost)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
@@ -239,11 +235,7 @@ def _steps(
 def _limited(
     plant: Plant, network: Network, reference: Reference | None, start: str, known: Condition
 ) -> tuple[Step, ...]:
-    """Return the prediction from ``start`` if inputs have limits: it uses the input with and without the packet.
-
-    Raises:
-        ProblemError: changes of the input are limited, and the controller does not know which packets arrive.
-    """
+    """Return the prediction from ``start`` if inputs have limits: it uses the input with and without the packet."""
     m, loss = np.eye(plant.inputs), 0.0 if network.acknowledges("actuator") else network.loss("actuator")
     if plant.input_rate is not None and loss:
         raise ProblemError(

@@ -84,11 +84,7 @@ def periodic(
 
 
 def _cycle(every: object) -> tuple[int, ...]:
-    """Return the intervals between sends.
-
-    Raises:
-        ProblemError: if there are no intervals, an interval is not a positive integer, or their sum is too large.
-    """
+    """Return the intervals between sends."""
     if every is None:
         raise ProblemError(
             "every is missing; expected the number of steps between sends, at least 1, or a list of such numbers"

@@ -139,19 +139,12 @@ def remote_lqg(
 
 @dataclass(frozen=True, eq=False)
 class _Watch:
-    """The filter for a schedule of queries, or for measurements at every step.
+    """The filter for a schedule of queries, or for measurements at every step."""
 
-    Args:
-        covariance: error covariances Σ_k of the prediction, (steps, n, n).
-        gains: gains of the innovation, zero at steps without a measurement, (steps, n, p).
-        start: step from which covariances and gains repeat, or None with a finite horizon.
-        schedule: schedule of the queries; None if the sensor is read at every step.
-    """
-
-    covariance: Array
-    gains: Array
-    start: int | None
-    schedule: Schedule | None
+    covariance: Array  # error covariances Σ_k of the prediction, (steps, n, n)
+    gains: Array  # gains of the innovation, zero at steps without a measurement, (steps, n, p)
+    start: int | None  # step from which covariances and gains repeat, or None with a finite horizon
+    schedule: Schedule | None  # schedule of the queries; None if the sensor is read at every step
 
 
 def _watch(prices: Prices, zeta: float | None) -> _Watch:

@@ -122,14 +122,7 @@ def _schedules(horizon: int, every: int) -> list[tuple[int, ...]]:
 
 
 class _Future:
-    """A schedule of the window followed by periodic control, with optimal gains and its cost-to-go from [x̂; û].
-
-    Args:
-        certainty: filter and regulator.
-        K: matrix of the cost-to-go x̂'Kx̂ of periodic control at a send, at the end of the window.
-        sends: steps of the sends.
-        horizon: number of steps of the window.
-    """
+    """A schedule of the window followed by periodic control, with optimal gains and its cost-to-go from [x̂; û]."""
 
     def __init__(self, certainty: CertaintyEquivalentDesign, K: Array, sends: tuple[int, ...], horizon: int) -> None:
         """Compute the cost-to-go backwards; a send chooses the input, and silence holds the input."""
@@ -153,17 +146,7 @@ class _Future:
 
 
 class _Rooms:
-    """The discrete states of a window: its start, and for each later step the remaining sends.
-
-    Args:
-        futures: all schedules.
-        horizon: number of steps of the window.
-
-    Attributes:
-        due: whether the input is sent in each state, (places,).
-        gains: gain in each state, (places, m, n).
-        following: next state for each schedule that may be selected at the start, (places, futures).
-    """
+    """The discrete states of a window: its start, and for each later step the remaining sends."""
 
     def __init__(self, futures: list[_Future], horizon: int) -> None:
         """Number the states; schedules with the same remaining sends share a state."""

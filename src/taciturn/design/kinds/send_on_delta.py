@@ -155,11 +155,6 @@ def _with_every_sample(certainty: CertaintyEquivalentDesign, gain: Array, unknow
     """Return the cost per step with every sample of LQG whose filter has another gain, tr(KW) + E[e'L'HLe].
 
     Only the estimation error e is computed, whose modes decay; disturbances and set-points need not.
-
-    Args:
-        certainty: LQG.
-        gain: gain of the filter, (n, p).
-        unknown: the states that the filter estimates; it knows the others.
     """
     plant, place = certainty.problem.plant, np.ix_(unknown, unknown)
     A, C, G, square = plant.A[place], plant.C[:, unknown], gain[unknown], certainty.square[place]

@@ -114,10 +114,8 @@ def stochastic(
 
 
 def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | None:
-    """Return the exact cost and rate, computed over one interval between sends, or None if silence may last too long.
-
-    Raises:
-        UnstableError: if the cost of silence grows faster than its probability decreases, so the mean is infinite.
+    """Return the exact cost and rate, computed over one interval between sends, or None if silence may last too
+    long.
     """
     problem, A, noise = certainty.problem, certainty.problem.plant.A, certainty.corrections
     half = root(W)

@@ -118,11 +118,7 @@ def variance(
 
 
 def _wired(network: Network) -> tuple[frozenset[str], ...]:
-    """Return the nodes at the controller's place, as a group if there are several.
-
-    Raises:
-        ProblemError: links drop or delay packets, an actuator is not among these nodes, or all sensors are.
-    """
+    """Return the nodes at the controller's place, as a group if there are several."""
     expect_ideal_links("variance", network)
     if network.triangle:
         return (frozenset({network.controller, *network.actuators}),)
