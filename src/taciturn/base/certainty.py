@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -32,6 +32,7 @@ from taciturn._modes import COST_ERROR, radius
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
+from taciturn.lqg.cache import MOST
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
@@ -165,6 +166,11 @@ class CertaintyEquivalentDesign(Displayed):
 def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ))."""
     expect_average(kind, problem.cost)
+    return _design(problem)
+
+
+@lru_cache(maxsize=MOST)  # a problem is itself, and the same one for equal data (``discretise``)
+def _design(problem: Discrete) -> CertaintyEquivalentDesign:
     plant = problem.plant
     regulator = problem.regulator()
     steady = problem.filter()
