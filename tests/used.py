@@ -16,15 +16,16 @@ import numpy as np
 
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, Policy, Problem, close
 from taciturn._modes import root
-from taciturn.analyse.limits import resets
+from taciturn.analyse.renewal import resets
 from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.kinds.optimal import OptimalPolicy
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.disturbance import Reference
 from taciturn.model.estimate import Estimate
 from taciturn.problem.draft import example_of
 from taciturn.program.ops import Sent, is_entry
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.simulation.events import EventPolicy
 
 A, B, C, V, W = [[1.1, 0.2], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.2]], [[0.1, 0.0], [0.0, 0.1]]
 COST = Cost(np.eye(2), [[0.5]])

@@ -14,7 +14,7 @@ from math import gcd, lcm
 import numpy as np
 import numpy.typing as npt
 
-from taciturn.analyse.limits import resets
+from taciturn.analyse.renewal import resets
 from taciturn.design.prediction import modelled
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.extend import Array, Displayed, count, instance, radius

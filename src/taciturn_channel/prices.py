@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.extend import Array, Displayed, Progress, crossing, symmetrised
 from taciturn.lqg.equation import stationary
 from taciturn.model.estimate import Estimate
+from taciturn.model.theory import LEVEL
 from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.fitted import bound_rare_sends

@@ -16,7 +16,7 @@ from taciturn.model.plant import ContinuousPlant, Jumps
 from taciturn.problem import load
 from taciturn.renewal.cycles import estimate_cycles, sample_cycles, sweep_thresholds
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
-from taciturn.renewal.policy import EventPolicy
+from taciturn.simulation.events import EventPolicy
 from taciturn.study.losses import Losses, find_losses
 from taciturn_thesis.chapter5 import price_of
 from taciturn_thesis.reproduction import Reproduction, Row, Table

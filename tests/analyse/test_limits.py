@@ -9,8 +9,9 @@ import pytest
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, ProblemError, close, design
-from taciturn.analyse.limits import EASY, LowerBound, bound_below
+from taciturn.analyse.limits import EASY, bound_below
 from taciturn.model.plant import Jumps
+from taciturn.model.theory import LowerBound
 from taciturn.problem import parse
 from taciturn.renewal import dual
 

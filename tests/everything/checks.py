@@ -30,9 +30,9 @@ from everything.routes import ALSO, ROUTES, CommandError, accepted_alone, comman
 from everything.toml import text_of
 
 import taciturn
+from taciturn.design.kinds.optimal import OptimalPolicy
 from taciturn.errors import TaciturnError
 from taciturn.problem import Problem, parse
-from taciturn.renewal.policy import OptimalPolicy
 from taciturn.study.evaluation import Evaluation
 
 Tables = Mapping[str, Any]

@@ -20,8 +20,8 @@ from taciturn.lqg.prediction import PredictionCost
 from taciturn.problem import parse
 from taciturn.renewal.cycles import estimate_cycles, sweep_thresholds
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
-from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import plain_average
+from taciturn.simulation.events import EventPolicy
 from taciturn.study.losses import find_losses
 
 SEEDS = st.integers(0, 2**32 - 1)

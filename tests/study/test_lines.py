@@ -12,9 +12,9 @@ import pytest
 import taciturn
 from taciturn import Estimate
 from taciturn._text import ordinal, percent, wrapped_text
-from taciturn.analyse.limits import LowerBound
 from taciturn.model.schedule import Schedule
-from taciturn.renewal.policy import EventPolicy
+from taciturn.model.theory import LowerBound
+from taciturn.simulation.events import EventPolicy
 from taciturn.study.evaluate import contradicted
 from taciturn.study.evaluation import (
     Evaluation,

@@ -15,6 +15,7 @@ from used import KINDS
 
 import taciturn
 from taciturn import Cost, Loop, Network, Plant, ProblemError, close, design
+from taciturn.design.kinds.optimal import OptimalPolicy
 from taciturn.loop import COST
 from taciturn.lqg.riccati import regulate
 from taciturn.model.disturbance import follow
@@ -22,7 +23,7 @@ from taciturn.model.limits import Limits, Violation
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.signals import ExternalDisturbance
 from taciturn.program.engine import prepare
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.simulation.events import EventPolicy
 from taciturn.simulation.violations import violations
 from taciturn.study.record import decode, encode
 

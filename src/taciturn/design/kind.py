@@ -38,9 +38,9 @@ from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide,
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
     from taciturn.model.plant import ContinuousPlant, Plant
-    from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+    from taciturn.renewal.policy import PolicyWithoutSteps
 
-AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
+AnyPolicy: TypeAlias = "Policy | PolicyWithoutSteps"
 Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]

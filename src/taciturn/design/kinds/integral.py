@@ -26,7 +26,7 @@ from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import PERIOD_TOLERANCE, CycleEstimate, SampledProcess, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
-from taciturn.renewal.policy import EventPolicy
+from taciturn.simulation.events import EventPolicy
 
 MARGIN, SINCE = "margin", "since"
 MOST_PLACES = 20_000  # largest number of checks after a send that a node can count

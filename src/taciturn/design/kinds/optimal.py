@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
 from taciturn._arrays import number
+from taciturn._progress import Progress
+from taciturn.analyse.limits import solve_optimum
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import modelled
 from taciturn.errors import ProblemError
+from taciturn.loop import Loop
 from taciturn.model.cost import Cost
+from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form
-from taciturn.renewal.policy import OptimalPolicy
+from taciturn.renewal.policy import PolicyWithoutSteps
+from taciturn.simulation.sampling import Averages
+from taciturn.study.measure import Measured, Request, clipped_accuracy, wanted_error
 
 
 def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> OptimalPolicy:
@@ -82,3 +92,64 @@ KIND = Kind(
     ),
     order="`close` refuses a loop of nodes",
 )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalPolicy(PolicyWithoutSteps):
+    """Policy with the optimal send schedule, at a given price per send, of an error that a send resets.
+
+    Its boundary is computed by quadrature and is not a quadratic form, so that no node can run it.
+
+    Args:
+        kind: name in the catalogue.
+        looked_at: a policy with the same nodes and another trigger, which supplies the properties of the loop.
+        price: λ, the price of a send, in units of the cost times units of time.
+        instead: the policy kind that approximates this policy on nodes.
+
+    Raises:
+        ProblemError: the plant has data that only a simulation uses: limits of the input, or an initial state.
+    """
+
+    kind: str
+    looked_at: Policy
+    price: float
+    instead: str
+    cost_all_time: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check the plant."""
+        object.__setattr__(self, "cost_all_time", self.looked_at.cost_all_time)
+        self.refuse_what_is_only_simulated(self.looked_at.model)
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the policy's kind, its price per send, and the cost of sending every sample."""
+        plant = self.looked_at.model.short()
+        return {"kind": self.kind, "price": self.price, "cost_all_time": self.cost_all_time, "plant": plant}
+
+    @property
+    def why_it_cannot_run(self) -> str:
+        """What the policy does that no node can do, and what to expect instead."""
+        return (
+            f"{self.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
+            f"{self.instead}"
+        )
+
+    def measure(self, loop: Loop, request: Request, progress: Progress | None) -> Measured:
+        """Return cost and rate of the optimal schedule at the price per send."""
+        if request.method not in ("auto", "exact") or request.steps is not None:
+            raise ProblemError(
+                "method or steps is given, but the policy 'optimal' is solved and never simulated; expected neither of "
+                "these options, or the policy 'near-optimal'"
+            )
+        policy, price = loop.policy, self.price
+        asked = wanted_error(Estimate(policy.cost_all_time, 0.0, "exact"), request.standard_error)
+        ceiling = price / policy.tick  # the excess cost of an optimal schedule is at most that of sending every sample
+        best = solve_optimum(loop, price, clipped_accuracy(asked / ceiling), progress)
+        if best.excess_error > asked:
+            best = solve_optimum(loop, price, clipped_accuracy(asked / max(best.excess, 1e-300)), progress)
+        cost = Estimate(best.excess, 0.0, "quadrature", best.excess_error).scaled(1.0, policy.cost_all_time)
+        rate = Estimate(best.rate, 0.0, "quadrature", best.rate_error)
+        found = Averages(
+            cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= wanted_error(cost, request.standard_error)
+        )
+        return Measured(found, "quadrature", "the optimal schedule is solved and never simulated")
