@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -114,7 +113,7 @@ class EventPolicy(PolicyWithoutSteps):
     statement: str | None
     source: str
     notes: tuple[str, ...] = ()
-    instead: ClassVar[str] = "policy.period"
+    instead: str = "policy.period"
 
     def __post_init__(self) -> None:
         """Check the plant."""

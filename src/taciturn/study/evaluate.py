@@ -19,7 +19,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from taciturn._arrays import number
 from taciturn._plugins import load_plugin
@@ -316,7 +316,7 @@ def _evaluated(
     first, certified = told.stage(0.0, most), None
     with part_of_time(most * MEASURED):
         if isinstance(policy, PolicyWithoutSteps):
-            loop = problem.close(policy.looked_at)
+            loop = problem.close(cast("Policy", policy.looked_at))
             measured = policy.measure(loop, request, first)
         else:
             loop = replace(problem.close(policy), precision=precision)

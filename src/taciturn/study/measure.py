@@ -215,7 +215,7 @@ def _run(candidate: Candidate, progress: Progress | None, alone: bool) -> Averag
 
 
 def _asked(loop: Loop, standard_error: float | None) -> float:
-    """Return the requested error before the cost is known; it is at most the result of ``wanted_error`` for the cost."""
+    """Return the requested error before the cost is known; it is at most ``wanted_error`` for the cost."""
     identity = loop.policy.theory.identity
     constant = loop.policy.cost_all_time if identity is None else identity.constant
     return wanted_error(Estimate(constant, 0.0, "exact"), standard_error)
@@ -231,6 +231,7 @@ def _off(found: Averages) -> float:
 
 
 def clipped_accuracy(accuracy: float) -> float:
+    """Return an accuracy within the range of a quadrature."""
     return min(max(accuracy, FINEST), COARSEST)
 
 

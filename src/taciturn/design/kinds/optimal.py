@@ -111,7 +111,7 @@ class OptimalPolicy(PolicyWithoutSteps):
     """
 
     kind: str
-    looked_at: Policy
+    looked_at: Policy  # pyright: ignore[reportIncompatibleVariableOverride]  # frozen, so it cannot become None
     price: float
     instead: str
     cost_all_time: float = field(init=False)
