@@ -30,10 +30,10 @@ from everything.routes import ALSO, ROUTES, CommandError, accepted_alone, comman
 from everything.toml import text_of
 
 import taciturn
-from taciturn.design.kinds.optimal import OptimalPolicy
 from taciturn.errors import TaciturnError
 from taciturn.problem import Problem, parse
 from taciturn.study.evaluation import Evaluation
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 Tables = Mapping[str, Any]
 DOUBT, SURE, LONGER = 4.0, 5.0, 16

@@ -14,7 +14,6 @@ from systems import make_system
 
 from taciturn import Cost, Plant, Policy, design, load
 from taciturn.design.catalogue import CATALOGUE
-from taciturn.design.kinds.optimal import OptimalPolicy
 from taciturn.model.diagram import PLAIN, Diagram, Link, Place
 from taciturn.model.packets import packet_shapes, roles
 from taciturn.model.steps import Send
@@ -22,6 +21,7 @@ from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.nodes.node import Node
 from taciturn.problem.draft import example_of
 from taciturn.program.ops import Sent
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 SYSTEM = make_system(5, 2, 1, 2, full_state=False)
 NAMES = (*POLICIES, *(kind for kind in CATALOGUE if kind not in POLICIES))

@@ -15,7 +15,6 @@ from used import KINDS
 
 import taciturn
 from taciturn import Cost, Loop, Network, Plant, ProblemError, close, design
-from taciturn.design.kinds.optimal import OptimalPolicy
 from taciturn.loop import COST
 from taciturn.lqg.riccati import regulate
 from taciturn.model.disturbance import follow
@@ -23,9 +22,10 @@ from taciturn.model.limits import Limits, Violation
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.signals import ExternalDisturbance
 from taciturn.program.engine import prepare
-from taciturn.simulation.events import EventPolicy
 from taciturn.simulation.violations import violations
 from taciturn.study.record import decode, encode
+from taciturn_events.policy import EventPolicy
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 SURE = 4.0  # standard errors
 SLOW, UNIT = Plant([[0.95]], [[1.0]], [[1.0]]), Cost([[1.0]], [[10.0]])

@@ -1,7 +1,7 @@
 """Policies that can be analysed but that no node can run: triggers in continuous time, and the optimal schedule.
 
-Packages register kinds of such policies (``taciturn_events``, ``taciturn_limits``). Whoever evaluates, describes or
-compares a policy asks it through this class, and does not learn which of them it is.
+Packages that use the library register kinds of such policies. Studies ask a policy through this class, and do not know
+which of them it is.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ class PolicyWithoutSteps(Displayed, ABC):
     kind: str
     cost_all_time: float  # cost of sending every sample, or of a state that is always known
     instead: str  # the key or the kind that leads to a policy that nodes can run
-    looked_at: Policy | None = None
-    statement: str | None = None  # the theorem in one line
-    source: str = ""  # key in ``docs/sources.bib``
-    notes: tuple[str, ...] = ()  # remarks that are shown with its results
+    looked_at: Policy | None
+    statement: str | None  # the theorem in one line
+    source: str  # key in ``docs/sources.bib``
+    notes: tuple[str, ...]  # remarks that are shown with its results
 
     @property
     @abstractmethod
     def why_it_cannot_run(self) -> str:
-        """What the policy does that no node can do, and what to expect instead."""
+        """The reason why nodes cannot run the policy, and the remedy."""
 
     @property
     def called(self) -> str:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from taciturn._arrays import number
-from taciturn._progress import Progress
-from taciturn.analyse.limits import solve_optimum
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import modelled
 from taciturn.errors import ProblemError
+from taciturn.extend import Progress, number
 from taciturn.loop import Loop
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
@@ -21,6 +19,7 @@ from taciturn.model.trigger import Form
 from taciturn.renewal.policy import PolicyWithoutSteps
 from taciturn.simulation.sampling import Averages
 from taciturn.study.measure import Measured, Request, clipped_accuracy, wanted_error
+from taciturn_limits.bounds import solve_optimum
 
 
 def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> OptimalPolicy:
@@ -31,7 +30,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
     The actuator runs a model. A send resets the prediction error e, and silence costs e'Γe beyond sending every sample.
     The optimal schedule sends iff e'Γe + V(e) > g, where V(e) = E min(0, e⁺'Γe⁺ + V(e⁺) − g) is the value of not
     sending and g is the least average cost. It is computed by policy iteration on the renewal equations, for at most
-    three states (``renewal/optimal``). Nodes cannot run this schedule; ``near_optimal`` has a trigger for nodes.
+    three states (``taciturn_limits/optimal``). Nodes cannot run this schedule; ``near_optimal`` has a trigger for nodes.
 
     Args:
         plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
@@ -115,6 +114,9 @@ class OptimalPolicy(PolicyWithoutSteps):
     price: float
     instead: str
     cost_all_time: float = field(init=False)
+    statement: str | None = field(init=False, default=None)
+    source: str = field(init=False, default="")
+    notes: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
         """Check the plant."""
@@ -128,7 +130,7 @@ class OptimalPolicy(PolicyWithoutSteps):
 
     @property
     def why_it_cannot_run(self) -> str:
-        """What the policy does that no node can do, and what to expect instead."""
+        """The reason why nodes cannot run the policy, and the remedy."""
         return (
             f"{self.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
             f"{self.instead}"

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.errors import ProblemError
+from taciturn.extend import OutOfTime, Progress, Stages
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import ENDING, JUMPS, LIMIT, LINEAR_PLANT, WEIGHTS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
-from taciturn.renewal.events import IntegralTrigger, JumpProcess
+from taciturn.model.policy import Policy
 from taciturn.renewal.policy import PolicyWithoutSteps
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import USUAL_RELATIVE_ERROR, Averages
 from taciturn.study.measure import Measured, Request
+from taciturn_events.cycles import CycleEstimate, estimate_cycles
+from taciturn_events.events import IntegralTrigger, JumpProcess
 
 FIRST = 200_000  # cycles
 RELATIVE_INTERVAL = 3e-4  # relative standard error of the mean interval
@@ -113,7 +114,8 @@ class EventPolicy(PolicyWithoutSteps):
     statement: str | None
     source: str
     notes: tuple[str, ...] = ()
-    instead: str = "policy.period"
+    instead: str = field(init=False, default="policy.period")
+    looked_at: Policy | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         """Check the plant."""
@@ -140,7 +142,7 @@ class EventPolicy(PolicyWithoutSteps):
 
     @property
     def why_it_cannot_run(self) -> str:
-        """What the policy does that no node can do, and what to expect instead."""
+        """The reason why nodes cannot run the policy, and the remedy."""
         return (
             f"{self.called} is triggered in continuous time and cannot run as a loop of nodes; expected policy.period, "
             "the seconds between checks of the error"

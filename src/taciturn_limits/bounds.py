@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taciturn._arrays import Array, count, number
-from taciturn._progress import Progress, Stages
 from taciturn.analyse.renewal import resets
 from taciturn.errors import ProblemError
+from taciturn.extend import Array, Progress, Stages, count, number
 from taciturn.loop import Loop
 from taciturn.model.theory import LEVEL, LowerBound, Reset
 
 if TYPE_CHECKING:
-    from taciturn.renewal.optimal import Optimum
+    from taciturn_limits.optimal import Optimum
 
 CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8
@@ -31,7 +30,7 @@ def bound_below(
 
     For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. For any
     price λ of a send E[(1−σ)e'Γe + λσ] ≥ g. Therefore J ≥ J_all + g − λ·rate for every schedule. λ is the price for
-    which a nearly optimal schedule has the given rate; duality gives g (``renewal/dual``).
+    which a nearly optimal schedule has the given rate; duality gives g (``taciturn_limits/dual``).
     """
     reset = resets(loop)
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
@@ -41,8 +40,8 @@ def bound_below(
     base = loop.policy.cost_all_time
     if rate >= EASY or not reset.weight.any():
         return LowerBound(base, confidence, rate, 0.0)
-    from taciturn.renewal.dual import bound_schedules
-    from taciturn.renewal.fitted import fit_schedule
+    from taciturn_limits.dual import bound_schedules
+    from taciturn_limits.fitted import fit_schedule
 
     F = loop.problem.plant.A
     told = Stages(progress)
@@ -61,7 +60,7 @@ def bound_below(
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
     """Return the optimal send schedule of a loop's controller for a given price per send, computed by quadrature."""
-    from taciturn.renewal.optimal import solve_optimal
+    from taciturn_limits.optimal import solve_optimal
 
     reset = resets(loop)
     number("price", price, 0.0)
@@ -72,7 +71,7 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progr
 
 def _price_of(F: Array, reset: Reset, rate: float, told: Stages) -> float:
     """Return the price at which a nearly optimal schedule sends approximately at the given rate."""
-    from taciturn.renewal.fitted import Fitting, keep_errors, squares
+    from taciturn_limits.fitted import Fitting, keep_errors, squares
 
     Gamma, noise, wanted = reset.weight, reset.covariance, 1 / rate
     fitting = Fitting(F, noise, Gamma, points=FEW)
