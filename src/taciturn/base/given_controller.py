@@ -27,6 +27,7 @@ from taciturn.base.receiver import actuator_base
 from taciturn.base.value import Attempts, Base, advantage, least_value
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before
+from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.controller import ContinuousController, Controller, Kept
@@ -276,18 +277,16 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
             "an average cost"
         )
     if r.any():
-        moving = np.block([[plant.A - np.eye(n), plant.B], [plant.C, np.zeros((p, m))]])
-        found = _solved(
-            moving, np.concatenate([np.zeros(n), r]), f"the plant cannot rest at the set-point {r.tolist()}"
-        )
-        state, steady = found[:n], found[n:]
+        seen = np.hstack([plant.C, np.zeros((p, m))]), -r[:, None]
+        what = f"the plant cannot rest at the set-point {r.tolist()}"
+        state, steady = _resting(plant.A, plant.B, state, seen, what)
         limit = plant.input_limit
         if limit is not None and ((steady <= limit[:, 0]) | (steady >= limit[:, 1])).any():
             raise beyond_limits(plant, steady)
-        k = len(controller.A)
-        holding = np.vstack([np.eye(k) - controller.A, controller.C])
-        caused = np.concatenate([controller.E @ steady, steady])
-        rest = _solved(holding, caused, "the controller does not hold the set-point, as it does not integrate")
+        held = controller.C, -steady[:, None]
+        what = "the controller does not hold the set-point, as it does not integrate"
+        caused = np.asarray(controller.E @ steady, dtype=np.float64)
+        rest, _ = _resting(controller.A, np.zeros((len(controller.A), 0)), caused, held, what)
         rest = rest + controller.rest
     start, before = -rest, -steady
     if controller.start_input is not None:
@@ -323,9 +322,11 @@ def _bumpless(c: Controller, error: Array, command: Array) -> Array:
     return state
 
 
-def _solved(matrix: Array, right: Array, what: str) -> Array:
-    """Return the smallest solution of a linear system."""
-    found = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
-    if np.abs(matrix @ found - right).max(initial=0.0) > RESTS * np.abs(right).max(initial=0.0):
+def _resting(A: Array, B: Array, push: Array, wanted: tuple[Array, Array], what: str) -> tuple[Array, Array]:
+    """Return the smallest state and input at rest under a constant push; a solution of the regulator equations."""
+    equations = Resting.of(A, B, np.eye(1), push[:, None], wanted)
+    found = equations.smallest()
+    if equations.missed(found) > RESTS * np.abs(equations.right).max(initial=0.0):
         raise ProblemError(f"{what}; expected a set-point that the loop holds, or none")
-    return found
+    state, steady = equations.split(found)
+    return state[:, 0], steady[:, 0]

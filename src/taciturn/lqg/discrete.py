@@ -39,21 +39,18 @@ from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, frozen, ins
 from taciturn._display import Displayed
 from taciturn._modes import (
     SCATTER,
-    balancing,
     closure,
     eigenvalues,
     invariant,
     pace,
-    paths,
     radius,
-    reach,
     summed,
     unit_columns,
 )
 from taciturn._rational import Limit, unmoved
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.enclosures import UNIT
-from taciturn.lqg.followed import Followed, followed
+from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic, placed, worth_of
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
@@ -540,68 +537,8 @@ def _with_added_states(
     return joined(found, plant, plant.exosystem)
 
 
-SOLVED = 1e-9  # relative residual of the equations
 BEYOND = 1e-9  # rounding of an input at its limit
-CRUMB = 1e-13  # entry of X or U, relative to the largest for the same state of d, that is a rounding error
-FREE = 1e-10  # relative singular value below which a direction is free
 STILL = 1e-9  # relative rate of change of an input that counts as zero
-
-
-def regulator_equations(
-    A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array, D: Array | None = None
-) -> tuple[Array, Array]:
-    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, of least cost of x = X d and u = U d."""
-    (n, m), q = B.shape, len(S)
-    state, unit = reach(A, B)  # so that the result does not depend on the units
-    units = np.concatenate([state, unit])
-    A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
-    direct = np.zeros((len(outputs), m)) if D is None else D
-    both: Array = np.hstack([outputs * state, direct * unit])
-    sizes = np.maximum(np.abs(both).max(axis=1, initial=0.0), 1e-300)
-    Cz: Array = both[:, :n] / sizes[:, None]
-    Dz: Array = both[:, n:] / sizes[:, None]
-    F = F / sizes[:, None]
-    same: Array = np.eye(q)
-    moves = np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])
-    matrix, right = moves, -E.T.ravel()
-    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    for i in range(-1, len(Cz)):
-        if i >= 0:
-            row = np.hstack([np.kron(same, Cz[[i]]), np.kron(same, Dz[[i]])])
-            matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
-            found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-        if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):
-            more = "" if D is None else f" + {direct[i].tolist()} u"
-            what = "the state" if i < 0 else f"output {i} of the reference, {outputs[i].tolist()} x{more},"
-            more = "" if i < m else f" ({i + 1} outputs, {m} inputs)"
-            raise ProblemError(
-                f"no input keeps {what} free of the disturbances and at its set-point{more}; expected at most as many "
-                "reference.outputs as inputs, of which an input affects each, and disturbances that inputs can cancel"
-            )
-    scaled = weight * np.outer(units, units)
-    weights = np.block(
-        [
-            [np.kron(same, scaled[:n, :n]), np.kron(same, scaled[:n, n:])],
-            [np.kron(same, scaled[n:, :n]), np.kron(same, scaled[n:, n:])],
-        ]
-    )
-    _, values, turned = np.linalg.svd(matrix)
-    free = np.asarray(turned[int((values > FREE * values.max(initial=1e-300)).sum()) :].T, dtype=np.float64)
-    if free.shape[1]:
-        found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
-    X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
-    solved = np.asarray(np.vstack([X, U]), dtype=np.float64)
-    least = CRUMB * _sizes(solved, S)
-    X, U = (np.where(np.abs(part) > least, part, 0.0) for part in (X, U))  # the cost has no weight on crumbs of d
-    return X * state[:, None], U * unit[:, None]
-
-
-def _sizes(found: Array, S: Array) -> Array:
-    """Return the largest effect of the states of each disturbance, in the units of each of its states, (q,)."""
-    unit = balancing(S)
-    together = paths(np.asarray((S != 0) | (S.T != 0), dtype=np.bool_))
-    largest = np.abs(found * unit).max(axis=0, initial=0.0)
-    return np.where(together, largest, 0.0).max(axis=1, initial=0.0) / unit
 
 
 def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:

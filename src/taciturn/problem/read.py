@@ -24,7 +24,7 @@ from taciturn.base.given_controller import cost_as_kept
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import regulator_equations
+from taciturn.lqg.followed import regulator_equations
 from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance, Reference, with_target
