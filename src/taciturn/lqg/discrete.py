@@ -62,7 +62,7 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import FED, ContinuousPlant, JumpNoise, Plant, Prediction, about, counted_from, derived_plant
 from taciturn.model.saturation import limit_entries
-from taciturn.model.signals import Exosystem, Timetable
+from taciturn.model.signals import Exosystem
 
 if TYPE_CHECKING:
     pass
@@ -623,8 +623,9 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     deviations = Followed(np.arange(n + q) >= n, deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
     mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
     point, at_rest = plant.operating_point, np.zeros(q)
-    if point is not None:  # set-points are the states that act on nothing but z, in its units
-        free = np.where(np.vstack([e.E, e.G]).any(axis=0), 0.0, e.F)
+    if point is not None:  # constant set-points are states at rest that act on nothing but z, in its units
+        moves = e.S if source.continuous else e.S - np.eye(q)
+        free = np.where(np.vstack([e.E, e.G, moves]).any(axis=0), 0.0, e.F)
         z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
         at_rest += np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else 0.0
     function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
@@ -687,8 +688,8 @@ def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
     limit, changes, points = plant.input_limit, exosystem.changes, exosystem.start[None]
     if limit is None:
         return
-    if isinstance(changes, Timetable):
-        moved = changes.values - changes.values[0]
+    if changes is not None and changes.known is not None:
+        moved = changes.known - changes.known[0]
         points = points + np.pad(moved, ((0, 0), (points.shape[1] - changes.size, 0)))
     for needed in points @ U.T:
         if ((needed < limit[:, 0] - BEYOND) | (needed > limit[:, 1] + BEYOND)).any():

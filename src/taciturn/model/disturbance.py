@@ -28,7 +28,7 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, counted_from
-from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Timetable
+from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint
 
 USUAL_STEPS = 1000.0  # default time constant in steps
 MOST_STEPS = 1e6  # longest time constant in steps
@@ -322,15 +322,15 @@ def follow(
 def with_target(
     plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance], valued: bool
 ) -> AnyPlant:
-    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or a
-    timetable.
+    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or
+    known in advance.
     """
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(
             f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
         )
     point = plant.operating_point
-    if point is not None and (valued or isinstance(target.changes, Timetable)):
+    if point is not None and (valued or target.known):
         target = target.relative_to(point.x, point.u)
     found = copy(plant)
     object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
