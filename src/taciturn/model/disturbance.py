@@ -28,7 +28,7 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, counted_from
-from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint
+from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
 
 USUAL_STEPS = 1000.0  # default time constant in steps
 MOST_STEPS = 1e6  # longest time constant in steps
@@ -120,20 +120,19 @@ class Disturbance(Displayed):
         assert self.deviation is not None
         slow, spread = -1.0 / self.time_constant, self.deviation**2 if mission else 0.0
         if isinstance(plant, ContinuousPlant):
-            return _with(plant, slow, -2.0 * slow * self.deviation**2, spread=spread)
+            return _with(plant, _at_inputs(plant, slow, -2.0 * slow * self.deviation**2), spread)
         kept = float(np.exp(slow * (plant.dt or 1.0)))
-        return _with(plant, kept, (1.0 - kept**2) * self.deviation**2, spread=spread)
+        return _with(plant, _at_inputs(plant, kept, (1.0 - kept**2) * self.deviation**2), spread)
 
     def stepped(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
         """Return the plant with the state (x, d) and a constant d of one deviation, the disturbance after a step."""
         assert self.deviation is not None
-        start = np.broadcast_to(self.deviation, (plant.inputs,))
-        return _with(plant, float(isinstance(plant, Plant)), np.zeros(plant.inputs), start=start)
+        return _with(plant, _at_inputs(plant, float(isinstance(plant, Plant)), 0.0, self.deviation))
 
     def removed_from(self, plant: Plant) -> Plant:
         """Return the plant with the state x, the inverse of ``added_to``."""
         n = plant.stated - plant.inputs
-        function = None if plant.function is None else cast("_Disturbed", plant.function.function).function
+        function = None if plant.function is None else cast("DisturbedDynamics", plant.function.function).dynamics
         point = plant.operating_point
         alone = Plant(
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
@@ -155,15 +154,19 @@ def _seconds(plant: Plant | ContinuousPlant, period: float | None) -> float:
     return 1.0 if step is None else step
 
 
-def _with(
-    plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array | float = 0.0, spread: Array | float = 0.0
-) -> Plant | ContinuousPlant:
-    """Return the plant with the state (x, d), where d starts with the mean ``start`` and the variance ``spread``."""
+def _at_inputs(plant: Plant | ContinuousPlant, kept: float, noise: Array | float, start: Array | float = 0.0) -> Signal:
+    """Return signals that add to the inputs of a plant, each with dynamics, noise and start of its own."""
+    m = plant.inputs
+    return Signal(kept * np.eye(m), noise * np.eye(m), np.broadcast_to(start, (m,)), plant.B)
+
+
+def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float = 0.0) -> Plant | ContinuousPlant:
+    """Return the plant with the state (x, d) of signals at its inputs, whose start has the variance ``spread``."""
     (n, m), p = plant.B.shape, len(plant.C)
-    A = np.block([[plant.A, plant.B], [np.zeros((m, n)), kept * np.eye(m)]])
-    B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, np.zeros((p, m))])
-    noise, rate = block_diagonal(plant.W, W * np.eye(m)), plant.input_rate
-    mean = np.concatenate([plant.mean, np.broadcast_to(start, (m,))])
+    A = np.block([[plant.A, added.entering("E", n)], [np.zeros((m, n)), added.S]])
+    B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, added.entering("G", p)])
+    noise, rate = block_diagonal(plant.W, added.W), plant.input_rate
+    mean = np.concatenate([plant.mean, added.start])
     covariance = block_diagonal(plant.covariance, spread * np.eye(m))
     here = plant.operating_point
     point = None if here is None else OperatingPoint(np.concatenate([here.x, np.zeros(m)]), here.u)
@@ -177,26 +180,11 @@ def _with(
             A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate, D=plant.D
         )
         return counted_from(found, point, plant)
-    function = None if plant.function is None else _Disturbed(plant.function, n, kept)
+    function = None if plant.function is None else DisturbedDynamics(plant.function, None, added.S)
     found = Plant(
         A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate, D=plant.D
     )
     return counted_from(found, point, plant)
-
-
-@dataclass(frozen=True, repr=False)
-class _Disturbed(Displayed):
-    """The function of a nonlinear plant with the state (x, d)."""
-
-    function: Dynamics
-    states: int
-    kept: float
-
-    def __call__(self, x: Any, u: Any, w: Any) -> Any:
-        """Return the next state."""
-        n, d = self.states, x[self.states :]
-        moved: Any = self.function.function(x[:n], u + d, w[:n])
-        return np.concatenate([np.array(list(moved)), self.kept * d + w[n:]])
 
 
 FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
@@ -339,21 +327,23 @@ def with_target(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DisturbedDynamics(Displayed):
-    """A step function with an exosystem: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
+    """A step function with signals: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
 
     dynamics: Dynamics  # f
-    E: Array  # effect of the disturbances on the next state, (n, q)
-    S: Array  # dynamics of disturbances and set-points, (q, q)
+    E: Array | None  # effect of the signals on the next state, (n, q); None if they add to the inputs: f(x, u + d, w)
+    S: Array  # dynamics of the signals, (q, q)
 
     def __call__(self, x: Any, u: Any, w: Any) -> Any:
-        """Return the next states of the plant, its disturbances and its set-points."""
-        n = len(self.E)
-        found: Any = self.dynamics.function(x[:n], u, w[:n])
-        return np.array([*(np.array(list(found)) + self.E @ x[n:]), *(self.S @ x[n:] + w[n:])])
+        """Return the next states of the plant and of the signals."""
+        n = len(x) - len(self.S)
+        d: Any = x[n:]
+        moved: Any = self.dynamics.function(x[:n], u if self.E is not None else u + d, w[:n])
+        found = np.array(list(moved))
+        return np.array([*(found if self.E is None else found + self.E @ d), *(self.S @ d + w[n:])])
 
     @staticmethod
     def of(function: Dynamics, E: Array, S: Array, rest: Array) -> Dynamics:
-        """Return the function of a plant with its exosystem, which is moved as the function of the plant alone is."""
+        """Return the function of a plant with its signals, which is moved as the function of the plant alone is."""
         moved = function.function
         if not isinstance(moved, MovedDynamics):
             return Dynamics(DisturbedDynamics(function, E, S))
