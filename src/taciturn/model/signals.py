@@ -52,6 +52,7 @@ class Signal(Displayed):
         return np.zeros((rows, len(self.S))) if found is None else found
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Changes(Displayed):
     """How set-points change while the loop runs; forms of set-points are subclasses."""
 
@@ -222,7 +223,7 @@ class Timetable(Changes):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SampledChanges(Changes):
+class SampledChanges(Displayed):
     """The change of the set-points from each step of a timetable to the next; the timetable repeats.
 
     Args:
@@ -264,7 +265,7 @@ class SetPoint(Displayed):
         object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
         size = len(self.outputs)
         if changes is not None:
-            instance("changes", changes, Changes)
+            instance("changes", changes, *Changes.__subclasses__())
             if changes.size != size:
                 raise ProblemError(
                     f"reference.{changes.key} states changes of {changes.size} set-points; expected {size}, one for "
@@ -294,9 +295,8 @@ class SetPoint(Displayed):
         """Return the set-points as signals; those whose changes the controller is given come last."""
         own = None if self.changes is None else self.changes.states(continuous)
         noise = None if self.changes is None else self.changes.noise
-        r = z = len(self.value)
-        if not (self.counted or self.value.any() or noise is not None):
-            r = 0  # zero for ever
+        z = len(self.value)
+        r = z if self.counted or self.value.any() or noise is not None else 0  # no states if they are zero for ever
         S = np.zeros((r, r)) if continuous else np.eye(r)
         W = np.zeros((r, r)) if noise is None else noise
         return [*([] if own is None else [own]), Signal(S, W, self.value[:r], F=-np.eye(z)[:, :r])]
