@@ -1,15 +1,23 @@
-"""Controllers that a user has, together with the plant: the slow disturbance, LQG as a controller, usual weights.
+"""Controllers that a user has, together with their plant: disturbance, point of rest, start and periodic comparison.
 
-Exact cost of a given controller with periodic packets, at every q-th step and by the same means as the policy.
+``disturbed`` returns the problem in which such a controller is judged. If it integrates, the plant gets the slow
+disturbance that it compensates, since silence would seem too cheap without one.
 
-Between packets, the receiver keeps its last value or predicts it, as in the policy. The controller may also be
-discretised for q steps, if its parameters are continuous, and then measures only when it sends. The cheaper of the two
-is the comparison.
+``rest_of`` returns the point at which the loop rests: the state x* and the input u* at which the outputs are at the
+controller's set-points r, and the state of the controller that holds u*,
 
-Constant set-points and the start of a given controller.
+    x* = A x* + B u*,   C x* = r,   x_c* = A_c x_c* + E_c u*,   C_c x_c* = u*.
 
-A policy is designed for the deviations from the point at which the loop rests: with the state x* and the input u* for
-which the outputs equal their set-points.
+These are regulator equations of constant signals (``lqg.followed``). A policy is designed for the deviations from this
+point. With a known input before the start, the controller begins at the state that commands this input, at rest apart
+from its integrals.
+
+``SameControl`` is the exact cost of the controller with periodic packets, at every q-th step and by the same means as
+the policy. Between packets, the receiver keeps its last value or predicts it. The controller may also be discretised
+for q steps, if its parameters are continuous, and then measures only when it sends. The cheaper of the two is compared.
+
+``lqg_observer`` writes LQG as such a controller, and ``cost_as_kept`` returns weights for which the present variances
+of all outputs and inputs count equally.
 """
 
 from __future__ import annotations

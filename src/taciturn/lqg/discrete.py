@@ -1,27 +1,25 @@
-"""Discrete-time control problem of a policy: a discrete plant unchanged, or a continuous plant sampled exactly.
+"""Discrete-time control problem of a policy: the plant from step to step, and the cost of a step.
 
-Direct feedthrough: y_k = C x_k + D û_{k−1} + v_k, with the input û_{k−1} that the plant applied in the step before.
+A discrete plant is taken as it is. A continuous plant is sampled exactly: ``sample`` integrates dynamics, noise and
+cost over a period, with the input held. Two parts of a plant become states that no design, filter, program or node
+treats unlike others: registers of inputs, after the states x of the plant, and the signals d of its exosystem, last.
 
-A sensor takes its sample before the input changes, so no output depends on an input that is computed from it. Each
-input that an output shows gets a register, a state z⁺ = û. It comes after the states x of the plant and before its
-disturbances and set-points, and it has neither cost nor noise:
+Registers. A sensor takes its sample before the input changes, y_k = C x_k + D û_{k−1} + v_k, with the input û that the
+plant applied after losses and limits. Each input that an output shows gets a register z⁺ = û without cost and noise,
 
-    x⁺ = A x + B û + w,   z⁺ = û,   y = [C, D] (x, z) + v.
+    x⁺ = A x + B û + w,   z⁺ = û,   y = [C, D] (x, z) + v,
 
-Loops, filters, programs and nodes treat a register as any other state. It contains what was applied after losses and
-limits, since it is fed as the plant is. At the start it contains the input of the operating point.
+which contains the input of the operating point at the start.
 
-Regulator equations: the states and inputs for which an output does not react to disturbances and set-points.
-
-The cost counts the deviations ξ = x − Xd and μ = u − Ud from them. Between the samples of a continuous plant, the
-disturbance moves on and the input is held, so μ moves too:
+Signals. With X and U of the regulator equations (``followed``), the cost counts the deviations ξ = x − Xd and
+μ = u − Ud. Between the samples of a continuous plant, d moves on and the input is held, so μ moves too:
 
     dξ = (Aξ + Bμ) dt + w − X w_d,   dμ = −U S d dt − U w_d,   dd = S d dt + w_d,
 
-and the cost of a period is the integral of the stage cost over this path (``sample``). If a disturbance that
-does not decay changes Ud between samples (U S d ≠ 0: a sinusoid, or a ramp that the input must follow), its ripple
-costs d'(…)d, which grows without limit, so the integral has no average. The cost is then that of the deviations at the
-sampling instants, Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant and without noise between samples.
+and the cost of a period is the integral of the stage cost over this path. If a signal that does not decay changes Ud
+between samples (U S d ≠ 0: a sinusoid, or a ramp that the input must follow), its ripple costs d'(…)d, which grows
+without limit, so the integral has no average. The cost is then that of the deviations at the sampling instants,
+Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant and without noise between samples.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -63,9 +61,6 @@ from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import FED, ContinuousPlant, JumpNoise, Plant, Prediction, about, counted_from, derived_plant
 from taciturn.model.saturation import limit_entries
 from taciturn.model.signals import Exosystem
-
-if TYPE_CHECKING:
-    pass
 
 BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 
@@ -553,8 +548,8 @@ def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
     return _is_still(_equations(plant, e, cost)[1], e.S)
 
 
-def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array, Array]:
-    """Return X and U of the plant in continuous time, which do not depend on the sampling period."""
+def _equations(plant: Plant | ContinuousPlant, e: Exosystem, cost: Cost | Discrete) -> tuple[Array, Array]:
+    """Return X and U of a plant; in continuous time, they do not depend on the sampling period."""
     weights = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
     return regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
 
@@ -573,22 +568,18 @@ def _moves(U: Array, S: Array) -> Array:
 
 
 def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
-    """Return the problem of a plant with its disturbances and set-points: its states are (x, d), its cost deviations.
-
-    The cost of a discrete plant is (x − Xd)'Q(x − Xd) + (u − Ud)'R(u − Ud) + 2(x − Xd)'N(u − Ud), with X and U of the
-    regulator equations; that of a continuous plant is the integral of these deviations over a period.
-    """
+    """Return the problem of a plant with its signals: its states are (x, d), its cost that of the deviations."""
     plant, e = base.plant, exosystem
     n, q, m = plant.states, len(e.S), plant.inputs
     A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
-    W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
-    B, noise_cost, instants = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost, False
-    exact, own = None, None
-    weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
-    stage = np.insert(np.insert(weights, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
+    W, noise_cost, instants, exact, own = block_diagonal(source.W, e.W), base.noise_cost, False, None, None
+    stage = np.block([[base.Q, base.N], [base.N.T, base.R]])
+    stage = np.insert(np.insert(stage, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
     changes = None if e.changes is None else e.changes.sampled(base.tick)
     given = 0 if changes is None else changes.size  # the controller is given the last states
-    if isinstance(source, ContinuousPlant):
+    if isinstance(source, Plant):
+        X, U = _equations(plant, e, base)
+    else:
         fastest = float(np.abs(eigenvalues(e.S).imag).max(initial=0.0))
         if fastest * base.tick >= np.pi:
             raise ProblemError(
@@ -596,42 +587,32 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
                 f"{base.tick:g} cannot follow; expected a frequency below π/period = {np.pi / base.tick:.4g}, or a "
                 "shorter period"
             )
-        none = np.zeros((n + q, n + q))
+        B, none = np.vstack([source.B, np.zeros((q, m))]), np.zeros((n + q, n + q))
         sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
+        A, W, exact = sampled.A, sampled.W, sampled.exact
         X, U = _equations(source, e, base.cost)
         instants = not _is_still(U, e.S)
         if instants:
-            late, acting = sampled.A[n:, n:], sampled.A[:n, n:]
-            X, U = regulator_equations(plant.A, plant.B, late, acting, e.outputs, e.F, weights, e.D)
+            X, U = _equations(plant, replace(e, S=A[n:, n:], E=A[:n, n:]), base)
             noise_cost = 0.0
         else:
             within = _within_a_period(source, e, base.cost, X, U, given, base.tick)
             own = Quadratic(within.A, within.B, within.Q, within.R, within.N), within.exact
             noise_cost = within.noise_cost
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
-        A, W, exact = sampled.A, sampled.W, sampled.exact
-    else:
-        X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(before, seen, n, e, source.continuous)
     deviation = np.eye(n + q + m)
     deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
     whole = symmetrised(deviation.T @ stage @ deviation)
-    if own is None:
-        own = _apart(base, A[n:, n:], e.S)
+    own = own or _apart(base, A[n:, n:], e.S)
     deviations = Followed(np.arange(n + q) >= n, deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
-    mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
-    point, at_rest = plant.operating_point, np.zeros(q)
-    if point is not None:  # constant set-points are states at rest that act on nothing but z, in its units
-        moves = e.S if source.continuous else e.S - np.eye(q)
-        free = np.where(np.vstack([e.E, e.G, moves]).any(axis=0), 0.0, e.F)
-        z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
-        at_rest += np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else 0.0
-    function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
+    point, at_rest = plant.operating_point, _at_point(source, e)
     with_all = derived_plant(
-        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
-        plant.input_limit, function, input_rate=plant.input_rate,
+        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt,
+        np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q)), plant.input_limit,
+        plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest), input_rate=plant.input_rate,
     )  # fmt: skip
     object.__setattr__(with_all, "changes", changes)
     if point is not None:
@@ -642,6 +623,17 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
         base, plant=with_all, Q=whole[: n + q, : n + q], N=whole[: n + q, n + q :], noise_cost=noise_cost,
         source=source, instants=instants, exact=exact, deviations=deviations,
     )  # fmt: skip
+
+
+def _at_point(source: Plant | ContinuousPlant, e: Exosystem) -> Array:
+    """Return the signals at the operating point, (q,): the constant set-points, which act on nothing but z, are z."""
+    point, at_rest = source.operating_point, np.zeros(len(e.S))
+    if point is None:
+        return at_rest
+    moves = e.S if source.continuous else e.S - np.eye(len(e.S))
+    free = np.where(np.vstack([e.E, e.G, moves]).any(axis=0), 0.0, e.F)
+    z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
+    return at_rest + np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else at_rest
 
 
 def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | None]:

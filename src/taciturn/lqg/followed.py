@@ -1,11 +1,21 @@
 """Regulator equations: the states and inputs at which signals that no input moves cost nothing.
 
-Let d⁺ = Sd be such states, and x⁺ = Ax + Bu + Ed the others. If x = Xd and u = Ud cost nothing for every d, and
+Let d⁺ = Sd be such signals, and x⁺ = Ax + Bu + Ed the other states. Suppose that
 
-    AX + BU + E = XS,
+    AX + BU + E = XS,   Z [X; U] + F = 0.
 
-then the deviations x − Xd and u − Ud have the dynamics and the cost of the problem without d. The regulator of this
-problem is u = L(x − Xd) + Ud, and its cost-to-go (x − Xd)'K(x − Xd), also if d never decays.
+Then x = Xd and u = Ud remain so for every d, and Z [x; u] + F d stays zero. These equations are linear in X and U, and
+``Resting`` sets them up for all who need their solution:
+
+* ``regulator_equations``: Z contains the outputs z of a plant with disturbances and set-points. If solutions are free,
+  that of least cost is taken;
+* ``followed``: Z contains the derivatives of a stage cost with respect to x and u, so that Xd and Ud cost nothing. The
+  signals need no label: they are found among the states of a plant by what moves them and by how they decay;
+* the point at which a given controller rests (``base.given_controller``): S = 1.
+
+If x = Xd and u = Ud cost nothing, the deviations x − Xd and u − Ud have the dynamics and the cost of the problem
+without d. The regulator of this problem is u = L(x − Xd) + Ud, and its cost-to-go (x − Xd)'K(x − Xd), also if d never
+decays.
 
 A disturbance that decays may be among the states x if an input cannot cancel its effect, such as its movement between
 samples. It may move d, d⁺ = Sd + Dx, if it stays at rest where x = Xd; then D X = 0, and the deviations have the

@@ -1,14 +1,18 @@
-"""Slowly varying disturbances at the inputs of a plant, which a controller with an integrator compensates.
+"""Effects of signals on a plant: outputs that follow set-points, slow disturbances of inputs, stored references.
 
-The plant applies u + d instead of u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with
-the time constant T and a constant standard deviation, also at the start of a run over a horizon or with a discount. The
-state of the plant becomes (x, d).
+``follow`` gives a plant the exosystem of its disturbances and set-points. A policy estimates these disturbances, and
+its cost counts the deviations from the states and inputs at which the outputs are at their set-points
+(``lqg.followed``).
 
-Reference trajectories, and the signals of a policy that tracks a reference.
+A slow ``Disturbance`` is what a controller with an integrator compensates by itself. The plant applies u + d instead of
+u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with the time constant T and a constant
+standard deviation, also at the start of a run over a horizon or with a discount. The state of the plant becomes (x, d),
+and the cost does not weight d.
 
-Plants whose outputs are to follow set-points in spite of disturbances.
+A ``Reference`` r_k, f_k with r⁺ = A r + B f is stored at both ends of the network. The deviations x − r and u − f,
+which the cost counts, have the dynamics of the plant. ``Tracking`` names the signals of a policy that contain r and f.
 
-Step functions of nonlinear plants with their disturbances and set-points.
+The step function of a nonlinear plant gets the same states (``DisturbedDynamics``).
 """
 
 from __future__ import annotations

@@ -1,12 +1,17 @@
-"""Discrete-time and continuous-time plants driven by noise, validated at construction.
+"""Linear plants with noise, in discrete or in continuous time, validated at construction.
 
-Descriptor plants E x⁺ = A x + B u + w, or E dx/dt = A x + B u + w, with a regular matrix E.
+    x⁺ = A x + B u + w,   or   dx = (A x + B u) dt + noise,   y = C x + v.
 
-They are the plants x⁺ = E⁻¹A x + E⁻¹B u + E⁻¹w, with the same state x. A double is a rational number, so whether E is
-regular is decided without a tolerance, and the matrices are the doubles nearest to the exact ones, also if E is nearly
-singular. With a singular E, some of the equations are algebraic, and the state may jump when an input does.
+A plant that is not linear has a step function, which A and B linearise at the operating point; with a point, the
+attributes of a plant are deviations from it, and ``about`` moves a plant to another point.
 
-Descriptions of plants and matrices for ``taciturn show``, Python and notebooks.
+A descriptor plant E x⁺ = A x + B u + w, or E dx = (A x + B u) dt + noise, is the plant with E⁻¹A, E⁻¹B and E⁻¹w, with
+the same state x. A double is a rational number, so whether E is regular is decided without a tolerance, and the
+matrices are the doubles nearest to the exact ones, also if E is nearly singular. With a singular E, some of the
+equations are algebraic, and the state may jump when an input does.
+
+A plant of a design may contain states that were added to it: registers of inputs, disturbances and set-points
+(``lqg.discrete``). ``summary`` and ``matrix_lines`` describe plants and matrices as text.
 """
 
 from __future__ import annotations
