@@ -26,7 +26,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -58,7 +57,17 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import DisturbedDynamics
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
-from taciturn.model.plant import FED, ContinuousPlant, JumpNoise, Plant, Prediction, about, counted_from, derived_plant
+from taciturn.model.plant import (
+    FED,
+    ContinuousPlant,
+    JumpNoise,
+    Plant,
+    Prediction,
+    about,
+    altered,
+    counted_from,
+    derived_plant,
+)
 from taciturn.model.saturation import limit_entries
 from taciturn.model.signals import Exosystem
 
@@ -105,11 +114,9 @@ def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
         covariance, plant.input_limit, plant.function and RegisteredDynamics.of(plant.function, n, fed),
         input_rate=plant.input_rate,
     )  # fmt: skip
-    kept = {"changes": plant.changes, "registers": tuple(fed), "alone": source if isinstance(source, Plant) else None}
-    for name, value in kept.items():
-        object.__setattr__(found, name, value)
-    point = plant.operating_point
-    return counted_from(found, None if point is None else OperatingPoint(_at_rest(point, n, fed), point.u), plant)
+    alone = source if isinstance(source, Plant) else None
+    found = altered(found, {"changes": plant.changes, "registers": tuple(fed), "alone": alone})
+    return counted_from(found, plant, lambda at: OperatingPoint(np.insert(at.x, [n] * len(fed), at.u[fed]), at.u))
 
 
 def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
@@ -151,10 +158,9 @@ def with_same_start(problem: Discrete, model: Plant) -> Discrete:
 
 def with_inputs_before(plant: Plant, place: int, before: Array) -> Plant:
     """Return a plant whose registers, from the state ``place`` on, start with given inputs, (m,)."""
-    found, mean = copy(plant), plant.mean.copy()
+    mean = plant.mean.copy()
     mean[place : place + len(plant.registers)] = before[[*plant.registers]]
-    object.__setattr__(found, "mean", frozen(mean))
-    return found
+    return altered(plant, {"mean": frozen(mean)})
 
 
 def registers_from(problem: Discrete) -> int:
@@ -169,10 +175,6 @@ def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
         return point
     x = np.delete(point.x, slice(place, place + len(model.registers)))
     return OperatingPoint(np.insert(x, [place] * len(fed), point.u[fed]), point.u)
-
-
-def _at_rest(point: OperatingPoint, n: int, fed: list[int]) -> Array:
-    return np.insert(point.x, [n] * len(fed), point.u[fed])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -359,8 +361,7 @@ class Discrete(Displayed):
             p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
             p.input_limit, input_rate=p.input_rate,
         )  # fmt: skip
-        point = p.operating_point
-        plant = counted_from(plant, None if point is None else OperatingPoint(point.x[states], point.u), p)
+        plant = counted_from(plant, p, lambda at: OperatingPoint(at.x[states], at.u))
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states], exact=None, deviations=None)
 
     @property
@@ -484,10 +485,8 @@ def discretise(
     discrete = derived_plant(
         sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit, input_rate=rate
     )
-    point = plant.operating_point
-    if point is not None and prediction is not None:  # the input is the state of the actuator's model
-        point = OperatingPoint(point.x, point.x)
-    discrete = counted_from(discrete, point, plant)
+    # an actuator that predicts has the state of its model as its input
+    discrete = counted_from(discrete, plant, None if prediction is None else lambda at: OperatingPoint(at.x, at.x))
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return Discrete(
         discrete,
@@ -523,9 +522,7 @@ def _with_added_states(
     refused["the plant has jumps; expected Gaussian noise W"] = jumps
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{given}, and {got}")
-    alone = copy(plant)
-    object.__setattr__(alone, part, None)
-    found = discretise(alone, cost, period)
+    found = discretise(altered(plant, {part: None}), cost, period)
     if plant.D is not None:
         return with_registers(found, plant)
     assert plant.exosystem is not None, "states are added for a part of the plant"
@@ -608,17 +605,14 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
     whole = symmetrised(deviation.T @ stage @ deviation)
     own = own or _apart(base, A[n:, n:], e.S)
     deviations = Followed(np.arange(n + q) >= n, deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
-    point, at_rest = plant.operating_point, _at_point(source, e)
+    at_rest = _at_point(source, e)
     with_all = derived_plant(
         A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt,
         np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q)), plant.input_limit,
         plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest), input_rate=plant.input_rate,
     )  # fmt: skip
-    object.__setattr__(with_all, "changes", changes)
-    if point is not None:
-        with_all = counted_from(with_all, OperatingPoint(np.concatenate([point.x, at_rest]), point.u), plant)
-    if isinstance(source, Plant):
-        object.__setattr__(with_all, "alone", source)
+    with_all = counted_from(with_all, plant, lambda at: OperatingPoint(np.concatenate([at.x, at_rest]), at.u))
+    with_all = altered(with_all, {"changes": changes, "alone": source if isinstance(source, Plant) else None})
     return replace(
         base, plant=with_all, Q=whole[: n + q, : n + q], N=whole[: n + q, n + q :], noise_cost=noise_cost,
         source=source, instants=instants, exact=exact, deviations=deviations,

@@ -18,7 +18,6 @@ The step function of a nonlinear plant gets the same states (``DisturbedDynamics
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
@@ -31,7 +30,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Plant, counted_from
+from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from
 from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
 
 USUAL_STEPS = 1000.0  # default time constant in steps
@@ -137,12 +136,11 @@ class Disturbance(Displayed):
         """Return the plant with the state x, the inverse of ``added_to``."""
         n = plant.stated - plant.inputs
         function = None if plant.function is None else cast("DisturbedDynamics", plant.function.function).dynamics
-        point = plant.operating_point
         alone = Plant(
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
             plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate, D=plant.D,
         )  # fmt: skip
-        return counted_from(alone, None if point is None else OperatingPoint(point.x[:n], point.u), plant)
+        return counted_from(alone, plant, lambda point: OperatingPoint(point.x[:n], point.u))
 
 
 def padded(cost: Cost, inputs: int) -> Cost:
@@ -172,8 +170,10 @@ def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float =
     noise, rate = block_diagonal(plant.W, added.W), plant.input_rate
     mean = np.concatenate([plant.mean, added.start])
     covariance = block_diagonal(plant.covariance, spread * np.eye(m))
-    here = plant.operating_point
-    point = None if here is None else OperatingPoint(np.concatenate([here.x, np.zeros(m)]), here.u)
+
+    def also(point: OperatingPoint) -> OperatingPoint:
+        return OperatingPoint(np.concatenate([point.x, np.zeros(m)]), point.u)
+
     if isinstance(plant, ContinuousPlant):
         if plant.jumps is not None:
             raise ProblemError(
@@ -183,12 +183,12 @@ def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float =
         found = ContinuousPlant(
             A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate, D=plant.D
         )
-        return counted_from(found, point, plant)
+        return counted_from(found, plant, also)
     function = None if plant.function is None else DisturbedDynamics(plant.function, None, added.S)
     found = Plant(
         A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate, D=plant.D
     )
-    return counted_from(found, point, plant)
+    return counted_from(found, plant, also)
 
 
 FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
@@ -321,12 +321,8 @@ def with_target(
         raise ProblemError(
             f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
         )
-    point = plant.operating_point
-    if point is not None and (valued or target.known):
-        target = target.relative_to(point.x, point.u)
-    found = copy(plant)
-    object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
-    return found
+    point = plant.operating_point if valued or target.known else None
+    return altered(plant, {"exosystem": Exosystem.of(disturbances, target, len(plant.C), plant.continuous, point)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -31,6 +31,7 @@ from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, 
 from taciturn._display import Displayed
 from taciturn._rational import Limit, free_modes
 from taciturn.errors import ProblemError
+from taciturn.model.operating_point import OperatingPoint
 
 LONGEST = 100_000  # sampling steps of a timetable
 
@@ -250,7 +251,6 @@ class SetPoint(Displayed):
     outputs: Array  # C_z of the combinations z = C_z x, (z, n)
     value: Array  # their set-points, (z,); default 0. With steps at random times, those at the start
     changes: Changes | None  # how they change while the loop runs; None for constant set-points
-    counted: bool  # whether they count from an operating point
     D: Array | None  # D_z of the combinations z = C_z x + D_z u
 
     def __init__(
@@ -258,7 +258,6 @@ class SetPoint(Displayed):
         outputs: ArrayLike,
         value: ArrayLike | None = None,
         changes: Changes | None = None,
-        counted: bool = False,
         D: Array | None = None,
     ) -> None:
         """Validate and store the arguments."""
@@ -278,34 +277,21 @@ class SetPoint(Displayed):
         given = np.zeros(size) if value is None else value
         object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
         object.__setattr__(self, "changes", changes)
-        object.__setattr__(self, "counted", counted)
         object.__setattr__(self, "D", D if D is not None and D.any() else None)
-
-    @property
-    def told(self) -> Changes | None:
-        """The changes that the controller is given, or None."""
-        return None if self.changes is None or self.changes.noise is None else self.changes
 
     @property
     def known(self) -> bool:
         """Whether the form of the set-points states their values."""
         return self.changes is not None and self.changes.known is not None
 
-    def signals(self, continuous: bool) -> list[Signal]:
-        """Return the set-points as signals; those whose changes the controller is given come last."""
-        own = None if self.changes is None else self.changes.states(continuous)
-        noise = None if self.changes is None else self.changes.noise
-        z = len(self.value)
-        r = z if self.counted or self.value.any() or noise is not None else 0  # no states if they are zero for ever
+    def signals(self, continuous: bool, changes: Changes | None, z: Array | None) -> list[Signal]:
+        """Return the set-points, which count from ``z`` at an operating point, as signals, those with changes last."""
+        value = self.value if z is None else self.value - z
+        own, noise = (None, None) if changes is None else (changes.states(continuous), changes.noise)
+        r = 0 if z is None and noise is None and not value.any() else len(value)  # no states if they are zero for ever
         S = np.zeros((r, r)) if continuous else np.eye(r)
         W = np.zeros((r, r)) if noise is None else noise
-        return [*([] if own is None else [own]), Signal(S, W, self.value[:r], F=-np.eye(z)[:, :r])]
-
-    def relative_to(self, state: Array, given: Array) -> SetPoint:
-        """Return the set-points relative to the combinations of a state, (n,), and an input, (m,)."""
-        z = self.outputs @ state + (0.0 if self.D is None else self.D @ given)
-        changes = None if self.changes is None else self.changes.relative_to(z)
-        return SetPoint(self.outputs, None if self.known else self.value - z, changes, True, self.D)
+        return [*([] if own is None else [own]), Signal(S, W, value[:r], F=-np.eye(len(value))[:, :r])]
 
 
 Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
@@ -446,7 +432,13 @@ class Exosystem(Displayed):
         object.__setattr__(self, "W", semidefinite("exosystem.W", self.W, q, "(q, q)"))
 
     @staticmethod
-    def of(disturbances: Sequence[ExternalDisturbance], target: SetPoint, outputs: int, continuous: bool) -> Exosystem:
+    def of(
+        disturbances: Sequence[ExternalDisturbance],
+        target: SetPoint,
+        outputs: int,
+        continuous: bool,
+        point: OperatingPoint | None = None,
+    ) -> Exosystem:
         """Return the exosystem of disturbances and of a set-point.
 
         Args:
@@ -454,6 +446,7 @@ class Exosystem(Displayed):
             target: the combinations of the states that are to be at their set-points.
             outputs: number of measured outputs p.
             continuous: whether the plant is continuous in time.
+            point: the operating point, if the set-points are in the units of the plant, or None.
 
         Raises:
             ProblemError: a disturbance has another number of states or outputs than the plant.
@@ -468,7 +461,11 @@ class Exosystem(Displayed):
             for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
                 if len(got) != expected:
                     raise ProblemError(f"disturbance[{place}].{name} has {len(got)} entries; expected {expected}")
-        signals += target.signals(continuous)
+        changes, at = target.changes, None
+        if point is not None:
+            at = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)
+            changes = None if changes is None else changes.relative_to(at)
+        signals += target.signals(continuous, changes, at)
         E, G, F = (
             np.hstack([one.entering(name, rows) for one in signals])
             for name, rows in (("E", n), ("G", outputs), ("F", z))
@@ -481,6 +478,6 @@ class Exosystem(Displayed):
             start=np.concatenate([one.start for one in signals]),
             outputs=target.outputs,
             F=F,
-            changes=target.told,
+            changes=None if changes is None or changes.noise is None else changes,
             D=target.D,
         )

@@ -34,7 +34,7 @@ from taciturn.model.link import LinkLaw
 from taciturn.model.losses import USUAL, LossLaw, find_law
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Jumps, Plant, effect_without, stated_function
+from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant, stated_function
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
 from taciturn.problem.files import read_controller
 from taciturn.problem.schema import (
@@ -106,7 +106,7 @@ def with_exosystem(
 def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
-        enters = one.enters if E is None else effect_without(E, "disturbance.enters", np.c_[one.enters])[:, 0]
+        enters = one.enters if E is None else Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one.enters])[:, 0]
         return ExternalDisturbance(enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
