@@ -308,21 +308,17 @@ def follow(
         )
     fed = plant.D if outputs is None else None
     target = SetPoint(plant.C if outputs is None else outputs, value, changes, D=fed)
-    return with_target(plant, target, listed, value is not None)
+    return with_target(plant, target, listed)
 
 
-def with_target(
-    plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance], valued: bool
-) -> AnyPlant:
-    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or
-    known in advance.
-    """
+def with_target(plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance]) -> AnyPlant:
+    """Return a plant with disturbances and set-points."""
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(
             f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
         )
-    point = plant.operating_point if valued or target.known else None
-    return altered(plant, {"exosystem": Exosystem.of(disturbances, target, len(plant.C), plant.continuous, point)})
+    found = Exosystem.of(disturbances, target, len(plant.C), plant.continuous, plant.operating_point)
+    return altered(plant, {"exosystem": found})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -249,7 +249,9 @@ class SetPoint(Displayed):
     """The values that some combinations of the states are to have."""
 
     outputs: Array  # C_z of the combinations z = C_z x, (z, n)
-    value: Array  # their set-points, (z,); default 0. With steps at random times, those at the start
+    value: (
+        Array | None
+    )  # their set-points at the start, (z,), in the units of the plant; None: those at its point, or 0
     changes: Changes | None  # how they change while the loop runs; None for constant set-points
     D: Array | None  # D_z of the combinations z = C_z x + D_z u
 
@@ -274,24 +276,20 @@ class SetPoint(Displayed):
             if value is not None:
                 raise ProblemError(f"reference.value and reference.{changes.key} are given; expected one of them")
             value = changes.known[0]
-        given = np.zeros(size) if value is None else value
-        object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
+        value = None if value is None else array("reference.value", value, (size,), "(set-points,)")
+        object.__setattr__(self, "value", value)
         object.__setattr__(self, "changes", changes)
         object.__setattr__(self, "D", D if D is not None and D.any() else None)
 
-    @property
-    def known(self) -> bool:
-        """Whether the form of the set-points states their values."""
-        return self.changes is not None and self.changes.known is not None
-
-    def signals(self, continuous: bool, changes: Changes | None, z: Array | None) -> list[Signal]:
-        """Return the set-points, which count from ``z`` at an operating point, as signals, those with changes last."""
-        value = self.value if z is None else self.value - z
+    def signals(self, continuous: bool, changes: Changes | None, at: Array | None) -> list[Signal]:
+        """Return the set-points, which count from z = ``at`` if given, as signals; those with changes come last."""
+        z = len(self.outputs)
+        value = np.zeros(z) if self.value is None else self.value if at is None else self.value - at
         own, noise = (None, None) if changes is None else (changes.states(continuous), changes.noise)
-        r = 0 if z is None and noise is None and not value.any() else len(value)  # no states if they are zero for ever
+        r = 0 if at is None and noise is None and not value.any() else z  # no states if they are zero for ever
         S = np.zeros((r, r)) if continuous else np.eye(r)
         W = np.zeros((r, r)) if noise is None else noise
-        return [*([] if own is None else [own]), Signal(S, W, value[:r], F=-np.eye(len(value))[:, :r])]
+        return [*([] if own is None else [own]), Signal(S, W, value[:r], F=-np.eye(z)[:, :r])]
 
 
 Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
@@ -446,7 +444,7 @@ class Exosystem(Displayed):
             target: the combinations of the states that are to be at their set-points.
             outputs: number of measured outputs p.
             continuous: whether the plant is continuous in time.
-            point: the operating point, if the set-points are in the units of the plant, or None.
+            point: the operating point of the plant, or None.
 
         Raises:
             ProblemError: a disturbance has another number of states or outputs than the plant.
@@ -462,7 +460,7 @@ class Exosystem(Displayed):
                 if len(got) != expected:
                     raise ProblemError(f"disturbance[{place}].{name} has {len(got)} entries; expected {expected}")
         changes, at = target.changes, None
-        if point is not None:
+        if point is not None and target.value is not None:
             at = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)
             changes = None if changes is None else changes.relative_to(at)
         signals += target.signals(continuous, changes, at)

@@ -100,7 +100,7 @@ def with_exosystem(
     target = SetPoint(followed, points.value, _changes(points), D=fed)
     given = [_disturbance(place, one, E) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
-    return with_target(plant, target, given, points.value is not None)
+    return with_target(plant, target, given)
 
 
 def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
