@@ -29,8 +29,9 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import radius
-from taciturn.base.certainty import design_certainty, price_control
+from taciturn.base.certainty import design_certainty
 from taciturn.base.filter import HELD
+from taciturn.base.gains import price_control
 from taciturn.base.receiver import actuator_base
 from taciturn.base.value import Attempts, Base, advantage, least_value
 from taciturn.errors import ProblemError, UnstableError

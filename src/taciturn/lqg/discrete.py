@@ -46,6 +46,7 @@ from taciturn._modes import (
 )
 from taciturn._rational import Limit, unmoved
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.cache import remembered
 from taciturn.lqg.enclosures import UNIT
 from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
@@ -422,6 +423,14 @@ def discretise(
     """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
+    compute = _discretise if isinstance(plant, Plant) and plant.function is not None else _of_data
+    return compute(plant, cost, period, prediction)
+
+
+def _discretise(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None
+) -> Discrete:
+    """Return the discrete-time control problem of checked data."""
     SIMULATED.check(plant, cost)
     if plant.D is not None or plant.exosystem is not None:
         return _with_added_states(plant, cost, period, prediction)
@@ -502,6 +511,9 @@ def discretise(
         plant,
         exact=sampled.exact,
     )
+
+
+_of_data = remembered(_discretise)
 
 
 def _with_added_states(
