@@ -223,15 +223,8 @@ class SameControl(Displayed):
         long = lift(plant.A, plant.B, problem.Q, problem.R, problem.N, plant.W, steps)
         dt = None if plant.dt is None else plant.dt * steps
         try:
-            slow = replace(
-                problem,
-                plant=Plant(long.A, long.B, long.W, plant.C, plant.V, dt),
-                Q=long.Q,
-                R=long.R,
-                N=long.N,
-                exact=None,
-                deviations=None,
-            )
+            moved = Plant(long.A, long.B, long.W, plant.C, plant.V, dt)
+            slow = replace(problem, plant=moved, Q=long.Q, R=long.R, N=long.N, exact=None, deviations=None)
             base = actuator_base(slow, self.kept.at(dt, plant.inputs, plant.outputs))
             return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps
         except (ProblemError, UnstableError):  # such as a filter that is faster than these steps

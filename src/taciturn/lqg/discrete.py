@@ -497,19 +497,9 @@ def _discretise(
     # an actuator that predicts has the state of its model as its input
     discrete = counted_from(discrete, plant, None if prediction is None else lambda at: OperatingPoint(at.x, at.x))
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
+    weights = sampled.Q, sampled.R, sampled.N
     return Discrete(
-        discrete,
-        sampled.Q,
-        sampled.R,
-        sampled.N,
-        cost,
-        period,
-        sampled.noise_cost,
-        jumps,
-        True,
-        prediction,
-        plant,
-        exact=sampled.exact,
+        discrete, *weights, cost, period, sampled.noise_cost, jumps, True, prediction, plant, exact=sampled.exact
     )
 
 

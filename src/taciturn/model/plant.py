@@ -463,18 +463,8 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {
-            "mean",
-            "covariance",
-            "dt",
-            "function",
-            "full_state",
-            "exosystem",
-            "operating_point",
-            "alone",
-            "changes",
-            "registers",
-        }
+        start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers"}
+        apart = start | added | {"dt", "function", "full_state", "operating_point"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
