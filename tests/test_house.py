@@ -183,8 +183,8 @@ def test_only_its_own_file_names_a_kind() -> None:
     about = {("study/periodic.py", "periodic"), ("study/evaluation.py", "periodic"), ("study/tradeoff.py", "periodic")}
     about |= {("study/compare.py", "periodic"), ("study/compare.py", "all-time"), ("study/tune.py", "consistent")}
     about |= {("study/evaluation.py", "consistent"), ("program/functions.py", "absolute"), ("loop.py", "excess")}
-    about |= {("../taciturn_limits/optimal_kind.py", "near-optimal"), ("design/kinds/excess.py", "lqg")}  # the gains of LQG
-    about |= {("model/schedule.py", "variance"), ("../taciturn_events/events.py", "integral"), ("base/certainty.py", "excess")}
+    about |= {("design/kinds/excess.py", "lqg")}  # the gains of LQG
+    about |= {("model/schedule.py", "variance"), ("base/certainty.py", "excess")}
     kinds, found = own_kinds(), set[tuple[str, str]]()
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()

@@ -30,7 +30,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
     The actuator runs a model. A send resets the prediction error e, and silence costs e'Γe beyond sending every sample.
     The optimal schedule sends iff e'Γe + V(e) > g, where V(e) = E min(0, e⁺'Γe⁺ + V(e⁺) − g) is the value of not
     sending and g is the least average cost. It is computed by policy iteration on the renewal equations, for at most
-    three states (``taciturn_limits/optimal``). Nodes cannot run this schedule; ``near_optimal`` has a trigger for nodes.
+    three states (``optimal``). Nodes cannot run this schedule; ``near_optimal`` has a trigger for nodes.
 
     Args:
         plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
