@@ -17,9 +17,8 @@ import hashlib
 import inspect
 import re
 import sys
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_type_hints
@@ -31,7 +30,7 @@ from taciturn._display import Displayed
 from taciturn.design.several_nodes import JointSets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.link import LinkLaw
-from taciturn.model.network import TRIANGLE, Network
+from taciturn.model.network import Network
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
 
@@ -272,9 +271,9 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
 
     The limits on the intervals between sends are left out; ``placed`` adds them to the policy.
     """
-    if network.triangle:
+    if not network.own_nodes:
         return network.with_intervals(None)
-    links = dict[str, LinkLaw]()
+    links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
         if joint and name == "actuator" and _apart(network):
@@ -286,23 +285,8 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
             )
         if at:
             links[name] = network.links[at[0]]
-    return Network(delay=network.delay, nodes=TRIANGLE, links=links).with_intervals(None)
-
-
-@contextmanager
-def renamed_keys(network: Network) -> Generator[None]:
-    """Name the keys of a given network in the errors of a design for three nodes."""
-    try:
-        yield
-    except TaciturnError as error:
-        raise type(error)(_with_keys(str(error), network)) from None
-
-
-def _with_keys(text: str, network: Network) -> str:
-    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
-        for node in [node for node in nodes if node in network.links and not network.triangle][:1]:
-            text = text.replace(f"network.{name}_", f"links.{node}.")
-    return text
+            stated |= {(name, one.name): network.key(at[0], one.name) for one in fields(LinkLaw)}
+    return Network(delay=network.delay, links=links, stated=stated).with_intervals(None)
 
 
 def _apart(network: Network) -> bool:
@@ -329,7 +313,7 @@ def placed(policy: Policy, network: Network) -> Policy:
     """
     instance("policy", policy, Policy)
     instance("network", network, Network)
-    if network.nodes == policy.network.nodes or not policy.network.triangle:
+    if network.nodes == policy.network.nodes or policy.network.own_nodes:
         return with_intervals(policy, network)
     joint = _apart(network)
     three_nodes(network, policy.kind, joint)
@@ -369,15 +353,14 @@ def placed(policy: Policy, network: Network) -> Policy:
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
-        notes=tuple(_with_keys(note, network) for note in policy.notes),
     )
 
 
 def expect_ideal_links(kind: str, network: Network) -> None:
     """Raise a ``PlacementError`` if links drop, acknowledge or delay packets, which a kind does not use."""
-    if network.unusual:
+    if network.losing is not None:
         raise PlacementError(
-            f"{network.unusual[0]} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
+            f"{network.losing} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
             "network FILE --loss P` drops packets of policies of any kind)"
         )
 

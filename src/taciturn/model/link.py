@@ -151,7 +151,7 @@ class LinkLaw(Displayed):
 IDEAL_LINK = LinkLaw()
 
 
-def two_links(
+def usual_links(
     protocol: ProtocolName, payload: EncodingName, stated: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, LinkLaw]:
     """Return the links of a sensor and an actuator, with messages in the words of ``[network]``."""

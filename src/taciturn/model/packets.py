@@ -195,7 +195,7 @@ def fingerprint(policy: Policy, network: Network) -> int:
     policy = policy.in_units
     steps = [_sampled(policy, step) if isinstance(step, Apply) else step for step in policy.steps]
     data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
-    data = data if network.triangle else (*data, network.nodes)
+    data = (*data, network.nodes) if network.own_nodes else data
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
     limit, rate = policy.model.input_limit, policy.model.input_rate
     limits = [None if limit is None else _sides(limit), *([] if rate is None else [_sides(rate)])]

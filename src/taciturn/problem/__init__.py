@@ -34,7 +34,7 @@ from taciturn._plugins import problem_folders
 from taciturn._progress import OutOfTime
 from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
-from taciturn.design.kind import AnyPolicy, Kind, expect_ideal_links, placed, renamed_keys, three_nodes
+from taciturn.design.kind import AnyPolicy, Kind, expect_ideal_links, placed, three_nodes
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.controller import Kept
@@ -237,11 +237,10 @@ class Problem(Displayed):
         if not takes_losses(kind):
             expect_ideal_links(kind.name, self.network)
         used = used_tables(kind, network, {"reference": self.reference, "controller": self.controller})
-        with renamed_keys(self.network):
-            policy = kind.make(self.plant, self.cost, {**used, **parameters})
+        policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
             policy = placed(policy, self.network)
-        elif not self.network.triangle:
+        elif self.network.own_nodes:
             raise ProblemError(
                 f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
                 "[network], or no network"

@@ -7,7 +7,7 @@ import numpy as np
 from taciturn._arrays import instance, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
-from taciturn.design.kind import Kind, TradeoffParameter, placed, renamed_keys, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed, three_nodes
 from taciturn.errors import ProblemError
 from taciturn.lqg.critical_losses import Channel
 from taciturn.lqg.discrete import discretise
@@ -87,10 +87,7 @@ def lossy_lqg(
     given = Network() if network is None else network
     instance("network", given, Network)
     SIMULATED.check(given)
-    if not given.triangle:
-        alone = three_nodes(given, "lossy-lqg")
-        with renamed_keys(given):
-            return placed(lossy_lqg(plant, cost, price=price, network=alone, reference=reference), given)
+    links = three_nodes(given, "lossy-lqg")
     if reference is not None:
         instance("reference", reference, Reference)
     plant = refuse_what_is_not_covered(plant, cost)
@@ -101,9 +98,13 @@ def lossy_lqg(
         raise ProblemError(
             "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
         )
-    network = given.without_bursts()
+    network = links.without_bursts()
     channel = Channel(
-        network.loss("actuator"), network.loss("sensor"), network.acknowledges("actuator"), network.delay == 1
+        network.loss("actuator"),
+        network.loss("sensor"),
+        network.acknowledges("actuator"),
+        network.delay == 1,
+        (network.key("actuator", "loss"), network.key("sensor", "loss")),
     )
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
@@ -147,11 +148,11 @@ def lossy_lqg(
         ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
         initial={"prior": plant.mean},
-        network=given,
+        network=links,
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )
-    return within_limits(policy)
+    return placed(within_limits(policy), given)
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:

@@ -90,24 +90,25 @@ def send_on_delta(
     network = Network() if network is None else network
     instance("network", network, Network)
     expect_ideal_links("send-on-delta", network)
-    shares, links = shares or {}, list(network.links)
-    if network.triangle and (controller is not None or link != "sensor"):
-        if shares:
-            raise ProblemError("shares is given with a controller or a link; expected shares with LQG, or with nodes")
-        return _keep(plant, cost, period, controller, delta, link)
-    if link != "sensor":
+    own, shares, links = network.own_nodes, shares or {}, list(network.links)
+    if own and link != "sensor":
         raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")
-    if controller is None:
+    if controller is None and link == "sensor":
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
-    if len(links) > 1:
+    if own and len(links) > 1:
         kept = controller_from(controller)
         return keep_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
-        raise ProblemError("shares is given with a controller and one link; expected shares with several links")
-    three_nodes(network, "send-on-delta")
-    route = "sensor" if network.nodes[links[0]].measures else "actuator"
-    return placed(_keep(plant, cost, period, controller, delta, route), network)
+        raise ProblemError(
+            "shares is given with a controller and one link; expected shares with several links"
+            if own
+            else "shares is given with a controller or a link; expected shares with LQG, or with nodes"
+        )
+    if own:
+        three_nodes(network, "send-on-delta")
+        link = "sensor" if network.nodes[links[0]].measures else "actuator"
+    return placed(_keep(plant, cost, period, controller, delta, link), network)
 
 
 def _filter(

@@ -120,8 +120,7 @@ def variance(
 def _wired(network: Network) -> tuple[frozenset[str], ...]:
     """Return the nodes at the controller's place, as a group if there are several."""
     expect_ideal_links("variance", network)
-    if network.triangle:
-        return (frozenset({network.controller, *network.actuators}),)
+    network = network.beside("actuator")
     for node in network.actuators:
         check_place("variance", network, "actuator", node, True)
     if not any(node in network.links for node in network.sensors):
