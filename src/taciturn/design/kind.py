@@ -29,6 +29,7 @@ from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
 from taciturn.design.several_nodes import JointSets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy, with_intervals
@@ -95,6 +96,7 @@ class Kind(Displayed):
         joint_links: whether the controller decides on sets of links to several actuators; then the design is that of
             one actuator, and ``taciturn.design.several_nodes`` derives the decision on sets.
         ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
+        delay: the largest delay of computations, in steps, that a design with a network supports.
         shares: the parameter that divides a threshold among several links, if there is one.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
         keeps_controller: whether the argument ``controller`` of the design is a controller that the user has.
@@ -128,6 +130,7 @@ class Kind(Displayed):
     several_nodes: bool = False
     joint_links: bool = False
     ideal_links: bool = False
+    delay: int = 0
     shares: str | None = None
 
     def __post_init__(self) -> None:
@@ -178,13 +181,47 @@ class Kind(Displayed):
         """The types of the arguments of the design function by name."""
         return get_type_hints(self.design)
 
-    def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
-        """Return the policy for a plant, a cost and further arguments of the design function.
+    @property
+    def takes_losses(self) -> bool:
+        """True if the design is for links that drop or delay packets."""
+        return "network" in self.tables and not self.ideal_links
+
+    def network_for(self, network: Network) -> Network:
+        """Return the network for which the design computes: the given one, or the usual nodes with its links.
 
         Raises:
-            ProblemError: the record does not list the class of the plant or of the cost, or the design function of
-                another package fails or returns no policy of this kind.
+            ProblemError: the record does not list losses or delays that the network has.
+            PlacementError: the record does not list so many sensors or actuators as the network has.
         """
+        instance("network", network, Network)
+        SIMULATED.check(network)
+        if not self.takes_losses:
+            expect_ideal_links(self.name, network)
+        if self.in_house and network.delay > self.delay:
+            few = " or ".join(map(str, range(self.delay + 1)))
+            raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
+        return network if self.several_nodes else three_nodes(network, self.name, self.joint_links)
+
+    def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:
+        """Return the policy for a plant, a cost, a network and further arguments of the design function.
+
+        Raises:
+            ProblemError: the record does not list the class of the plant or of the cost or a property of the network,
+                or the design function of another package fails or returns no policy of this kind.
+        """
+        links = self.network_for(network)
+        policy = self.call(plant, cost, {"network": links, **given} if "network" in self.tables else given)
+        if isinstance(policy, Policy):
+            return placed(policy, network)
+        if network.own_nodes:
+            raise ProblemError(
+                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
+                "[network], or no network"
+            )
+        return policy
+
+    def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
+        """Return the policy of the design function for all its arguments, with a check of what it returns."""
         design = f"the design function {self._place} of the policy kind {self.name}"
         unlisted = None if self.in_house else self._unlisted(plant, cost)  # the designs of this package check
         try:

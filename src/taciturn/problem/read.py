@@ -273,20 +273,15 @@ def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
         raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
 
 
-def used_tables(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
-    """Return the arguments of a policy kind's design function that are no parameters."""
+def used_tables(kind: Kind, stated: Mapping[str, object]) -> dict[str, Any]:
+    """Return the arguments of a policy kind's design function that are neither parameters nor the network."""
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
-    used = {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
+    used = {key: value for key, value in stated.items() if key in kind.tables}
     needed = [name for name in used if kind.arguments[name].default is Parameter.empty]
     for name in (name for name in needed if used[name] is None):
         raise ProblemError(f"[{name}] is missing, which {kind.name} requires; expected this table")
     return used
-
-
-def takes_losses(kind: Kind) -> bool:
-    """Return whether a policy kind is designed for links that drop or delay packets."""
-    return "network" in kind.tables and not kind.ideal_links
 
 
 def plant_of(
@@ -465,8 +460,8 @@ def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
     actuator_burst = _burst("network.actuator_burst", table.actuator_burst)
     sensor_burst = _burst("network.sensor_burst", table.sensor_burst)
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
-    if lost and table.protocol == "ideal" and not takes_losses(kind):
-        able = [one.name for name in own_kinds() if takes_losses(one := CATALOGUE[name])]
+    if lost and table.protocol == "ideal" and not kind.takes_losses:
+        able = [name for name in own_kinds() if CATALOGUE[name].takes_losses]
         raise ProblemError(
             f"network.{lost[0]} is given, which {kind.name} does not use; expected ideal links: remove it, or "
             f"network.protocol and a kind such as {' or '.join(able)}"

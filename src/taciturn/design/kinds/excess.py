@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from taciturn._arrays import choice, count, instance
+from taciturn._arrays import choice, count
 from taciturn.base.certainty import Actuation as LQGActuation
 from taciturn.base.certainty import certainty_policy, control_steps, design_certainty, gains_for_losses
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import lqg_observer
 from taciturn.base.receiver import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
-from taciturn.design.kind import Kind, TradeoffParameter, placed, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed
 from taciturn.design.silence import drops, keep_controller, total_excess
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import SIMULATED
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -99,12 +98,8 @@ def excess(
     """
     expect_one_threshold(delta, theta)
     network = Network() if network is None else network
-    instance("network", network, Network)
-    SIMULATED.check(network)
+    links, every = KIND.network_for(network), count("every", every)
     choice("link", link, ("actuator", "sensor"))
-    if network.delay:
-        raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
-    links, every = three_nodes(network, "excess", joint=True), count("every", every)
     if every > LONGEST:
         raise ProblemError(f"every is {every}; expected at most {LONGEST} steps between packets of the base")
 

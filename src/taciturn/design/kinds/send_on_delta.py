@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from taciturn._arrays import Array, Bits, instance, number
+from taciturn._arrays import Array, Bits, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import (
     CertaintyEquivalentDesign,
@@ -20,7 +20,7 @@ from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
-from taciturn.design.kind import Kind, TradeoffParameter, expect_ideal_links, placed, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed, three_nodes
 from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -88,8 +88,7 @@ def send_on_delta(
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     network = Network() if network is None else network
-    instance("network", network, Network)
-    expect_ideal_links("send-on-delta", network)
+    KIND.network_for(network)
     own, shares, links = network.own_nodes, shares or {}, list(network.links)
     if own and link != "sensor":
         raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")
