@@ -1,14 +1,19 @@
 """The record of a policy kind: its design function, and all that the library and its pages say about the kind.
 
-Catalogue of all policy kinds: those of the folder ``kinds``, and those that installed packages register.
+The record also says which networks a kind takes, and is the only place that decides this: whether links may drop or
+delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network,
+for problems and for design functions that are called in Python.
 
-A package registers a kind by an entry point of the group ``taciturn.kinds``: its name is the name of the kind, and its
-value is the place of the ``Kind``, ``module:KIND``. A kind is imported at its first use.
+Most design functions know the usual nodes only: a sensor, a controller and an actuator. On a network with nodes of
+one's own, such a kind is designed in two steps:
 
-Policies of a sensor, a controller and an actuator on a network whose nodes have other names.
+1. ``usual_nodes`` returns the usual nodes with the laws of the given links, and with their keys for messages. Several
+   sensors at one place act as one sensor of all their outputs, and several actuators at one place as one actuator.
+2. ``placed`` gives the policy the nodes of the network. A policy is data, so the names of its nodes and links can be
+   replaced. If the actuators have several links, the controller decides on sets of them (``several_nodes``).
 
-A policy is data, so the names of its nodes and links can be replaced. Several sensors at one place act as one sensor of
-all their outputs, and several actuators at one place as one actuator.
+The places must fit: a kind whose sensor runs the filter needs the sensor at the controller's place, and a kind that
+sends measurements needs it at another one.
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ import hashlib
 import inspect
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -27,7 +32,7 @@ import numpy as np
 
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
-from taciturn.design.several_nodes import JointSets
+from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ideal_sets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.link import LinkLaw
@@ -200,7 +205,7 @@ class Kind(Displayed):
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))
             raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
-        return network if self.several_nodes else three_nodes(network, self.name, self.joint_links)
+        return network if self.several_nodes else usual_nodes(network, self.name, self.joint_links)
 
     def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:
         """Return the policy for a plant, a cost, a network and further arguments of the design function.
@@ -303,18 +308,16 @@ def code_digest(module: str) -> str:
 Value = TypeVar("Value")
 
 
-def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
-    """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
-
-    The limits on the intervals between sends are left out; ``placed`` adds them to the policy.
-    """
+def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
+    """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
+    # without the limits on the intervals between sends, which ``placed`` adds to the policy
     if not network.own_nodes:
         return network.with_intervals(None)
     links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
-        if joint and name == "actuator" and _apart(network):
-            _expect_ideal(network, kind, at)
+        if joint and name == "actuator" and decides_on_sets(network):
+            expect_ideal_sets(network, kind, at)
         elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
             raise PlacementError(
                 f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
@@ -326,23 +329,6 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     return Network(delay=network.delay, links=links, stated=stated).with_intervals(None)
 
 
-def _apart(network: Network) -> bool:
-    """Return whether the actuators have several links, or some of them have a link and others have none."""
-    linked = [node for node in network.actuators if node in network.links]
-    return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
-
-
-def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
-    for link in links:
-        if not network.links[link].ideal:
-            law, name = network.links[link], "acknowledged"
-            name = "burst" if law.burst is not None else "loss" if law.loss else name
-            raise PlacementError(
-                f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
-                f"{', '.join(links)}; expected ideal links"
-            )
-
-
 def placed(policy: Policy, network: Network) -> Policy:
     """Return a policy of a sensor, a controller and an actuator with the nodes of a given network.
 
@@ -352,15 +338,13 @@ def placed(policy: Policy, network: Network) -> Policy:
     instance("network", network, Network)
     if network.nodes == policy.network.nodes or policy.network.own_nodes:
         return with_intervals(policy, network)
-    joint = _apart(network)
-    three_nodes(network, policy.kind, joint)
+    joint, names = decides_on_sets(network), {"controller": network.controller}
+    usual_nodes(network, policy.kind, joint)
     sets = JointSets(policy, network) if joint else None
     if sets is not None:
         sets.check()
-    names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
-    if joint:
-        names["actuator"] = next(node for node in network.actuators if node in network.links)
-    for role in ("sensor", "actuator"):
+    for role, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        names[role] = next((node for node in nodes if node in network.links), nodes[0])
         check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
     links = {
         names[link]: replace(network.links[names[link]], loss=law.loss, burst=law.burst, acknowledged=law.acknowledged)

@@ -1,6 +1,17 @@
 """The network of a control loop as a graph: nodes that measure, control or apply inputs, and the links between them.
 
-The roles of the nodes in a network: to measure outputs of the plant, to apply inputs, or to control.
+One node controls. Every other node sends its measurements to it, or receives inputs from it, over a link that has the
+name of the node; a node at the controller's place (``site``) needs none. This graph is the only form of a network.
+
+A network that states no nodes has the usual ones: a sensor, a controller and an actuator, each at a place of its own.
+Their places are open: a policy kind may put sensor and controller, or controller and actuator, at one place. The
+arguments of ``Network`` from ``protocol`` on, and the table ``[network]`` of a problem file, state the links of these
+three nodes. Such a network remembers the keys of the table (``stated``), so that messages name what the user has
+written: ``network.sensor_loss`` and not ``links.sensor.loss``. Networks that differ only in these keys are equal.
+
+The names of signals follow from the nodes. If one node measures all outputs in their order, its signal is ``y``, and
+otherwise that of each node is ``y_NODE``; likewise ``input`` and ``input_NODE``. Names of signals, and the order of the
+nodes, enter the fingerprint of a policy, so they belong to the packet format.
 """
 
 from __future__ import annotations

@@ -1,6 +1,14 @@
 """The packets that the nodes of a policy exchange, and the fingerprint that identifies a policy.
 
-The sites of a policy: the nodes that run in the same process, and the name of that process (its role).
+Nodes at one site run in one process, whose role is the name of one of them: the controller, if it is there, and
+otherwise the first. Within a step, the processes of sensors run first, then that of the controller, then those of
+actuators. The packets between the processes follow from the links of the network; those between the plant and the
+processes, from what the nodes measure and apply. Each packet contains the number of its link. The numbers 0 and 1
+belong to the first two links of the network and 2 to the plant, as they did before networks could have more links.
+
+All nodes of a loop must run the same policy. A packet therefore contains the fingerprint of the policy: a digest of its
+steps, locations and initial values, with six digits of each matrix. It contains the nodes unless they are the usual
+ones, which were the only ones in earlier versions.
 """
 
 from __future__ import annotations

@@ -1,8 +1,15 @@
-"""Plants, networks and controllers from the tables of a problem file.
+"""The parts of a problem from the tables of its file: the rules that no table states by itself.
 
-Disturbances, set-points and trajectories of the tables of a problem file.
+The tables have been checked for names and types of their keys. This file applies the rules between keys: some exclude
+each other, some have defaults that depend on others, and some name files, which are read here.
 
-Functions of nonlinear plants, which problem files specify as ``file.py:name``.
+- A plant with ``dt`` is in discrete time. A function of a nonlinear plant is specified as ``file.py:name``; reading it
+  executes the file, so a caller may refuse it.
+- Disturbances and set-points become states of the plant. Integral action is a slow disturbance at the inputs, whose
+  speed follows from the noise there.
+- The tables ``[nodes]`` and ``[links]`` are the graph of the network. ``[network]`` is a short form of three nodes; it
+  is read as their links, and the network remembers its keys for messages.
+- Messages of the classes of ``taciturn.model`` get the key of the file in front.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
-from taciturn.design.kind import Kind, TradeoffParameter, placed, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed, usual_nodes
 from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -105,8 +105,8 @@ def send_on_delta(
             else "shares is given with a controller or a link; expected shares with LQG, or with nodes"
         )
     if own:
-        three_nodes(network, "send-on-delta")
-        link = "sensor" if network.nodes[links[0]].measures else "actuator"
+        usual_nodes(network, "send-on-delta")
+        link = "actuator" if any(network.nodes[one].applies for one in links) else "sensor"
     return placed(_keep(plant, cost, period, controller, delta, link), network)
 
 
