@@ -191,13 +191,17 @@ class Kind(Displayed):
         """True if the design is for links that drop or delay packets."""
         return "network" in self.tables and not self.ideal_links
 
-    def network_for(self, network: Network) -> Network:
+    def network_for(self, network: Network | None) -> Network:
         """Return the network for which the design computes: the given one, or the usual nodes with its links.
+
+        Args:
+            network: the given network; None for ideal links between the usual nodes.
 
         Raises:
             ProblemError: the record does not list losses or delays that the network has.
             PlacementError: the record does not list so many sensors or actuators as the network has.
         """
+        network = Network() if network is None else network
         instance("network", network, Network)
         SIMULATED.check(network)
         if not self.takes_losses:

@@ -92,8 +92,7 @@ def distributed(
         >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 9)
         (('sensor', 'actuator'), 1.2)
     """
-    network = Network() if network is None else network
-    KIND.network_for(network)
+    network = KIND.network_for(network)
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)

@@ -87,8 +87,7 @@ def send_on_delta(
         ('sensor',)
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    network = Network() if network is None else network
-    KIND.network_for(network)
+    network = KIND.network_for(network)
     own, shares, links = network.own_nodes, shares or {}, list(network.links)
     if own and link != "sensor":
         raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")

@@ -70,8 +70,7 @@ def variance(
         {'sensor': 0.3333333333333333}
     """
     threshold = number("threshold", threshold, 0.0, closed=True)
-    network = Network() if network is None else network
-    KIND.network_for(network)
+    network = KIND.network_for(network)
     wired = _wired(network)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("variance", problem), problem.plant
