@@ -316,7 +316,7 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
     # without the limits on the intervals between sends, which ``placed`` adds to the policy
     if not network.own_nodes:
-        return network.with_intervals(None)
+        return network.unlimited
     links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
@@ -330,7 +330,7 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         if at:
             links[name] = network.links[at[0]]
             stated |= {(name, one.name): network.key(at[0], one.name) for one in fields(LinkLaw)}
-    return Network(delay=network.delay, links=links, stated=stated).with_intervals(None)
+    return Network(delay=network.delay, links=links, stated=stated).unlimited
 
 
 def placed(policy: Policy, network: Network) -> Policy:

@@ -472,18 +472,26 @@ class Network(Displayed):
     @property
     def limited(self) -> bool:
         """True if a link limits the intervals between its sends."""
-        return self.with_intervals(None) is not self
+        return any(law.intervals != IDEAL_LINK.intervals for law in self.links.values())
+
+    @property
+    def unlimited(self) -> Network:
+        """The network without limits on the intervals between sends."""
+        return self.with_laws(IDEAL_LINK.intervals) if self.limited else self
 
     @property
     def delivery(self) -> Network:
         """The network that delivers the same packets, without rounding, prices, energies and limits of intervals."""
         usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}
-        return self.with_laws(usual).with_intervals(None)
+        return self.with_laws(usual | IDEAL_LINK.intervals)
 
-    def with_intervals(self, other: Network | None) -> Network:
-        """Return the network with another network's limits on the intervals between sends, or with none."""
-        laws = {name: IDEAL_LINK if other is None else other.links[name] for name in self.links}
-        changed = {name: one.intervals for name, one in laws.items() if one.intervals != self.links[name].intervals}
+    def with_intervals(self, other: Network) -> Network:
+        """Return the network with another network's limits on the intervals between sends."""
+        changed = {
+            name: other.links[name].intervals
+            for name, law in self.links.items()
+            if law.intervals != other.links[name].intervals
+        }
         return self.changed(changed) if changed else self
 
 

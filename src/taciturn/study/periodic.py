@@ -493,7 +493,7 @@ def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
     """Return the exact cost of a periodic policy, or None where it is not stable or not the designed loop."""
     try:
         policy = design()
-        network = problem.network.with_intervals(None)
+        network = problem.network.unlimited
         nominal = close(problem.actual or problem.plant, policy, network, problem.cost).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None

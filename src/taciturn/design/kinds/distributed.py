@@ -102,7 +102,7 @@ def distributed(
             "dropout grows; expected links that deliver every packet, or no disturbances and set-points"
         )
     if 0 < len(lossy) <= MOST_LINKS:
-        all_time = _with_every_attempt(plant, cost, period, network.with_intervals(None), *given[1:])
+        all_time = _with_every_attempt(plant, cost, period, network.unlimited, *given[1:])
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
     return _policy(certainty, *given, thresholds, all_time)
 
