@@ -269,7 +269,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
 def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
         if problem.network != Network():
-            given = "[network]" if problem.network.triangle else "[nodes]"
+            given = "[nodes]" if problem.network.own_nodes else "[network]"
             raise ProblemError(
                 f"{given} is given, but the shared channel replaces the network; expected a problem without {given}"
             )

@@ -34,7 +34,7 @@ from taciturn._plugins import problem_folders
 from taciturn._progress import OutOfTime
 from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
-from taciturn.design.kind import AnyPolicy, Kind, expect_ideal_links, placed, renamed_keys, three_nodes
+from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.controller import Kept
@@ -62,7 +62,6 @@ from taciturn.problem.read import (
     plant_of,
     reference_of,
     refuse_functions,
-    takes_losses,
     used_tables,
     with_exosystem,
 )
@@ -225,19 +224,8 @@ class Problem(Displayed):
         SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
-        network = self.network if kind.several_nodes else three_nodes(self.network, kind.name, kind.joint_links)
-        if not takes_losses(kind):
-            expect_ideal_links(kind.name, self.network)
-        used = used_tables(kind, network, {"reference": self.reference, "controller": self.controller})
-        with renamed_keys(self.network):
-            policy = kind.make(self.plant, self.cost, {**used, **parameters})
-        if isinstance(policy, Policy):
-            policy = placed(policy, self.network)
-        elif not self.network.triangle:
-            raise ProblemError(
-                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
-                "[network], or no network"
-            )
+        used = used_tables(kind, {"reference": self.reference, "controller": self.controller})
+        policy = kind.make(self.plant, self.cost, self.network, {**used, **parameters})
         _expect_packets(policy, self.network)
         if isinstance(policy, Policy):
             check_network(policy, self.network)

@@ -135,7 +135,7 @@ class Description(Displayed):
             lines += _decision_lines(name, trigger)
             lines += [line for name, form in self._computed(trigger).items() for line in _form_lines(name, form)]
         lines.append(("network", problem.network.short()))
-        if self.nodes is not None and not problem.network.triangle:
+        if self.nodes is not None and problem.network.own_nodes:
             sizes = self.nodes.model.outputs, self.nodes.model.inputs
             lines += [(f"node, {name}", role.text(*sizes)) for name, role in problem.network.nodes.items()]
         if self.diagram is not None:

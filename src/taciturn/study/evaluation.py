@@ -289,7 +289,7 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
     link = "sensor" if sensed else "actuator"
     always = send_every_sample(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
-    return placed(always, network.with_intervals(None)) if len(links) == 1 else always
+    return placed(always, network.unlimited) if len(links) == 1 else always
 
 
 def sends_every_sample(policy: Policy) -> Policy:
@@ -302,7 +302,7 @@ def sends_every_sample(policy: Policy) -> Policy:
         replace(step, trigger=always(step.trigger)) if isinstance(step, Decide) and step.decision == SEND else step
         for step in policy.steps
     )
-    return replace(policy, steps=steps, network=policy.network.with_intervals(None))
+    return replace(policy, steps=steps, network=policy.network.unlimited)
 
 
 PATHS, TICKS = 512, 512  # over which the share of steps at a limit is counted, after the transient

@@ -29,7 +29,7 @@ from taciturn._progress import OutOfTime, check_time, late_text
 from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
 from taciturn.design.at_fixed_steps import predicted_cost
-from taciturn.design.kind import AnyPolicy, three_nodes
+from taciturn.design.kind import AnyPolicy, usual_nodes
 from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
@@ -398,7 +398,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
         every = all_time(problem.plant, problem.cost, period=period)
-        links = three_nodes(problem.network, "periodic control")
+        links = usual_nodes(problem.network, "periodic control")
         differences = close(problem.actual or problem.plant, every, links, problem.cost).violated_assumptions
     except TaciturnError as error:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
@@ -493,7 +493,7 @@ def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
     """Return the exact cost of a periodic policy, or None where it is not stable or not the designed loop."""
     try:
         policy = design()
-        network = problem.network.with_intervals(None)
+        network = problem.network.unlimited
         nominal = close(problem.actual or problem.plant, policy, network, problem.cost).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None
