@@ -103,7 +103,8 @@ class Field(Displayed, Generic[R]):
             spliced in.
         json: function that gives the value in the document; default: ``plain``.
         optional: whether key and column are left out if there is no value.
-        column: name of the column of a table; empty: it is in no table.
+        column: name of its column in a table with one such result or row per row, as that of a sweep; empty: none.
+        unit: unit of this column, in which ``of`` is the result.
         say: label of its line, or heading of its column in the text; None: it is not in the text.
         text: format of the value as text, in which ``of`` is the result, as in ``"{} per {of.unit}"``; or function that
             gives the text of the line or the cell, or several lines, each perhaps with its own label. An empty line is
@@ -120,6 +121,7 @@ class Field(Displayed, Generic[R]):
     json: Callable[[Any], object] | None = None
     optional: bool = False
     column: str = ""
+    unit: str = ""
     say: str | None = None
     text: str | Callable[[R], Said] = "{}"
     none: str = ""

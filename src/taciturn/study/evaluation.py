@@ -693,6 +693,11 @@ class Evaluation(Tabular):
         return rate_unit(self.unit)
 
     @property
+    def per(self) -> str:
+        """Unit of the costs as text."""
+        return per_unit(self.unit)
+
+    @property
     def highest_all_time(self) -> float:
         """The upper end of the cost of sending every sample, of which a bound is a multiple."""
         assert self.cost_all_time is not None, "a bound is that of a base"
@@ -780,7 +785,7 @@ class Evaluation(Tabular):
 
         return (
             Field("name", column="name", say=""),
-            Field("cost", column="cost", say=f"cost {per_unit(self.unit)}", text=cost),
+            Field("cost", column="cost", say=f"cost {self.per}", text=cost),
             *([Field("extra", extra, column="extra_percent", say="extra cost", text=above)] if base else []),
             *map(rate, self.rates),
             *(violation(name, share) for name, share in seen),
