@@ -165,11 +165,10 @@ class AsWritten(Result):
     def text(self, unit: str) -> str:
         """Return what is added and the numbers without it as one sentence."""
         every = "" if self.cost_all_time is None else f", every sample {self.cost_all_time:.6g} ({self.extra()})"
-        rates = _sends(self.rates, unit)
         late = "" if self.settled else "; the loop has not settled: more steps are required"
         return (
             f"a slow disturbance at each input that the problem does not state ({self.added}); on the plant as "
-            f"written, this policy costs {self.cost}{every}, {rates}{late}"
+            f"written, this policy costs {self.cost}{every}, {_sends(self.rates, unit)}{late}"
         )
 
 
@@ -198,9 +197,9 @@ class AfterStep(Result):
     def text(self, unit: str) -> str:
         """Return the averages as one sentence."""
         size = ", ".join(f"{value:.4g}" for value in self.size)
-        rates = _sends(self.rates, unit)
+        sent = _sends(self.rates, unit)
         late = "" if self.settled else "; the transient has not decayed: more steps are required"
-        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {rates}{late}"
+        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {sent}{late}"
 
 
 def averages_after_step(
@@ -305,8 +304,7 @@ class WithoutLimits(Result):
         bound = "" if self.cost_bound is None else f", guarantee {self.cost_bound:.6g}"
         if self.cost is None:
             return bind + bound.replace(", ", "; without limits: ", 1)
-        rates = _sends(self.rates, unit)
-        return f"{bind}; without limits: cost {self.cost}{bound}, {rates}"
+        return f"{bind}; without limits: cost {self.cost}{bound}, {_sends(self.rates, unit)}"
 
 
 def compare_without_limits(
