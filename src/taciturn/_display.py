@@ -87,7 +87,7 @@ def brief(value: Any, longest: int = SHORT) -> str:
 
 
 def _rows(named: Mapping[str, object]) -> list[tuple[str, object]]:
-    return [(name, value) for name, value in named.items() if not _is_empty(value)]
+    return [(name, value) for name, value in named.items() if not is_empty(value)]
 
 
 def _cut(text: str, longest: int) -> str:
@@ -126,5 +126,6 @@ def _cell(value: Any) -> str:
     return escape(brief(value, FULL))
 
 
-def _is_empty(value: Any) -> bool:
+def is_empty(value: Any) -> bool:
+    """Return whether there is nothing to show: no value, no text, or no entry."""
     return value is None or (isinstance(value, str | tuple | list | dict) and not value)

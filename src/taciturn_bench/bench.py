@@ -7,18 +7,18 @@ import os
 import platform
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import ClassVar, cast
 
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Progress, count, number, pairs_text, table_text, temporary_folder, wrapped_text
+from taciturn.extend import Array, Progress, count, number, temporary_folder, wrapped_text
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import Field, Tabular
 from taciturn.model.steps import Assign
 from taciturn.problem import load
 from taciturn.program import machine
@@ -37,10 +37,38 @@ SUMS = {COST, EXCESS, Sent("actuator")}
 FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "NumPy over paths"
 
 
+def _rounded(digits: int) -> Callable[[Mapping[str, float]], dict[str, float]]:
+    return lambda numbers: {name: round(number, digits) for name, number in numbers.items()}
+
+
+def _millions(row: tuple[str, float]) -> str:
+    return f"{row[1] / 1e6:.4g}"
+
+
+def _ratios(found: Bench) -> list[tuple[str, str]]:
+    return [(name.replace("_", " "), f"{ratio:.3g}") for name, ratio in found.ratios.items()]
+
+
+def _compiled(found: Bench) -> list[tuple[str, str]]:
+    return [(f"machine code, {name}", f"{1000 * time:.3g} ms") for name, time in found.compile_seconds.items()]
+
+
+def _variances(found: Bench) -> list[tuple[str, str]]:
+    ratios = found.variance_ratios.items()
+    return [(f"variance, {name}".replace("_", " "), f"{ratio:.3g} times less per step") for name, ratio in ratios]
+
+
 @dataclass(frozen=True, repr=False)
 class Bench(Tabular):
     """Measured speeds and ratios."""
 
+    FIELDS: ClassVar[tuple[Field[Bench], ...]] = (
+        Field("machine"),
+        Field("speeds", key="steps_per_second", json=lambda speeds: {name: round(one) for name, one in speeds.items()}),
+        Field("ratios", json=_rounded(4), say="", text=_ratios),
+        Field("compile_seconds", json=_rounded(5), say="", text=_compiled),
+        Field("variance_ratios", json=_rounded(2), say="", text=_variances),
+    )
     heading: ClassVar[tuple[str, ...]] = ("machine", "ratios")
 
     machine: Mapping[str, str] = field(hash=False)  # processor, vector instructions and versions
@@ -51,23 +79,21 @@ class Bench(Tabular):
     compile_seconds: Mapping[str, float] = field(hash=False)
     variance_ratios: Mapping[str, float] = field(hash=False)  # variance reductions of the estimators, per step
 
-    def columns(self) -> Columns:
-        """Return one row per contestant."""
-        return columns_of([{"name": name, "steps_per_second": speed} for name, speed in self.speeds.items()])
+    def table_rows(self) -> Sequence[tuple[str, float]]:
+        """Return the contestants and their speeds."""
+        return tuple(self.speeds.items())
+
+    def row_fields(self) -> tuple[Field[tuple[str, float]], ...]:
+        """Return name and speed of a contestant."""
+        return (
+            Field("name", lambda row: row[0], column="name", say=""),
+            Field("speed", lambda row: row[1], column="steps_per_second", say="million steps/s", text=_millions),
+        )
 
     def __str__(self) -> str:
         """Return the text that ``taciturn bench`` prints."""
-        return bench_text(self)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn bench --json``."""
-        return {
-            "machine": dict(self.machine),
-            "steps_per_second": {name: round(speed) for name, speed in self.speeds.items()},
-            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items()},
-            "compile_seconds": {name: round(value, 5) for name, value in self.compile_seconds.items()},
-            "variance_ratios": {name: round(ratio, 2) for name, ratio in self.variance_ratios.items()},
-        }
+        processor = f"{self.machine['processor']} ({self.machine['vectors']})"
+        return f"{wrapped_text(f'two-mass loop, {processor}, one thread, medians')}\n{super().__str__()}"
 
 
 def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
@@ -249,15 +275,3 @@ def version(package: str) -> str:
     with suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
     return "none"
-
-
-def bench_text(found: Bench) -> str:
-    """Return the simulation speed of this machine."""
-    about = found.machine
-    title = wrapped_text(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians")
-    rows = [[name, f"{speed / 1e6:.4g}"] for name, speed in found.speeds.items()]
-    lines = [(name.replace("_", " "), f"{ratio:.3g}") for name, ratio in found.ratios.items()]
-    lines += [(f"machine code, {name}", f"{1000 * seconds:.3g} ms") for name, seconds in found.compile_seconds.items()]
-    for name, ratio in found.variance_ratios.items():
-        lines.append((f"variance, {name}".replace("_", " "), f"{ratio:.3g} times less per step"))
-    return "\n".join([title, table_text(["", "million steps/s"], rows, 1), pairs_text(lines)])

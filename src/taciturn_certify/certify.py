@@ -3,27 +3,50 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
-from taciturn.extend import answered_within, pairs_text, radius, table_text
+from taciturn.extend import Displayed, answered_within, pairs_text, radius, table_text
 from taciturn.loop import Loop
 from taciturn.lqg.equation import accumulate
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.estimate import rounded
+from taciturn.model.result import Field, Tabular, plain_fields, seconds
 from taciturn.model.theory import ErrorGain
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.draws import GENERATOR
-from taciturn.study.evaluation import TimeUnit, proved, rounded, time_unit
+from taciturn.study.evaluation import TimeUnit, time_unit
 from taciturn_certify.certificates import NoCertificateError, bound_cost, bound_state, find_decay, find_gain
 from taciturn_certify.inequalities import expect_solver
 
 Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, repr=False)
+class _Row(Displayed):
+    """A certificate, and the number for sending every sample."""
+
+    name: str
+    value: float | None
+    every_sample: float | None
+    meaning: str
+
+    @property
+    def label(self) -> str:
+        return "E|x|²" if self.name == "mean square" else self.name
+
+
+def _policy(found: Certificates) -> str:
+    return f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
+
+
+def _meanings(found: Certificates) -> list[tuple[str, str]]:
+    return [(row.label, row.meaning) for row in found.table_rows() if row.value is not None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,6 +80,17 @@ class Certificates(Tabular):
         notes: warnings and remarks for the reader.
     """
 
+    FIELDS: ClassVar[tuple[Field[Certificates], ...]] = (
+        Field("policy", say="policy", text=_policy, above=True),
+        *plain_fields("unit", "method", "states", "actions", "decay", "limit", "overshoot", "decay_all_time"),
+        *plain_fields("gain", "gain_residual", "gain_all_time", "cost_bound", "cost_all_time"),
+        *plain_fields("mean_square_bound", "mean_square_all_time"),
+        Field("errors", lambda found: {link: vars(one) for link, one in found.errors.items()}),
+        Field("errors_bound"),
+        Field("seconds", json=seconds),
+        Field("certificates", key="", say="", text=_meanings),
+        Field("notes", optional=True),
+    )
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "method", "states", "notes")
     method: ClassVar[str] = "matrix inequalities"
 
@@ -80,46 +114,37 @@ class Certificates(Tabular):
     seconds: float
     notes: tuple[str, ...]
 
-    def columns(self) -> Columns:
-        """Return one row per certificate, with the number for sending every sample."""
-        rows = [
-            ("decay", self.decay, self.decay_all_time),
-            ("gain", self.gain, self.gain_all_time),
-            ("cost", self.cost_bound, self.cost_all_time),
-            ("mean square", self.mean_square_bound, self.mean_square_all_time),
-        ]
-        return columns_of(
-            [{"name": name, "proved": proved(bound), "every_sample": always} for name, bound, always in rows]
+    def table_rows(self) -> Sequence[_Row]:
+        """Return the certificates."""
+        ends = "to 0" if self.limit == 0 else f"until the cost is at most {_shown(self.limit)} per {self.unit}"
+        more = f", and {_shown(self.gain_residual)} per step" if self.gain_residual else ""
+        return (
+            _Row("decay", self.decay, self.decay_all_time, f"factor per step without noise, {ends}"),
+            _Row("gain", self.gain, self.gain_all_time, f"from noise to the square root of the stage cost{more}"),
+            _Row("cost", self.cost_bound, self.cost_all_time, f"at most, per {self.unit}"),
+            _Row("mean square", self.mean_square_bound, self.mean_square_all_time, "at most, at sampling instants"),
         )
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn certify`` prints."""
-        return certificates_text(self)
+    def row_fields(self) -> tuple[Field[_Row], ...]:
+        """Return the proved number and the one for sending every sample."""
+        return (
+            Field("name", column="name", say="", text=lambda row: row.label),
+            Field("value", lambda row: row.value, column="proved", say="proved", none="none", up=1),
+            Field("every_sample", column="every_sample", say="every sample", text="{:.6g}", none="none"),
+        )
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn certify --json``."""
-        result: dict[str, Any] = {
-            "policy": self.policy,
-            "unit": self.unit,
-            "method": self.method,
-            "states": self.states,
-            "actions": list(self.actions),
-            "decay": self.decay,
-            "limit": self.limit,
-            "overshoot": self.overshoot,
-            "decay_all_time": self.decay_all_time,
-            "gain": self.gain,
-            "gain_residual": self.gain_residual,
-            "gain_all_time": self.gain_all_time,
-            "cost_bound": self.cost_bound,
-            "cost_all_time": self.cost_all_time,
-            "mean_square_bound": self.mean_square_bound,
-            "mean_square_all_time": self.mean_square_all_time,
-            "errors": {link: {"gain": one.gain, "largest": one.largest} for link, one in self.errors.items()},
-            "errors_bound": self.errors_bound,
-            "seconds": round(self.seconds, 4),
-        }
-        return result | ({"notes": list(self.notes)} if self.notes else {})
+    def table(self) -> str:
+        """Return the certificates as text, unless nothing could be proved."""
+        return super().table() if any(row.value is not None for row in self.table_rows()) else ""
+
+    def remarks(self) -> Iterator[str]:
+        """Yield the gains from errors of links, and the notes."""
+        if self.errors:
+            links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in self.errors.items()]
+            yield table_text(["link", "gain from its error", "largest error"], links, 1)
+            bound = f"at most {_most(self.errors_bound)} per {self.unit}, for any noise: conservative, not an estimate"
+            yield pairs_text([("cost", bound)])
+        yield pairs_text([("note", note) for note in self.notes])
 
 
 def certify(problem: Studied, *, time_limit: float | None = None) -> Certificates:
@@ -251,30 +276,6 @@ def _attempt(find: Callable[[Switched], Found], matrices: Switched, notes: list[
         if str(error) not in notes:
             notes.append(str(error))
         return None
-
-
-def certificates_text(found: Certificates) -> str:
-    """Return the certificates of a loop, next to those for sending every sample."""
-    ends = "to 0" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
-    more = f", and {_shown(found.gain_residual)} per step" if found.gain_residual else ""
-    table = [
-        ("decay", found.decay, found.decay_all_time, f"factor per step without noise, {ends}"),
-        ("gain", found.gain, found.gain_all_time, f"from noise to the square root of the stage cost{more}"),
-        ("cost", found.cost_bound, found.cost_all_time, f"at most, per {found.unit}"),
-        ("E|x|²", found.mean_square_bound, found.mean_square_all_time, "at most, at sampling instants"),
-    ]
-    policy = f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
-    rows = [[name, _most(value), _shown(always)] for name, value, always, _ in table]
-    parts = [pairs_text([("policy", policy)])]
-    if any(value is not None for _, value, *_ in table):
-        parts.append(table_text(["", "proved", "every sample"], rows, 1))
-    parts.append(pairs_text([(name, text) for name, value, _, text in table if value is not None]))
-    if found.errors:
-        links = [[link, _shown(one.gain), _shown(one.largest)] for link, one in found.errors.items()]
-        parts.append(table_text(["link", "gain from its error", "largest error"], links, 1))
-        bound = f"at most {_most(found.errors_bound)} per {found.unit}, for any noise: conservative, not an estimate"
-        parts.append(pairs_text([("cost", bound)]))
-    return "\n".join(filter(None, [*parts, pairs_text([("note", note) for note in found.notes])]))
 
 
 def _shown(value: float | None) -> str:

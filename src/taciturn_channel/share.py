@@ -32,15 +32,14 @@ from taciturn.extend import (
     number,
     pairs_text,
     percent,
-    table_text,
 )
-from taciturn.model.estimate import Estimate
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.estimate import Estimate, rounded
+from taciturn.model.result import Field, Tabular, plain_fields
 from taciturn.model.theory import LEVEL
 from taciturn.problem import Problem
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
-from taciturn.study.evaluation import Unit, cost_unit, rounded
+from taciturn.study.evaluation import Unit, cost_unit
 from taciturn.study.workers import idle
 from taciturn_channel.classes import allocate, gather
 from taciturn_channel.prices import DualBound
@@ -74,6 +73,55 @@ class Share(Displayed):
     rate_periodic: float
 
 
+CONSISTENT = {True: "yes", False: "no", None: "undecided within the standard errors"}
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
+
+
+def _above(found: Sharing, cost: float) -> str:
+    """Return by how much a cost is above that of sending every sample."""
+    if not found.cost_all_time:
+        return ""
+    share = cost / found.cost_all_time
+    return f"   ({percent(share - 1, 2, signed=True)})" if share < 10 else f"   ({share:.4g} times)"
+
+
+def _cost(found: Sharing) -> str:
+    return f"{found.cost} per {found.unit}{_above(found, found.cost.value)}"
+
+
+def _least(found: Sharing) -> str:
+    bound = found.lower_bound
+    if bound is None:
+        return ""
+    sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
+    return f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){_above(found, bound.cost)}"
+
+
+def _label(found: Sharing) -> str:
+    return "best periodic" if found.clock_attained else "periodic, bound"
+
+
+def _periodic(found: Sharing) -> list[tuple[str, str]]:
+    costs = {_label(found): found.cost_periodic}
+    costs |= {} if found.clock_attained else {"periodic, found": found.cost_periodic_attained}
+    return [(label, f"{cost:.6g}{_above(found, cost)}") for label, cost in costs.items()]
+
+
+def _busy(found: Sharing) -> str:
+    return f"{found.busy} packets per step, collisions included" if found.scheduler == "random-access" else ""
+
+
+def _price(found: Sharing) -> str:
+    return "" if found.price is None or found.waiting is None else f"{found.price:.6g} per send"
+
+
+def _waiting(found: Sharing) -> str:
+    return "" if found.price is None or found.waiting is None else f"{found.waiting} loops per step"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Sharing(Tabular):
     """Cost and load of loops that share a channel.
@@ -103,6 +151,34 @@ class Sharing(Tabular):
         notes: warnings and remarks for the reader.
     """
 
+    FIELDS: ClassVar[tuple[Field[Sharing], ...]] = (
+        Field("scheduler", say="scheduler"),
+        Field("loops", say="loops", text="{}, at most {of.capacity} sends per step"),
+        *plain_fields("capacity", "unit"),
+        Field("rate_unit", lambda _: "step"),
+        Field("method"),
+        Field("cost", json=Estimate.document, say="sum of costs", text=_cost),
+        Field("cost_all_time", say="every sample", text="{:.6g}"),
+        Field(
+            "cost_lower_bound",
+            "lower_bound.cost",
+            say="no less than",
+            text=_least,
+        ),
+        Field("cost_lower_bound_confidence", "lower_bound.confidence"),
+        Field("cost_periodic", json=_finite, say="periodic", text=_periodic),
+        Field("cost_periodic_same_load", json=_finite),
+        Field("cost_periodic_attained", json=_finite),
+        Field("consistent", say="consistent", text=lambda found: CONSISTENT[found.consistent]),
+        Field("load", json=Estimate.document, say="load", text="{} sends per step"),
+        Field("load_expected", json=Estimate.document, say="expected load", text="{} if no loop had to wait"),
+        Field("busy", json=Estimate.document, say="on the channel", text=_busy),
+        Field("waiting", json=Estimate.document, say="waiting", text=_waiting, after="price"),
+        Field("price", say="price", text=_price),
+        Field("problems", lambda found: found.row_documents()),
+        *plain_fields("reached", "seed", "seconds"),
+        Field("notes", say="note"),
+    )
     heading: ClassVar[tuple[str, ...]] = (
         "scheduler",
         "loops",
@@ -164,65 +240,25 @@ class Sharing(Tabular):
         """Whether a periodic allocation is known that attains ``cost_periodic``."""
         return self.cost_periodic_attained <= self.cost_periodic + SAME * abs(self.cost_periodic)
 
-    def columns(self) -> Columns:
-        """Return one row per problem."""
-        return columns_of(
-            [
-                {
-                    "name": one.name,
-                    "loops": one.copies,
-                    "cost": one.cost,
-                    "cost_every_sample": one.cost_all_time,
-                    "rate": one.rate,
-                    "rate_periodic": one.rate_periodic,
-                }
-                for one in self.shares
-            ]
+    def table_rows(self) -> Sequence[Share]:
+        """Return the results of the loops, for each problem."""
+        return self.shares
+
+    def row_fields(self) -> tuple[Field[Share], ...]:
+        """Return cost and rate of the loops of a problem."""
+        per = "sends per check"
+        return (
+            Field("name", column="name", say=""),
+            Field("copies", column="loops", say="loops"),
+            Field("cost", json=Estimate.document, column="cost", say=f"cost per {self.unit}"),
+            Field("cost_all_time", column="cost_every_sample", say="every sample", text="{:.6g}"),
+            Field("rate", json=Estimate.document, column="rate", say=per),
+            Field("rate_periodic", column="rate_periodic", say=f"{_label(self)}: {per}", text="{:.4g}"),
         )
 
     def __str__(self) -> str:
         """Return the text that ``taciturn channel`` prints."""
-        return sharing_text(self)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn channel --json``."""
-        bound = self.lower_bound
-        return {
-            "scheduler": self.scheduler,
-            "loops": self.loops,
-            "capacity": self.capacity,
-            "unit": self.unit,
-            "rate_unit": "step",
-            "method": self.method,
-            "cost": self.cost.document(),
-            "cost_all_time": self.cost_all_time,
-            "cost_lower_bound": None if bound is None else bound.cost,
-            "cost_lower_bound_confidence": None if bound is None else bound.confidence,
-            "cost_periodic": _finite(self.cost_periodic),
-            "cost_periodic_same_load": _finite(self.cost_periodic_same_load),
-            "cost_periodic_attained": _finite(self.cost_periodic_attained),
-            "consistent": self.consistent,
-            "load": self.load.document(),
-            "load_expected": None if self.load_expected is None else self.load_expected.document(),
-            "busy": self.busy.document(),
-            "waiting": None if self.waiting is None else self.waiting.document(),
-            "price": self.price,
-            "problems": [
-                {
-                    "name": share.name,
-                    "copies": share.copies,
-                    "cost": share.cost.document(),
-                    "cost_all_time": share.cost_all_time,
-                    "rate": share.rate.document(),
-                    "rate_periodic": share.rate_periodic,
-                }
-                for share in self.shares
-            ],
-            "reached": self.reached,
-            "seed": self.seed,
-            "seconds": self.seconds,
-            "notes": list(self.notes),
-        }
+        return f"{pairs_text(self.lines())}\n{self.table()}"
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of the cost of the loops, the lower bound, the best periodic allocation, and every sample."""
@@ -366,56 +402,3 @@ def share_channel(
             price_seconds=prepared,
             notes=plan.notes + (() if known else (bounded,)),
         )
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
-
-
-def sharing_text(found: Sharing) -> str:
-    """Return the cost of the loops on a shared channel."""
-    base, bound = found.cost_all_time, found.lower_bound
-
-    def above(cost: float) -> str:
-        if not base:
-            return ""
-        share = cost / base
-        return f"   ({percent(share - 1, 2, signed=True)})" if share < 10 else f"   ({share:.4g} times)"
-
-    lines = [
-        ("scheduler", found.scheduler),
-        ("loops", f"{found.loops}, at most {found.capacity} sends per step"),
-        ("sum of costs", f"{found.cost} per {found.unit}{above(found.cost.value)}"),
-        ("every sample", f"{base:.6g}"),
-    ]
-    if bound is not None:
-        sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
-        text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
-        lines.append(("no less than", text))
-    label, attained = "best periodic" if found.clock_attained else "periodic, bound", found.cost_periodic_attained
-    lines += [
-        (label, f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
-        *([] if found.clock_attained else [("periodic, found", f"{attained:.6g}{above(attained)}")]),
-        ("consistent", {True: "yes", False: "no", None: "undecided within the standard errors"}[found.consistent]),
-        ("load", f"{found.load} sends per step"),
-    ]
-    if found.load_expected is not None:
-        lines.append(("expected load", f"{found.load_expected} if no loop had to wait"))
-    if found.scheduler == "random-access":
-        lines.append(("on the channel", f"{found.busy} packets per step, collisions included"))
-    if found.price is not None and found.waiting is not None:
-        lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per step")]
-    rows = [
-        [
-            one.name,
-            f"{one.copies}",
-            f"{one.cost}",
-            f"{one.cost_all_time:.6g}",
-            f"{one.rate}",
-            f"{one.rate_periodic:.4g}",
-        ]
-        for one in found.shares
-    ]
-    per = "sends per check"
-    header = ["", "loops", f"cost per {found.unit}", "every sample", per, f"{label}: {per}"]
-    return "\n".join([pairs_text([*lines, *(("note", note) for note in found.notes)]), table_text(header, rows, 1)])

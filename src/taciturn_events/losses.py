@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import Field, Tabular
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn_events.cycles import estimate_cycles
@@ -59,15 +59,27 @@ class Losses(Tabular):
         points: one point for each level.
     """
 
+    FIELDS: ClassVar[tuple[Field[Losses], ...]] = (
+        Field("points", lambda found: found.row_documents()),
+        Field("rates"),
+    )
+
     points: tuple[ThresholdPoint, ...]
 
-    def columns(self) -> Columns:
-        """Return one row per threshold: its rate and cost, and the cost of periodic control at this rate."""
-        return columns_of(
-            [
-                {"level": one.level, "rate": one.rate, "cost": one.cost, "cost_periodic": one.cost_periodic}
-                for one in self.points
-            ]
+    def table_rows(self) -> Sequence[ThresholdPoint]:
+        """Return the thresholds."""
+        return self.points
+
+    def row_fields(self) -> tuple[Field[ThresholdPoint], ...]:
+        """Return the rate and the cost of a threshold, and the cost of periodic control at this rate."""
+        return (
+            Field("level", column="level"),
+            Field("rate", json=lambda rate: rate.value, column="rate"),
+            Field("cost", json=lambda cost: cost.value, column="cost"),
+            Field("cost_standard_error", "cost.standard_error"),
+            Field("method", "cost.method"),
+            Field("cost_periodic", column="cost_periodic"),
+            Field("loses"),
         )
 
     @property
@@ -81,24 +93,6 @@ class Losses(Tabular):
                 ranges.append((low, point.rate.value))
             before = point.loses
         return tuple(ranges)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document."""
-        return {
-            "points": [
-                {
-                    "level": p.level,
-                    "rate": p.rate.value,
-                    "cost": p.cost.value,
-                    "cost_standard_error": p.cost.standard_error,
-                    "method": p.cost.method,
-                    "cost_periodic": p.cost_periodic,
-                    "loses": p.loses,
-                }
-                for p in self.points
-            ],
-            "rates": [list(ends) for ends in self.rates],
-        }
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of cost against rate for the thresholds and for periodic control."""

@@ -17,7 +17,7 @@ from html import escape
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import ClassVar, Literal
 from xml.etree import ElementTree as Xml
 
 from taciturn import __version__
@@ -26,6 +26,7 @@ from taciturn.extend import Displayed, write_whole
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.packets import fingerprint, wire_links
+from taciturn.model.result import Field, Result
 from taciturn.model.steps import Send
 from taciturn.program.c import c_literal
 from taciturn_export.folder import CORE, EXCHANGE, FLAGS, GENERATED_BY, ROWS, entries_of_nodes, print_folder
@@ -218,8 +219,12 @@ _DAY = (1980, 1, 1, 0, 0, 0)  # date of every file in the archive: the earliest 
 _PATIENCE = 600.0  # time limit of the compiler in seconds
 
 
+def _unit(found: Fmu) -> str:
+    return f"FMI {found.version}, co-simulation, of {' and '.join(node.role for node in found.nodes)}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Fmu(Displayed):
+class Fmu(Result):
     """A functional mock-up unit.
 
     Args:
@@ -233,6 +238,17 @@ class Fmu(Displayed):
         notes: notes for the user.
     """
 
+    FIELDS: ClassVar[tuple[Field[Fmu], ...]] = (
+        Field("kind", key="policy", say="policy"),
+        Field("name"),
+        Field("version", key="fmi", say="unit", text=_unit),
+        Field("token"),
+        Field("nodes", json=lambda nodes: [node.role for node in nodes]),
+        Field("binary", say="binary", none="none"),
+        Field("files", json=sorted),
+        Field("notes", say="note"),
+    )
+
     name: str
     kind: str
     version: Version
@@ -241,28 +257,6 @@ class Fmu(Displayed):
     files: Mapping[str, bytes]
     binary: str | None
     notes: tuple[str, ...]
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of the FMU."""
-        return {
-            "policy": self.kind,
-            "name": self.name,
-            "fmi": self.version,
-            "token": self.token,
-            "nodes": [node.role for node in self.nodes],
-            "binary": self.binary,
-            "files": sorted(self.files),
-            "notes": list(self.notes),
-        }
-
-    def lines(self) -> list[tuple[str, str]]:
-        """Return the lines to print, as pairs of name and value."""
-        return [
-            ("policy", self.kind),
-            ("unit", f"FMI {self.version}, co-simulation, of {' and '.join(node.role for node in self.nodes)}"),
-            ("binary", self.binary or "none"),
-            *(("note", note) for note in self.notes),
-        ]
 
     def archive(self) -> bytes:
         """Return the bytes of the FMU archive, which depend only on the content of its files."""

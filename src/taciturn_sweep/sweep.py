@@ -13,18 +13,17 @@ from __future__ import annotations
 import math
 import platform
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.extend import Progress, answered_within, in_notebook, per_unit, wrapped_text
+from taciturn.extend import Progress, answered_within, in_notebook, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.model.result import Columns, Tabular
+from taciturn.model.result import Columns, Field, Tabular
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
@@ -183,70 +182,42 @@ def _as_float(value: object) -> object:
     return float(value) + 0.0
 
 
-@dataclass(frozen=True)
-class _Column:
-    """A variable of the result: its value in an answer (or None), its unit, and the value that replaces None."""
-
-    of: Callable[[Evaluation], float | str | None]
-    unit: Callable[[Evaluation], str] = lambda found: ""
-    missing: float | str = math.nan
-
-
-def _per(found: Evaluation) -> str:
-    return f"cost {per_unit(found.unit)}"
-
-
-def _sends(found: Evaluation) -> str:
-    return f"sends per {found.rate_unit}"
-
-
-COLUMNS = {
-    "cost": _Column(lambda found: found.cost.value, _per),
-    "cost_standard_error": _Column(lambda found: found.cost.standard_error, _per),
-    "cost_error": _Column(lambda found: found.cost.error, _per),
-    "cost_method": _Column(lambda found: found.cost.method, missing=""),
-    "cost_all_time": _Column(lambda found: found.cost_all_time, _per),
-    "cost_bound": _Column(lambda found: found.cost_bound, _per),
-    "cost_bound_at_rate": _Column(lambda found: found.cost_bound_at_rate, _per),
-    **{
-        f"linearisation_{name}": _Column(lambda found, name=name: getattr(found.linearisation, name, None), _per)
-        for name in ("cost_all_time", "cost_bound")
-    },
-    "cost_periodic_same_rate": _Column(lambda found: found.cost_periodic_same_rate, _per),
-    "cost_lower_bound": _Column(lambda found: None if found.lower_bound is None else found.lower_bound.cost, _per),
-    "mean_interval": _Column(
-        lambda found: None if found.mean_interval is None else found.mean_interval.value, lambda found: "s"
-    ),
-    "steps": _Column(lambda found: found.steps, missing=0),
-    "reached": _Column(lambda found: found.reached, missing=False),
-    "rate_lowest": _Column(lambda found: None if found.rate_bounds is None else found.rate_bounds[0], _sends),
-    "rate_highest": _Column(lambda found: None if found.rate_bounds is None else found.rate_bounds[1], _sends),
-}
+COST, SENDS = "cost {of.per}", "sends per {of.rate_unit}"
+COLUMNS: tuple[Field[Evaluation], ...] = (
+    *(Field(f"cost{part}", f"cost.{part[1:] or 'value'}", unit=COST) for part in ("", "_standard_error", "_error")),
+    Field("cost_method", "cost.method"),
+    *(Field(name, unit=COST) for name in ("cost_all_time", "cost_bound", "cost_bound_at_rate")),
+    *(Field(f"linearisation_{name}", f"linearisation.{name}", unit=COST) for name in ("cost_all_time", "cost_bound")),
+    Field("cost_periodic_same_rate", unit=COST),
+    Field("cost_lower_bound", "lower_bound.cost", unit=COST),
+    Field("mean_interval", "mean_interval.value", unit="s"),
+    Field("steps"),
+    Field("reached"),
+    Field("rate_lowest", lambda found: found.rate_bounds and found.rate_bounds[0], unit=SENDS),
+    Field("rate_highest", lambda found: found.rate_bounds and found.rate_bounds[1], unit=SENDS),
+)
+"""Variables of the result, in the order of its file; then those of ``Evaluation.FIELDS`` that have a column."""
+MISSING = {"steps": 0, "reached": False}  # what stands for no value; else NaN, or no text
+PARTS = (("", "value"), ("_standard_error", "standard_error"))
 
 
-def _rates(found: Evaluation) -> dict[str, _Column]:
-    """Return the columns of the rate of each link."""
-    return {
-        f"rate_{link}{suffix}": _Column(lambda found, link=link, part=part: getattr(found.rates[link], part), _sends)
-        for link in sorted(found.rates)
-        for suffix, part in (("", "value"), ("_standard_error", "standard_error"))
-    }
-
-
-def _violated(found: Evaluation) -> dict[str, _Column]:
-    """Return the columns of the probabilities that limits are violated."""
-    if found.violations is None:
-        return {}
-    units = {"violation_within": f"per {found.violations.window}"}
-
-    def column(name: str, part: str) -> _Column:
-        return _Column(
-            lambda found: None if found.violations is None else getattr(found.violations.records()[name], part),
-            lambda _: units.get(name, "share of the steps"),
+def _columns(found: Evaluation) -> list[Field[Evaluation]]:
+    """Return the variables of an answer: those of all answers, the rates of its links, and violations of limits."""
+    columns = [*COLUMNS, *(Field(one.column, one.of, unit=one.unit) for one in Evaluation.FIELDS if one.column)]
+    columns += [
+        Field[Evaluation](
+            f"rate_{link}{suffix}", lambda e, link=link, part=part: getattr(e.rates[link], part), unit=SENDS
         )
-
-    parts = (("", "value"), ("_standard_error", "standard_error"))
-    return {f"{name}{suffix}": column(name, part) for name in found.violations.records() for suffix, part in parts}
+        for link in sorted(found.rates)
+        for suffix, part in PARTS
+    ]
+    seen = found.violations
+    for name, share in () if seen is None else seen.records().items():
+        unit = f"per {seen.window}" if seen is not None and name == "violation_within" else "share of the steps"
+        columns += [
+            Field(name + end, lambda _, share=share, part=part: getattr(share, part), unit=unit) for end, part in PARTS
+        ]
+    return columns
 
 
 class _Table:
@@ -268,18 +239,17 @@ class _Table:
             self.refused.append(index)
             return
         self.methods.add(answer.method)
-        for name, column in (COLUMNS | _rates(answer) | _violated(answer)).items():
-            value = column.of(answer)
+        for column in _columns(answer):
+            name, value, unit = column.name, column.of(answer), column.unit.format(of=answer)
             if value is None:
                 continue
             if name not in self.columns:
-                kind = object if isinstance(value, str) else np.asarray(column.missing).dtype
-                self.columns[name] = np.full(len(self.seeds), column.missing, dtype=kind)
-                self.units[name] = column.unit(answer)
-            elif self.units[name] != column.unit(answer):
-                raise ProblemError(
-                    f"the grid mixes {self.units[name]} and {column.unit(answer)}; expected one unit: use two sweeps"
-                )
+                missing = "" if isinstance(value, str) else MISSING.get(name, math.nan)
+                kind = object if isinstance(value, str) else np.asarray(missing).dtype
+                self.columns[name] = np.full(len(self.seeds), missing, dtype=kind)
+                self.units[name] = unit
+            elif self.units[name] != unit:
+                raise ProblemError(f"the grid mixes {self.units[name]} and {unit}; expected one unit: use two sweeps")
             self.columns[name][index] = value
 
     def tell(self, cells: Cells) -> None:
@@ -298,7 +268,7 @@ class _Table:
         import xarray
 
         held = self.columns | {"seed": self.seeds, "refusal": self.refusals}
-        ordered = [name for name in (*COLUMNS, *(key for key in held if key not in COLUMNS)) if name in held]
+        ordered = dict.fromkeys([*(column.name for column in COLUMNS if column.name in held), *held])
         units = {name: {"units": unit} for name, unit in self.units.items() if unit}
         whole = {name: (tuple(axes), held[name].reshape(self.shape), units.get(name, {})) for name in ordered}
         return xarray.Dataset(whole, coords=dict(axes), attrs=dict(attributes))

@@ -6,17 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from taciturn.extend import Displayed, table_text, wrapped_text
+from taciturn.extend import table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import Columns, Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+def _whole(computed: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {name: found.document() for name, found in computed.items()}
+
+
 @dataclass(frozen=True, repr=False)
-class Row(Displayed):
+class Row(Result):
     """One line of a table: its setting, the numbers printed in the thesis, and the computed numbers.
 
     Args:
@@ -28,6 +32,8 @@ class Row(Displayed):
     setting: Mapping[str, Any] = field(hash=False)
     printed: Mapping[str, float] = field(hash=False)
     computed: Mapping[str, Estimate] = field(hash=False)
+
+    FIELDS: ClassVar[tuple[Field[Row], ...]] = (Field("setting"), Field("printed"), Field("computed", json=_whole))
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,6 +47,7 @@ class Table(Tabular):
         headings: headings of columns that are shown under another name.
     """
 
+    FIELDS: ClassVar[tuple[Field[Table], ...]] = (*plain_fields("name", "rows", "notes"),)
     heading: ClassVar[tuple[str, ...]] = ("name", "notes")
 
     name: str
@@ -54,24 +61,18 @@ class Table(Tabular):
 
     def columns(self) -> Columns:
         """Return one row per setting, with each printed number next to the computed one."""
-        return columns_of(
-            [
-                {
-                    **row.setting,
-                    **{
-                        name: value
-                        for key, computed in row.computed.items()
-                        for name, value in ((f"{key}, printed", row.printed.get(key)), (key, computed))
-                        if value is not None
-                    },
-                }
-                for row in self.rows
-            ]
-        )
+        records: list[dict[str, object]] = []
+        for row in self.rows:
+            records.append(dict(row.setting))
+            for key, computed in row.computed.items():
+                records[-1] |= {f"{key}, printed": row.printed[key]} if key in row.printed else {}
+                records[-1][key] = computed
+        names = dict.fromkeys(name for record in records for name in record)
+        return {name: [record.get(name) for record in records] for name in names}
 
 
 @dataclass(frozen=True, repr=False)
-class Reproduction(Displayed):
+class Reproduction(Result):
     """Tables and pictures of a chapter.
 
     Args:
@@ -81,6 +82,8 @@ class Reproduction(Displayed):
             picture.
         problems: problems that the chapter solves, each with the parameters of the tables.
     """
+
+    FIELDS: ClassVar[tuple[Field[Reproduction], ...]] = (*plain_fields("name", "tables"),)
 
     name: str
     tables: tuple[Table, ...]
@@ -94,27 +97,6 @@ class Reproduction(Displayed):
     def html(self) -> str:
         """Return the tables as HTML."""
         return "".join(table.html() for table in self.tables)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of one reproduction."""
-        return {
-            "name": self.name,
-            "tables": [
-                {
-                    "name": table.name,
-                    "rows": [
-                        {
-                            "setting": dict(row.setting),
-                            "printed": dict(row.printed),
-                            "computed": {key: found.document() for key, found in row.computed.items()},
-                        }
-                        for row in table.rows
-                    ],
-                    "notes": list(table.notes),
-                }
-                for table in self.tables
-            ],
-        }
 
 
 def _published_text(found: Table) -> str:

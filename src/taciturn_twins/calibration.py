@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Displayed, array, least_squares, number
+from taciturn.extend import Array, array, least_squares, number
+from taciturn.model.result import Result
 from taciturn_twins._cv2 import (
     Board,
     Pixels,
@@ -40,7 +41,7 @@ _SHAPES = {"K": (3, 3), "distortion": (4,), "rotation": (3,), "translation": (3,
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration(Displayed):
+class Calibration(Result):
     """A measured camera model.
 
     Args:
@@ -80,10 +81,6 @@ class Calibration(Displayed):
         rays = unproject(seen, self.K, self.distortion) @ rotation_matrix(self.rotation)
         place = self.place
         return (place + rays * ((height - place[2]) / rays[:, 2])[:, None])[:, :2]
-
-    def document(self) -> Mapping[str, object]:
-        """Return the calibration as a JSON object."""
-        return {name: getattr(self, name).tolist() for name in _SHAPES} | {"error": self.error}
 
     @classmethod
     def from_document(cls, document: Mapping[str, object]) -> Calibration:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.extend import Array, Displayed, count, percent, symmetrised
+from taciturn.extend import Array, count, percent, symmetrised
+from taciturn.model.result import Result
 from taciturn_twins.body import Body
 from taciturn_twins.calibration import Calibration
 from taciturn_twins.camera import Camera
@@ -25,7 +25,7 @@ _SEEN = 0.9  # fraction of the pictures that must show the marker
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Displayed):
+class Identification(Result):
     """An identified model x⁺ = x + B u + w, y = x + v of a robot, per step, in metres, radians and input units.
 
     The standard errors treat each run as one sample, because disturbances are correlated within a run.
@@ -53,10 +53,6 @@ class Identification(Displayed):
     W: Array
     V: Array
     held_out: Array
-
-    def document(self) -> Mapping[str, object]:
-        """Return the model as a JSON object."""
-        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
 
 
 def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identification:

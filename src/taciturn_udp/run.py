@@ -17,7 +17,7 @@ import json
 import threading
 import time
 from array import array
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -37,7 +37,6 @@ from taciturn.extend import (
     draw,
     in_notebook,
     instance,
-    pairs_text,
     per_unit,
     temporary_folder,
 )
@@ -46,7 +45,7 @@ from taciturn.model.coverage import INTERVALS, NETWORKS, Coverage
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
-from taciturn.model.result import Column, Columns, Tabular
+from taciturn.model.result import Column, Columns, Field, Tabular, plain_fields, seconds
 from taciturn.model.signals import RandomSteps, SampledChanges
 from taciturn.model.steps import Send
 from taciturn.nodes.keys import Keys, read_keys
@@ -246,6 +245,34 @@ EMULATED = Coverage(NETWORKS | INTERVALS, "running links do not emulate")
 USUAL = 5000  # default number of steps
 
 
+def _bound(found: NetworkRun) -> float | None:
+    guarantee = found.loop.policy.guarantee if found.nominal else None
+    return None if guarantee is None else guarantee.cost
+
+
+def _rates(rates: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {link: measured(rate) for link, rate in rates.items()}
+
+
+def _link_lines(found: NetworkRun) -> Iterator[tuple[str, str]]:
+    for link, counted in found.datagrams.items():
+        told = (f"{count} {'sent again' if name == 'again' else name}" for name, count in counted.items())
+        yield f"link, {link}", ", ".join(told)
+
+
+def _degraded(found: NetworkRun) -> dict[str, Any]:
+    return {name: report["degraded"] for name, report in found.reports.items() if "degraded" in report}
+
+
+def _reports(found: NetworkRun) -> Iterator[tuple[str, str]]:
+    for name, report in found.reports.items():
+        if report.get("degraded"):
+            yield "degraded", f"{name}: " + ", ".join(f"{n} {why}" for why, n in report["degraded"].items())
+        if report.get("lateness_ms"):
+            shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
+            yield "lateness, ms", f"{name}: {shown}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class NetworkRun(Tabular):
     """Cost and packets of a run of the nodes of a problem.
@@ -271,6 +298,27 @@ class NetworkRun(Tabular):
         notes: warnings and remarks for the reader.
     """
 
+    FIELDS: ClassVar[tuple[Field[NetworkRun], ...]] = (
+        Field("policy", "loop.policy.kind", say="policy"),
+        Field("unit"),
+        Field("base_rate", lambda found: base_rate(found.loop)),
+        Field("cost", json=measured, say="cost", text="{} {of.per}", none="-"),
+        Field(
+            "cost_all_time",
+            lambda found: found.loop.policy.cost_all_time if found.nominal else None,
+            say="every sample",
+            text="{:.6g}",
+        ),
+        Field("cost_bound", _bound),
+        Field("rates", json=_rates, say="rate, {}", text="{} per {of.rate_unit}", after="cost"),
+        Field("datagrams", say="", text=_link_lines),
+        *plain_fields("seed", "method"),
+        Field("seconds", json=seconds),
+        Field("ticks", lambda found: len(found.costs), say="steps", text="{} in {of.seconds:.1f} s", after="policy"),
+        Field("degraded", _degraded),
+        Field("reports", key="processes", say="", text=_reports),
+        Field("notes", say="note"),
+    )
     index: ClassVar[str] = "tick"
     heading: ClassVar[tuple[str, ...]] = ("cost", "rates", "unit", "rate_unit", "method", "seed", "notes")
     method: ClassVar[str] = "simulation"
@@ -294,6 +342,11 @@ class NetworkRun(Tabular):
         """Unit of time of the rates."""
         return rate_unit(self.unit)
 
+    @property
+    def per(self) -> str:
+        """Unit of the cost as text."""
+        return per_unit(self.unit)
+
     def columns(self) -> Columns:
         """Return one row per step: its cost, and whether a packet was sent on each link."""
         columns: dict[str, Column] = {"tick": range(len(self.costs)), "cost": self.costs}
@@ -315,32 +368,6 @@ class NetworkRun(Tabular):
         ]
         costs = Panel([Series(ticks, self.costs.tolist(), "cost of a step")], ylabel="cost", beside=True)
         return draw([costs, Panel(marks, "step", "sends", names=("", "sent"), beside=True)], ax, figsize)
-
-    def __str__(self) -> str:
-        """Return the text that ``taciturn network`` prints."""
-        return network_text(self)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn network --json``."""
-        policy, loop = self.loop.policy, self.loop
-        guarantee = policy.guarantee if self.nominal else None
-        return {
-            "policy": policy.kind,
-            "unit": self.unit,
-            "base_rate": base_rate(loop),
-            "cost": None if self.cost is None else measured(self.cost),
-            "cost_all_time": policy.cost_all_time if self.nominal else None,
-            "cost_bound": None if guarantee is None else guarantee.cost,
-            "rates": {link: measured(rate) for link, rate in self.rates.items()},
-            "datagrams": {link: dict(found) for link, found in self.datagrams.items()},
-            "seed": self.seed,
-            "method": self.method,
-            "seconds": round(self.seconds, 4),
-            "ticks": len(self.costs),
-            "degraded": {name: report["degraded"] for name, report in self.reports.items() if "degraded" in report},
-            "processes": {name: dict(report) for name, report in self.reports.items()},
-            "notes": list(self.notes),
-        }
 
 
 def run_network(
@@ -573,23 +600,3 @@ def _datagrams(link: str, reports: Mapping[str, Mapping[str, Any]]) -> dict[str,
 
 def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None]:
     return lambda line: progress((line["tick"] + 1) / ticks)
-
-
-def network_text(found: NetworkRun) -> str:
-    """Return the cost and the packets of a network run."""
-    policy = found.loop.policy
-    cost = "-" if found.cost is None else f"{found.cost} {per_unit(found.unit)}"
-    lines = [("policy", policy.kind), ("steps", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
-    lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
-    if found.nominal:
-        lines.append(("every sample", f"{policy.cost_all_time:.6g}"))
-    for link, counted in found.datagrams.items():
-        told = (f"{count} {'sent again' if name == 'again' else name}" for name, count in counted.items())
-        lines.append((f"link, {link}", ", ".join(told)))
-    for name, report in found.reports.items():
-        if report.get("degraded"):
-            lines.append(("degraded", f"{name}: " + ", ".join(f"{n} {why}" for why, n in report["degraded"].items())))
-        if report.get("lateness_ms"):
-            shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
-            lines.append(("lateness, ms", f"{name}: {shown}"))
-    return pairs_text([*lines, *(("note", note) for note in found.notes)])

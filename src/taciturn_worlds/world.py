@@ -15,17 +15,18 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.extend import Displayed, count, pairs_text
+from taciturn.extend import count
 from taciturn.loop import Loop
 from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import Network
 from taciturn.model.packets import is_acknowledged, links_to, outputs_at, peers_of, receiver_of, roles, sender_of
 from taciturn.model.policy import Policy
+from taciturn.model.result import Field, Result, plain_fields, seconds
 from taciturn.model.steps import Send
 from taciturn.model.wire import OFFSETS, PLANT, PROOFS
 from taciturn.nodes.clock import AGREED, JUMPED
@@ -510,8 +511,20 @@ class World:
         return {name: number for name, number in self.network.counters.items() if number}
 
 
+RECOVERED = "{} steps after the last fault; at most {of.promised} are promised"
+
+
+def _faults(faults: Sequence[Fault]) -> list[dict[str, Any]]:
+    return [{"kind": type(fault).__name__, **asdict(fault)} for fault in faults]
+
+
+def _counters(found: WorldRun) -> list[tuple[str, str]]:
+    shown = {name: [f"{n} {what}" for what, n in counted.items() if n] for name, counted in found.counters.items()}
+    return [(name, ", ".join(counted) or "no packets") for name, counted in shown.items()]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class WorldRun(Displayed):
+class WorldRun(Result):
     """Result of a world of faults.
 
     Args:
@@ -530,6 +543,21 @@ class WorldRun(Displayed):
         notes: remarks for the reader.
     """
 
+    FIELDS: ClassVar[tuple[Field[WorldRun], ...]] = (
+        Field("seed", say="world", text="{}, {of.steps} steps, {of.ticks} steps of nodes in {of.seconds:.2f} s"),
+        Field("keyed", say="keys", text=lambda found: "one for each link" if found.keyed else "none", after="devices"),
+        Field("broken", say="broken", none="no invariant", after="recovery"),
+        Field("recovery", say="recovery", text=RECOVERED, after="counters"),
+        *plain_fields("promised", "steps", "ticks"),
+        Field("faults", json=_faults, say="fault", text=lambda found: [fault.text() for fault in found.faults]),
+        Field("devices", say="nodes in C", text=lambda found: ", ".join(found.devices) or "none", after="seed"),
+        Field("counters", say="", text=_counters),
+        Field("invariants", lambda found: {name: name != found.invariant for name in INVARIANTS}),
+        Field("node_ticks", "ticks"),
+        Field("seconds", json=seconds),
+        Field("notes", say="note"),
+    )
+
     seed: int
     faults: tuple[Fault, ...]
     devices: tuple[str, ...]
@@ -543,25 +571,6 @@ class WorldRun(Displayed):
     seconds: float
     notes: tuple[str, ...] = ()
     invariant: str | None = None
-
-    def __str__(self) -> str:
-        """Return the text that ``taciturn network --world SEED`` prints."""
-        return world_text(self)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn network --world SEED --json``."""
-        plain = {
-            name: getattr(self, name) for name in ("seed", "keyed", "broken", "recovery", "promised", "steps", "ticks")
-        }
-        return plain | {
-            "faults": [{"kind": type(fault).__name__, **asdict(fault)} for fault in self.faults],
-            "devices": list(self.devices),
-            "counters": {name: dict(counted) for name, counted in self.counters.items()},
-            "invariants": {name: name != self.invariant for name in INVARIANTS},
-            "node_ticks": self.ticks,
-            "seconds": round(self.seconds, 4),
-            "notes": list(self.notes),
-        }
 
 
 def run_world(
@@ -623,19 +632,3 @@ def prepare(problem: Problem) -> tuple[Loop, Sequence[Copy]]:
     if broken is not None:
         raise ProblemError(f"without any fault, {broken}; expected nodes that run over this network")
     return loop, find_copies(quiet.monitor.snapshots, 20)
-
-
-def world_text(found: WorldRun) -> str:
-    """Return the faults, the counters and the recovery of a world."""
-    lines = [("world", f"{found.seed}, {found.steps} steps, {found.ticks} steps of nodes in {found.seconds:.2f} s")]
-    lines.append(("nodes in C", ", ".join(found.devices) or "none"))
-    lines.append(("keys", "one for each link" if found.keyed else "none"))
-    lines += [("fault", fault.text()) for fault in found.faults]
-    for name, counted in found.counters.items():
-        shown = ", ".join(f"{number} {what}" for what, number in counted.items() if number)
-        lines.append((name, shown or "no packets"))
-    if found.recovery is not None:
-        lines.append(
-            ("recovery", f"{found.recovery} steps after the last fault; at most {found.promised} are promised")
-        )
-    return pairs_text([*lines, ("broken", found.broken or "no invariant"), *(("note", note) for note in found.notes)])

@@ -12,17 +12,14 @@ import pytest
 import taciturn
 from taciturn import Estimate
 from taciturn._text import ordinal, percent, wrapped_text
+from taciturn.model.estimate import rounded
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import LowerBound
 from taciturn.study.evaluate import contradicted
 from taciturn.study.evaluation import (
     Evaluation,
-    bound_at_rate,
-    evaluation_records,
     percent_above,
-    periodic_cost,
     queries_text,
-    rounded,
 )
 from taciturn.study.periodic import Timed, fair_clock
 from taciturn_events.policy import EventPolicy
@@ -54,7 +51,7 @@ def verdict(found: Evaluation) -> str:
 
 def row(found: Evaluation, name: str) -> Estimate:
     """Return the cost in a row of the table."""
-    (cost,) = (record["cost"] for record in evaluation_records(found) if record["name"] == name)
+    (cost,) = (record["cost"] for record in found.records() if record["name"] == name)
     assert isinstance(cost, Estimate)
     return cost
 
@@ -116,7 +113,7 @@ def test_the_error_of_the_rate_moves_the_bound_and_periodic_control() -> None:
     bound = row(found, "guarantee, this rate")
     assert bound.standard_error == pytest.approx(abs(slope) * rate.standard_error, rel=1e-9)
     assert bound.value >= found.cost_bound_at_rate
-    assert (periodic, bound) == (periodic_cost(found), bound_at_rate(found))
+    assert (periodic, bound) == (found.periodic, found.guarantee_at_rate)
     assert str(periodic) in str(found)
     document = found.document()
     assert document["clock"]["standard_error"] == periodic.standard_error
@@ -138,11 +135,11 @@ def test_periodic_control_that_fewer_packets_make_no_worse_has_the_rate_at_which
     found = taciturn.evaluate(problem, steps=4096)
     assert found.clock is not None
     assert [point.cycle for point in found.clock.points] == [(2,)]
-    rates = {str(record["name"]): record["rate_sensor"] for record in evaluation_records(found)}
+    rates = {str(record["name"]): record["rate_sensor"] for record in found.records()}
     assert rates["periodic, same rate"] == Estimate(0.5, 0.0, "exact")
     assert rates["this policy"] == found.rates["sensor"]
     assert "every [2] steps, the best found; more packets do not lower its cost" in " ".join(str(found).split())
-    usual = {str(record["name"]): record["rate_actuator"] for record in evaluation_records(simulated())}
+    usual = {str(record["name"]): record["rate_actuator"] for record in simulated().records()}
     assert usual["periodic, same rate"] == usual["this policy"]
     assert "more packets" not in str(simulated())
 

@@ -20,8 +20,10 @@ import xarray
 from counts import few, scaled
 
 import taciturn
-from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
+from taciturn import Cost, Plant, Problem, ProblemError, evaluate, load, sweep
 from taciturn.model.network import Network
+from taciturn.model.result import Field
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import save_whole
 from taciturn_sweep.cluster import dask_workers
 from taciturn_sweep.sweep import SweepTable
@@ -376,3 +378,14 @@ def test_ten_thousand_cells_need_no_more_memory_and_four_executors_give_the_same
     ):
         assert sweep(problem, small, executor=executor, steps=2000, seed=3).identical(tenth)
     assert by_two_ranks(tmp_path, str(tmp_path / "line.toml"), small, steps=2000).identical(tenth)
+
+
+def test_a_field_of_an_evaluation_with_a_column_is_a_variable_of_a_sweep(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has its unit, after the variables that each result has."""
+    field = Field[Evaluation]("spared", lambda found: 1 - found.rates["actuator"].value, column="spared", unit="1")
+    monkeypatch.setattr(Evaluation, "FIELDS", (*Evaluation.FIELDS, field))
+    found = sweep(load("two-mass-lqg"), {"theta": [0.1]}, standard_error=1e-2)
+    assert found.spared.item() == 1 - found.rate_actuator.item()
+    assert found.spared.attrs == {"units": "1"}
+    evaluation = evaluate(load("two-mass-lqg"), steps=20_000)
+    assert evaluation.document()["spared"] == 1 - evaluation.rates["actuator"].value

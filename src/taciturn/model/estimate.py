@@ -1,13 +1,17 @@
-"""A reported number: its value, its standard error, and the method by which it was computed."""
+"""A reported number: its value, its standard error, and the method by which it was computed.
+
+A bound is rounded in the direction in which it still holds: up (1) for a guarantee, and down (−1) for a lower bound.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 from taciturn._display import Displayed
-from taciturn._text import measured_text, negligible, number_text
+from taciturn._text import LARGE, magnitude, measured_text, negligible, number_text
 
 Method: TypeAlias = Literal["exact", "quadrature", "bound", "simulation"]
 EXACT_SHARE = 1e-14  # relative errors up to here are those of arithmetic; the number is printed with six digits
@@ -60,3 +64,30 @@ class Estimate(Displayed):
         if negligible(spread, self.value):
             return number_text(self.value, 6 if spread <= EXACT_SHARE * abs(self.value) else 9)
         return measured_text(self.value, spread)
+
+
+def outward(value: float, digits: int, up: int) -> float:
+    """Return a bound rounded up (1) or down (−1) to the given number of digits, so that it still holds."""
+    nearest = float(f"{value:.{digits}g}")
+    if up * (nearest - value) < 0:
+        nearest += up * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    return nearest
+
+
+def rounded(value: float, digits: int, up: int) -> str:
+    """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
+    nearest = outward(value, digits, up)
+    return f"{nearest:.0f}" if 1e4 <= abs(nearest) < LARGE else number_text(nearest, digits)
+
+
+def proved(bound: float | None) -> float | None:
+    """Return an upper bound, rounded up to six digits, or None without a bound."""
+    return None if bound is None else outward(bound, 6, 1)
+
+
+def bound_text(bound: Estimate, up: int) -> str:
+    """Return a bound as text, rounded up (1) or down (−1) to six digits, or to those that its standard error allows."""
+    if bound.standard_error == 0:
+        return rounded(bound.value, 6, up)
+    digits = 2 + magnitude(bound.value) - magnitude(bound.standard_error)
+    return str(replace(bound, value=outward(bound.value, digits, up) if digits > 0 else bound.value))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen
 from taciturn._display import Displayed
-from taciturn._text import Lines
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.result import SPLICED, Field, Result, plain_fields
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +83,7 @@ class Limits(Displayed):
 
 
 @dataclass(frozen=True, repr=False)
-class Violation(Displayed):
+class Violation(Result):
     """Probability that a limit is violated.
 
     Args:
@@ -91,6 +91,8 @@ class Violation(Displayed):
         within: probability of at least one violation within the window.
         levels: number of levels of importance splitting; 0 for plain simulation.
     """
+
+    FIELDS: ClassVar[tuple[Field[Violation], ...]] = (*plain_fields("per_step", "within", "method"),)
 
     per_step: Estimate
     within: Estimate
@@ -102,15 +104,9 @@ class Violation(Displayed):
         several = "s" * (self.levels > 1)
         return f"importance splitting, {self.levels} level{several}" if self.levels else "simulation"
 
-    def document(self) -> dict[str, Any]:
-        """Return the values, standard errors and method as a dictionary for JSON."""
-        parts = {"per_step": self.per_step, "within": self.within}
-        values = {name: one.document("value", "standard_error") for name, one in parts.items()}
-        return {**values, "method": self.method}
-
 
 @dataclass(frozen=True, repr=False)
-class Violations(Displayed):
+class Violations(Result):
     """Probabilities that limits of the states are violated.
 
     Args:
@@ -120,6 +116,13 @@ class Violations(Displayed):
         window: the window of ``Violation.within``: ``"hour"``, ``"1000 steps"`` or ``"run"``.
     """
 
+    FIELDS: ClassVar[tuple[Field[Violations], ...]] = (
+        Field("total", key=SPLICED),
+        Field("window"),
+        Field("limits", lambda found: [{"limit": name, **one.document()} for name, one in found.limits]),
+        Field("by_limit", key="", say="violation", text=lambda found: found.sentences()),
+    )
+
     names: tuple[str, ...]
     each: tuple[Violation, ...]
     total: Violation
@@ -127,18 +130,18 @@ class Violations(Displayed):
 
     def by_limit(self) -> dict[str, Violation]:
         """Return the probabilities by limit, then those of all limits together if there are several."""
-        found = dict(zip(self.names, self.each, strict=True))
+        found = dict(self.limits)
         return found if len(found) == 1 else {**found, "any limit": self.total}
 
-    def document(self) -> dict[str, Any]:
-        """Return the part of the JSON document of ``taciturn evaluate --json``."""
-        each = [{"limit": name, **one.document()} for name, one in zip(self.names, self.each, strict=True)]
-        return {**self.total.document(), "window": self.window, "limits": each}
+    @property
+    def limits(self) -> list[tuple[str, Violation]]:
+        """Each limit with its probability."""
+        return list(zip(self.names, self.each, strict=True))
 
-    def lines(self) -> Lines:
-        """Return one line for each limit, and one for all together."""
+    def sentences(self) -> list[str]:
+        """Return one sentence for each limit, and one for all together."""
         return [
-            ("violation", f"{name}: {one.per_step} of the steps, {one.within} within {self._one} ({one.method})")
+            f"{name}: {one.per_step} of the steps, {one.within} within {self._one} ({one.method})"
             for name, one in self.by_limit().items()
         ]
 

@@ -1,6 +1,13 @@
-"""Simulation of one path of a closed loop, with all signals at every step.
+"""One simulated path of a closed loop with all signals at every step, and the mean course of many paths.
 
-Stage cost and sends of a loop at each step, averaged over independent simulated paths.
+``simulate`` records states, estimates, inputs, measurements, sends, and the two values that a send decision compares:
+the least value of an option without the packet, and the least value of one with it. It uses the bit-exact build, so
+nodes with the recorded measurements compute the recorded inputs bit for bit. If the actuator predicts, the recorded
+estimate is its prediction, and the input u = L x̂ is that at the beginning of the step.
+
+``course`` averages stage cost and sends at each step over independent paths. For an average cost it divides by the
+period, so that the course converges to the average; for a finite horizon or a discount, the stages and the final cost
+add up to the total. The cost of the noise between samples, which no control changes, is added.
 """
 
 from __future__ import annotations
@@ -13,14 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, count, instance
-from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, Style, draw
 from taciturn._text import pairs_text, table_text, wrapped_text
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop, close
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy, own_problem
-from taciturn.model.result import FIRST, LAST, Column, Columns, Tabular
+from taciturn.model.result import FIRST, LAST, Column, Columns, Field, Result, Tabular, plain_fields
 from taciturn.model.steps import Send
 from taciturn.program.engine import prepare
 from taciturn.program.ops import Name, Option, Sent, is_entry
@@ -53,6 +59,11 @@ class Trajectory(Tabular):
         predicts: whether the actuator integrates the model dx̂/dt = (A + BL) x̂ between steps, and applies u = L x̂.
     """
 
+    FIELDS: ClassVar[tuple[Field[Trajectory], ...]] = (
+        Field("ticks", lambda found: len(found.time)),
+        *plain_fields("time", "unit", "state", "estimate", "input", "predicts", "measurement"),
+        *plain_fields("trigger_value", "threshold", "sends"),
+    )
     index: ClassVar[str] = "time"
     heading: ClassVar[tuple[str, ...]] = ("unit",)
 
@@ -125,22 +136,6 @@ class Trajectory(Tabular):
         if self.predicts:
             counts.append(("xhat", "prediction of x by the actuator's model, which gives the input u = L xhat"))
         return "\n".join([*parts, pairs_text(counts)])
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn simulate --json``, with a list over the steps for each quantity."""
-        return {
-            "ticks": len(self.time),
-            "time": self.time.tolist(),
-            "unit": self.unit,
-            "state": self.state.tolist(),
-            "estimate": self.estimate.tolist(),
-            "input": self.input.tolist(),
-            "predicts": self.predicts,
-            "measurement": self.measurement.tolist(),
-            "trigger_value": self.trigger_value.tolist(),
-            "threshold": self.threshold.tolist(),
-            "sends": {link: sent.tolist() for link, sent in self.sends.items()},
-        }
 
     def columns(self) -> Columns:
         """Return a table with one row per step: states, estimates, inputs, measurements, trigger and sends."""
@@ -235,7 +230,7 @@ PATHS = 4096
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Course(Displayed):
+class Course(Result):
     """Mean stage cost and sends of a loop over time, with standard errors.
 
     For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon

@@ -1,29 +1,36 @@
 """Comparison of policies at the same rate or traffic: ranking by cost, cost differences, and guarantees.
 
-Check that problems can be compared: the same plant, cost, network and limits, and different policies.
+The problems have the same plant, cost, network and limits, and different policies. Each policy is tuned to the rate r
+(``tune``), and its cost is corrected for the remaining error of its rate along the slope of cost against rate:
+
+    J(r) = J − J'(r̂) (r̂ − r),  with the standard error √(σ_J² + (J' σ_r)²).
+
+If the rate jumps across r, the time is shared between the policies on both sides, (1 − s) r₊ + s r₋ = r, and their
+costs and bounds are averaged with the same shares. The difference of two policies that are simulated step by step is
+simulated on common draws, where this has the smaller standard error; the ranking is repeated until no difference shows
+that another policy is cheaper than the first.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, answered_within, in_notebook
-from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
+from taciturn._text import per_unit, percent, wrapped_text
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort, difference
@@ -33,8 +40,6 @@ from taciturn.study.evaluation import (
     Unit,
     cost_unit,
     percent_above,
-    proved,
-    proved_text,
     rate_unit,
     shares_text,
 )
@@ -111,7 +116,7 @@ RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Contestant(Displayed):
+class Contestant(Result):
     """One of the compared policies, tuned to the common rate or traffic.
 
     Args:
@@ -127,6 +132,10 @@ class Contestant(Displayed):
         share_error: standard error of ``share``, due to the standard errors of both rates.
     """
 
+    shown: ClassVar[tuple[str, ...]] = (
+        "name", "policy", "parameter", "cost", "above", "cost_bound", "link", "share",
+    )  # fmt: skip
+
     name: str
     policy: str
     link: str | None
@@ -136,11 +145,6 @@ class Contestant(Displayed):
     above: Estimate
     cost_bound: float | None
     share_error: float = 0.0
-
-    def summary(self) -> Mapping[str, object]:
-        """Return the policy with its parameter, cost and bound by name."""
-        names = ("name", "policy", "parameter", "cost", "above", "cost_bound", "link", "share")
-        return {name: getattr(self, name) for name in names}
 
     def short(self) -> str:
         """Return the name of the policy and its cost as text."""
@@ -178,6 +182,26 @@ class Contestant(Displayed):
         return all(one.evaluation.reached for one in (self.tuned, self.tuned.beyond) if one is not None)
 
 
+def _parameter(one: Contestant) -> dict[str, Any]:
+    """Return the document of the tuned parameter, and of the share of the time of two values that alternate."""
+    beyond = None if one.tuned.beyond is None else one.tuned.beyond.parameter.value
+    shared = {"share": one.share, "share_standard_error": one.share_error, "shares": one.tuned.shares}
+    return {**one.tuned.parameter.document(), "beyond": beyond, **shared}
+
+
+def _measured(found: Comparison) -> str:
+    measured = [f"{' and '.join(map(str, one.rates))} ({one.name})" for one in found.ranking]
+    return f"{', '.join(measured)}; each cost is corrected for the difference"
+
+
+def _periodic(found: Comparison) -> str:
+    if isinstance(found.clocks, str):
+        return f"none at this traffic: {found.clocks}"
+    if found.clocks is None:
+        return ""
+    return f"{found.clocks.cost:.6g}, the least found, in steps: {found.clocks.short()}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Tabular):
     """Policies at the same rate or traffic, ranked by cost, the cheapest first.
@@ -195,6 +219,14 @@ class Comparison(Tabular):
             at this traffic, or the reason why there is none; else None.
     """
 
+    FIELDS: ClassVar[tuple[Field[Comparison], ...]] = (
+        Field("rate", say="", text=lambda found: [(found.of, found.level)]),
+        *plain_fields("of", "unit", "rate_unit", "method"),
+        Field("measured", key="", say="measured", text=_measured),
+        Field("cost_all_time", say="every sample", text="{:.6g}"),
+        Field("clocks", json=clocks_document, optional=True, say="periodic", text=_periodic),
+        Field("ranking", lambda found: found.row_documents()),
+    )
     heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_all_time", "method")
 
     rate: float
@@ -214,63 +246,63 @@ class Comparison(Tabular):
         """Unit of time of the rate."""
         return rate_unit(self.unit)
 
-    def columns(self) -> Columns:
-        """Return one row per policy, the cheapest first."""
-        return columns_of(
-            [
-                {
-                    "name": one.name,
-                    "policy": one.policy,
-                    "parameter": one.parameter,
-                    "cost": one.cost,
-                    "above_the_first": one.above,
-                    "guarantee": proved(one.cost_bound),
-                    **({} if one.violation is None else {"violation": one.violation}),
-                }
-                for one in self.ranking
-            ]
+    @property
+    def level(self) -> str:
+        """The common rate or traffic as text."""
+        return f"{self.rate:.6g}{' sends' * (self.of == 'rate')} per {self.rate_unit}"
+
+    @property
+    def labels(self) -> int:
+        """Name and policy."""
+        return 2
+
+    def table_rows(self) -> Sequence[Contestant]:
+        """Return the policies, the cheapest first."""
+        return self.ranking
+
+    def row_fields(self) -> tuple[Field[Contestant], ...]:
+        """Return policy, parameter, cost and guarantee of a contestant."""
+        base, limited = self.cost_all_time, any(one.violation is not None for one in self.ranking)
+
+        def extra(one: Contestant) -> str:
+            return percent_above(one.cost, base) if base else ""
+
+        def above(one: Contestant) -> str:
+            return str(one.above) if one.above.value or one.above.standard_error else ""
+
+        return (
+            Field("name", column="name", say=""),
+            Field("policy", column="policy", say="policy"),
+            Field("link"),
+            Field("method", "tuned.evaluation.method"),
+            Field("parameter", key="", column="parameter", say="parameter"),
+            Field("parameter", _parameter),
+            Field("rates"),
+            Field("cost", json=Estimate.document, column="cost", say=f"cost {per_unit(self.unit)}"),
+            Field("extra", key="", say="extra cost", text=extra),
+            Field("above", key="above_best", column="above_the_first", say="above the first", text=above),
+            Field("cost_bound", column="guarantee", say="guarantee", none="none", up=1),
+            Field(
+                "violation",
+                json=Estimate.document,
+                optional=True,
+                column="violation",
+                say="violation per step" if limited else None,
+                none="none",
+            ),
+            Field("statement", lambda one: None if one.cost_bound is None else one.tuned.evaluation.statement),
+            Field("notes", "tuned.evaluation.notes"),
         )
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn compare`` prints."""
-        return comparison_text(self)
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn compare --json``."""
-        return {
-            "rate": self.rate,
-            "of": self.of,
-            "unit": self.unit,
-            "rate_unit": self.rate_unit,
-            "method": self.method,
-            "cost_all_time": self.cost_all_time,
-            **({} if self.clocks is None else {"clocks": clocks_document(self.clocks)}),
-            "ranking": [
-                {
-                    "name": one.name,
-                    "policy": one.policy,
-                    "link": one.link,
-                    "method": one.tuned.evaluation.method,
-                    "parameter": {
-                        "name": one.tuned.parameter.name,
-                        "value": one.tuned.parameter.value,
-                        "standard_error": one.tuned.parameter.standard_error,
-                        "beyond": None if one.tuned.beyond is None else one.tuned.beyond.parameter.value,
-                        "share": one.share,
-                        "share_standard_error": one.share_error,
-                        "shares": None if one.tuned.shares is None else dict(one.tuned.shares),
-                    },
-                    "rates": [rate.document("value", "standard_error") for rate in one.rates],
-                    "cost": one.cost.document(),
-                    "above_best": one.above.document("value", "standard_error"),
-                    "cost_bound": one.cost_bound,
-                    **({} if one.violation is None else {"violation": one.violation.document()}),
-                    "statement": None if one.cost_bound is None else one.tuned.evaluation.statement,
-                    "notes": list(one.tuned.evaluation.notes),
-                }
-                for one in self.ranking
-            ],
-        }
+    def remarks(self) -> Iterator[str]:
+        """Yield the shares and the notes of each policy."""
+        for one in self.ranking:
+            share = percent(one.share, 1, error=one.share_error)
+            shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
+            shared += "" if one.tuned.shares is None else f"shares {shares_text(one.tuned.shares)}; "
+            notes = "; ".join(one.tuned.evaluation.notes)
+            if shared or notes:
+                yield wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}")
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure with the cost and standard error of each policy, and its guarantee if it fits in the axes."""
@@ -465,42 +497,3 @@ def _loop(one: Contestant) -> Loop | None:
 def _bound(evaluation: Evaluation) -> float | None:
     """Return the sharpest proven bound."""
     return evaluation.cost_bound if evaluation.cost_bound_at_rate is None else evaluation.cost_bound_at_rate
-
-
-def comparison_text(found: Comparison) -> str:
-    """Return the table of ``taciturn compare``: the ranking, the common rate and the notes."""
-    header = ["", "policy", "parameter", f"cost {per_unit(found.unit)}", "extra cost", "above the first", "guarantee"]
-    limited = any(one.violation is not None for one in found.ranking)
-    header += ["violation per step"] if limited else []
-    rows: list[list[str]] = []
-    for one in found.ranking:
-        rows.append(
-            [
-                one.name,
-                one.policy,
-                one.parameter,
-                str(one.cost),
-                percent_above(one.cost, found.cost_all_time) if found.cost_all_time else "",
-                str(one.above) if one.above.value or one.above.standard_error else "",
-                proved_text(one.cost_bound) or "none",
-                *([str(one.violation or "none")] if limited else []),
-            ]
-        )
-    lines = [(found.of, f"{found.rate:.6g}{' sends' * (found.of == 'rate')} per {found.rate_unit}")]
-    measured = [f"{' and '.join(map(str, one.rates))} ({one.name})" for one in found.ranking]
-    lines.append(("measured", f"{', '.join(measured)}; each cost is corrected for the difference"))
-    if found.cost_all_time is not None:
-        lines.append(("every sample", f"{found.cost_all_time:.6g}"))
-    if isinstance(found.clocks, str):
-        lines.append(("periodic", f"none at this traffic: {found.clocks}"))
-    elif found.clocks is not None:
-        lines.append(("periodic", f"{found.clocks.cost:.6g}, the least found, in steps: {found.clocks.short()}"))
-    parts = [table_text(header, rows, 2), pairs_text(lines)]
-    for one in found.ranking:
-        share = percent(one.share, 1, error=one.share_error)
-        shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
-        shared += "" if one.tuned.shares is None else f"shares {shares_text(one.tuned.shares)}; "
-        notes = "; ".join(one.tuned.evaluation.notes)
-        if shared or notes:
-            parts.append(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
-    return "\n".join(parts)

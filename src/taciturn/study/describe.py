@@ -15,6 +15,7 @@ from taciturn._text import Lines, per_unit
 from taciturn.design.kind import AnyPolicy
 from taciturn.model.controller import Controller, pids_of
 from taciturn.model.diagram import Diagram
+from taciturn.model.estimate import rounded
 from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_text
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import limit_entries
@@ -25,7 +26,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.node import steps_of_a_fault
 from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
-from taciturn.study.evaluation import cost_unit, proof_text, rounded, time_unit
+from taciturn.study.evaluation import cost_unit, proof_text, time_unit
 
 SHOWN_OPTIONS = 4  # options of a decision that are printed
 ESTIMATES = ("estimate", "deviation")  # signals that a feedback gain multiplies: the state estimate, or its deviation

@@ -1,38 +1,44 @@
-"""The result of an evaluation, and its text: one table, then details and warnings.
+"""The result of an evaluation: cost, rates and bounds of a policy, with their units, and the numbers next to them.
 
-Units of costs and rates: per step, per second, per second at the sampling instants, or per finite-horizon run.
+``Evaluation.FIELDS`` lists each number once, in the order of the JSON document. Its table has a row for the policy, for
+fair periodic control at its rate, for sending every sample, and for each bound; the lines below it end with a verdict
+in one sentence. Costs are per step, per second, per second at the sampling instants (if the integral of the stage cost
+has no average), or per finite-horizon run; rates are per step or per second. An excess is relative to the cost J_all of
+sending every sample, 100 (J/J_all − 1) %. That of an upper bound is relative to the upper end of J_all, and is rounded
+up; that of a lower bound is rounded down.
 
-Parts of results as text: bounds that still hold after rounding, percentages, schedules.
+Three further loops are parts of an evaluation, where they apply:
 
-Cost and rate of a policy under a constant disturbance, after a step from zero to one deviation.
-
-A loop whose inputs have limits and the loop without limits: how often a limit binds, and cost and bound.
+* ``AfterStep``: cost and rate under a constant disturbance of one standard deviation, for a policy that assumes a slow
+  disturbance, next to the same control that sends every sample.
+* ``WithoutLimits``: the loop without the limits of its inputs, and the share of the steps in which a limit binds. This
+  share is counted on paths that start after twelve time constants.
+* ``AsWritten``: the loop on the plant as written, without a slow disturbance that a default has added.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeAlias, cast
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
-from taciturn._text import LARGE, Lines, magnitude, negligible, number_text, pairs_text, per_unit, percent, table_text
+from taciturn._text import Lines, magnitude, negligible, per_unit, percent
 from taciturn.base.filter import SEND
 from taciturn.design.kind import placed
 from taciturn.design.silence import send_every_sample
 from taciturn.loop import Loop, close
 from taciturn.lqg.discrete import has_average
 from taciturn.model.diagram import pattern_text
-from taciturn.model.estimate import Estimate
+from taciturn.model.estimate import Estimate, bound_text, outward, proved, rounded
 from taciturn.model.limits import Violations
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import SPLICED, Field, Result, Tabular, plain_fields, seconds, whole
 from taciturn.model.saturation import Saturation
 from taciturn.model.schedule import Schedule
 from taciturn.model.steps import Decide
@@ -82,19 +88,6 @@ def decimals_of(share: float, digits: int) -> int:
     return min(max(digits - 1 - magnitude(100 * share), 0), 4)
 
 
-def outward(value: float, digits: int, up: int) -> float:
-    """Return a bound rounded up (1) or down (−1) to the given number of digits, so that it still holds."""
-    nearest = float(f"{value:.{digits}g}")
-    if up * (nearest - value) < 0:
-        nearest += up * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
-    return nearest
-
-
-def proved(bound: float | None) -> float | None:
-    """Return an upper bound, rounded up to six digits, or None without a bound."""
-    return None if bound is None else outward(bound, 6, 1)
-
-
 def proof_text(proved: bool, every_sample: bool) -> str:
     """Return in words which numbers of a guarantee are computed with proved errors."""
     if proved:
@@ -102,20 +95,6 @@ def proof_text(proved: bool, every_sample: bool) -> str:
     if every_sample:
         return "J_all is proved for the gains as stored; what silence adds is computed in doubles, for exact gains"
     return "of the theorem; its numbers are computed in doubles, with estimated rounding errors"
-
-
-def rounded(value: float, digits: int, up: int) -> str:
-    """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
-    nearest = outward(value, digits, up)
-    return f"{nearest:.0f}" if 1e4 <= abs(nearest) < LARGE else number_text(nearest, digits)
-
-
-def bound_text(bound: Estimate, up: int) -> str:
-    """Return a bound as text, rounded up (1) or down (−1) to six digits, or to those that its standard error allows."""
-    if bound.standard_error == 0:
-        return rounded(bound.value, 6, up)
-    digits = 2 + magnitude(bound.value) - magnitude(bound.standard_error)
-    return str(replace(bound, value=outward(bound.value, digits, up) if digits > 0 else bound.value))
 
 
 def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = True) -> str:
@@ -154,13 +133,12 @@ def queries_text(schedule: Schedule) -> str:
     return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"
 
 
-def proved_text(bound: float | None) -> str:
-    """Return a proved bound rounded up, empty if there is none."""
-    return "" if bound is None else rounded(bound, 6, 1)
+def _sends(rates: Mapping[str, Estimate], unit: str) -> str:
+    return ", ".join(f"{rate} sends {unit}" for rate in rates.values())
 
 
 @dataclass(frozen=True, repr=False)
-class AsWritten(Displayed):
+class AsWritten(Result):
     """The policy on the plant as written, without a slow disturbance that a default has added.
 
     Args:
@@ -177,16 +155,6 @@ class AsWritten(Displayed):
     rates: Mapping[str, Estimate] = field(hash=False)
     settled: bool = True
 
-    def document(self) -> dict[str, Any]:
-        """Return the part of the JSON document of ``taciturn evaluate --json``."""
-        return {
-            "added": self.added,
-            "cost": self.cost.document("value", "standard_error"),
-            "cost_all_time": self.cost_all_time,
-            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
-            "settled": self.settled,
-        }
-
     def extra(self) -> str:
         """Return by how much the policy costs more than sending every sample on the plant as written, as text."""
         if not self.cost_all_time:
@@ -196,11 +164,10 @@ class AsWritten(Displayed):
     def text(self, unit: str) -> str:
         """Return what is added and the numbers without it as one sentence."""
         every = "" if self.cost_all_time is None else f", every sample {self.cost_all_time:.6g} ({self.extra()})"
-        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
         late = "" if self.settled else "; the loop has not settled: more steps are required"
         return (
             f"a slow disturbance at each input that the problem does not state ({self.added}); on the plant as "
-            f"written, this policy costs {self.cost}{every}, {rates}{late}"
+            f"written, this policy costs {self.cost}{every}, {_sends(self.rates, unit)}{late}"
         )
 
 
@@ -209,7 +176,7 @@ NEVER = 1e150  # a cost of silence above that of any packet
 
 
 @dataclass(frozen=True, repr=False)
-class AfterStep(Displayed):
+class AfterStep(Result):
     """Averages of a loop with a constant disturbance, when the transient after the step has decayed.
 
     Args:
@@ -226,19 +193,12 @@ class AfterStep(Displayed):
     rates: Mapping[str, Estimate] = field(hash=False)
     settled: bool = True
 
-    def document(self) -> dict[str, Any]:
-        """Return the part of the JSON document of ``taciturn evaluate --json``."""
-        costs = {"cost": self.cost, "cost_all_time": self.cost_all_time}
-        found: dict[str, Any] = {name: cost.document("value", "standard_error") for name, cost in costs.items()}
-        rates = {link: rate.document("value", "standard_error") for link, rate in self.rates.items()}
-        return {"size": list(self.size), **found, "rates": rates, "settled": self.settled}
-
     def text(self, unit: str) -> str:
         """Return the averages as one sentence."""
         size = ", ".join(f"{value:.4g}" for value in self.size)
-        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
+        sent = _sends(self.rates, unit)
         late = "" if self.settled else "; the transient has not decayed: more steps are required"
-        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {rates}{late}"
+        return f"of {size} at the input: cost {self.cost}, with every sample {self.cost_all_time}; {sent}{late}"
 
 
 def averages_after_step(
@@ -312,7 +272,7 @@ NEAR = 1e-9  # relative distance at which an input is at its limit: the rounding
 
 
 @dataclass(frozen=True, repr=False)
-class WithoutLimits(Displayed):
+class WithoutLimits(Result):
     """The loop without limits of its inputs, compared with the loop that has them.
 
     Args:
@@ -322,18 +282,18 @@ class WithoutLimits(Displayed):
         rates: sends per step or per second without limits, by scheduled link.
     """
 
+    FIELDS: ClassVar[tuple[Field[WithoutLimits], ...]] = (
+        Field("share", key="share_at_limit"),
+        Field(
+            "without_limits",
+            lambda found: {"cost": found.cost, "cost_bound": found.cost_bound, "rates": found.rates},
+        ),
+    )
+
     share: Estimate | None
     cost: Estimate | None
     cost_bound: float | None
     rates: Mapping[str, Estimate] = field(hash=False)
-
-    def document(self) -> dict[str, Any]:
-        """Return the parts of the JSON document of ``taciturn evaluate --json``."""
-        rates = {link: rate.document("value", "standard_error") for link, rate in self.rates.items()}
-        cost = None if self.cost is None else self.cost.document("value", "standard_error")
-        free = {"cost": cost, "cost_bound": self.cost_bound, "rates": rates}
-        share = None if self.share is None else self.share.document("value", "standard_error")
-        return {"share_at_limit": share, "without_limits": free}
 
     def text(self, unit: str) -> str:
         """Return the comparison as one sentence."""
@@ -343,8 +303,7 @@ class WithoutLimits(Displayed):
         bound = "" if self.cost_bound is None else f", guarantee {self.cost_bound:.6g}"
         if self.cost is None:
             return bind + bound.replace(", ", "; without limits: ", 1)
-        rates = ", ".join(f"{rate} sends {unit}" for rate in self.rates.values())
-        return f"{bind}; without limits: cost {self.cost}{bound}, {rates}"
+        return f"{bind}; without limits: cost {self.cost}{bound}, {_sends(self.rates, unit)}"
 
 
 def compare_without_limits(
@@ -401,10 +360,188 @@ def _at_limits(limits: Saturation, applied: Array, before: Array) -> Array:
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
 ZERO = 1e-11  # relative difference of two costs that is a rounding error
-THERE = "the bound at this rate"
 DAY = 86400.0  # seconds
-DIRECTION = {"guarantee": 1, "guarantee, this rate": 1, "no schedule below": -1}
-"""Direction in which a bound is rounded, so that it still holds."""
+
+
+def _verdict(found: Evaluation) -> list[str]:
+    """Return a sentence with the rate and the cost of a policy and their distance from the bounds, or a reason."""
+    base, lower = found.cost_all_time, found.lower_bound
+    if _sends_every_sample(found):
+        return []
+    if base is None:
+        return ["none: the cost of sending every sample is known for the loop of the design, and not for this loop"]
+    if base <= 0:
+        return ["none: sending every sample costs nothing, so no cost is a percentage of it"]
+    if not found.settled:
+        return ["none: the loop has not settled, so the simulated cost is not an average"]
+    if not found.trusted:
+        return ["none: the standard error of the cost cannot be trusted"]
+    if found.as_written is not None:
+        return [_verdict_as_written(found, found.as_written)]
+    above, error = found.cost.value / base - 1, found.cost.standard_error / base
+    error = 0.0 if negligible(found.cost.standard_error, found.cost.value) else error
+    least = None if lower is None else lower.cost / base - 1
+    decimals = max(MOST_DECIMALS, -magnitude(100 * above))
+    if least is not None:
+        decimals = max(decimals, decimals_of(above - least, 1))  # enough to distinguish the two
+    side = "above" if above >= 0 else "below"
+    text = f"costs {percent(abs(above), decimals, error=error)} {side} sending every sample"
+    if abs(above) <= ZERO and error == 0:
+        text = "costs as much as sending every sample"
+    if found.base_rate is not None:
+        text = f"sends {_shares(found.rates, found.base_rate)}, {text}"
+    bound = found.guarantee_at_rate or _known(found.cost_bound)
+    if bound is not None:
+        by = "the guarantee" if found.cost_bound_at_rate is None else "the bound at this rate"
+        text += f", at most {percent_above(bound, found.highest_all_time, 1, signed=False)} by {by}"
+    if least is None:
+        return [text]
+    if least <= ZERO:
+        return [f"{text}; no bound above the cost of sending every sample is proved for this controller at this rate"]
+    least_text = percent(least, max(decimals, -magnitude(100 * least)), up=-1)
+    return [f"{text}; no schedule of this controller at this rate costs less than {least_text} above"]
+
+
+def _verdict_as_written(found: Evaluation, written: AsWritten) -> str:
+    """Return the verdict for the plant as written, next to that for the plant with what a default has added."""
+    assert found.cost_all_time is not None
+    rates = "" if found.base_rate is None else f"sends {_shares(written.rates, found.base_rate)}, "
+    with_it = percent_above(found.cost, found.cost_all_time)
+    if not written.settled:
+        return f"none: on the plant as written, the loop has not settled; {with_it} with the disturbance by default"
+    if not written.cost_all_time:
+        extra = f"costs {written.cost}; the cost of every sample there is not known"
+    else:
+        extra = f"costs {written.extra()} relative to sending every sample"
+    return (
+        f"on the plant as written, without the disturbance that is added by default: {rates}{extra}. With the "
+        f"disturbance {with_it}, to which the guarantee refers"
+    )
+
+
+def _shares(rates: Mapping[str, Estimate], base_rate: float) -> str:
+    """Return the rates of all links as percentages of the rate of sending every sample."""
+    found: list[str] = []
+    for link, rate in rates.items():
+        share = rate.value / base_rate
+        text = f"{percent(share, decimals_of(share, 3), error=rate.standard_error / base_rate)} of the time"
+        found.append(f"{text} on the {link} link" if len(rates) > 1 else text)
+    return " and ".join(found)
+
+
+def _promised(found: Evaluation) -> str:
+    """Return the cost that the linearisation predicts, compared with the plant's cost; it is not a guarantee."""
+    promised, cost = found.linearisation, found.cost.value
+    if promised is None:
+        return ""
+    text = f"sending every sample costs {promised.cost_all_time:.6g}"
+    if promised.cost_all_time:
+        text += f" (measured: {found.cost.scaled(1 / promised.cost_all_time)} times that)"
+    if promised.cost_bound is not None:
+        over, margin = cost - promised.cost_bound, 4 * found.cost.standard_error
+        seen = "met here" if over + margin <= 0 else "exceeded here" if over > margin else "undecided within the errors"
+        text += f", its bound {promised.cost_bound:.6g} ({seen})"
+    return f"{text}; none of this is guaranteed for the nonlinear plant"
+
+
+def _known(cost: float | None, error: float = 0.0) -> Estimate | None:
+    return None if cost is None else Estimate(cost, error, "simulation" if error else "exact")
+
+
+def _sends_every_sample(found: Evaluation) -> bool:
+    """Return whether the policy is the one that sends every sample, by a closed form."""
+    return found.cost.method == "exact" and all(rate.value == found.base_rate for rate in found.rates.values())
+
+
+def _clock_rates(found: Evaluation) -> Mapping[str, Estimate]:
+    """Return the rates of periodic control: the measured ones, or a lower one at which it costs no more."""
+    (rate, *others), clock = found.rates.values(), found.clock
+    if clock is None or others or clock.rate >= rate.value * (1 - SAME):
+        return found.rates
+    return dict.fromkeys(found.rates, Estimate(clock.rate, 0.0, "exact"))
+
+
+def _method(found: Evaluation) -> str:
+    how = found.method if found.cost.method == "simulation" else found.cost.method
+    return f"{how if found.estimator in ('', how) else f'{how}, {found.estimator}'}: {found.reason}"
+
+
+def _periodic(found: Evaluation) -> str:
+    if _sends_every_sample(found):
+        return "the same as this policy, which sends every sample"
+    if found.clock is None:
+        return f"none at this rate: {found.no_clock}" if found.no_clock else ""
+    ((_, rate),) = _clock_rates(found).items()
+    return clock_text(found.clock) + ("" if rate in found.rates.values() else "; more packets do not lower its cost")
+
+
+def _proof(found: Evaluation) -> str:
+    return "" if found.cost_bound is None else proof_text(found.proved, found.cost_all_time_error is not None)
+
+
+def _sure(found: Evaluation) -> str:
+    bound = found.lower_bound
+    return "" if bound is None else f"of this controller at this rate, {percent(bound.confidence)} sure"
+
+
+def _certified(found: Evaluation) -> str:
+    if found.rate_bounds is None:
+        return ""
+    low, high = found.rate_bounds
+    return f"{rounded(low, 4, -1)} to {rounded(high, 4, 1)} per {found.rate_unit}"
+
+
+def _queries(found: Evaluation) -> Lines:
+    if found.schedule is None:
+        return []
+    parts, several = found.schedule.by_link, len(found.schedule.links) > 1
+    return [(f"queries, {link}" if several else "sensor queries", queries_text(one)) for link, one in parts.items()]
+
+
+def _traffic(found: Evaluation) -> str:
+    several = len(found.rates) > 1 and found.traffic is not None
+    return f"{found.traffic} per {found.rate_unit}, the rates times the prices of a packet" if several else ""
+
+
+def _days(found: Evaluation) -> dict[str, Estimate]:
+    """Return the days until the batteries are empty."""
+    return {link: life.scaled(1 / DAY) for link, life in found.life.items()}
+
+
+def _powers(found: Evaluation) -> Lines:
+    days = {link: f"; the battery lasts {life} days" for link, life in _days(found).items()}
+    watts = {link: f"{power.scaled(1e3)} mW for packets" for link, power in found.power.items()}
+    return [(f"power, {link}", text + days.get(link, "")) for link, text in watts.items()]
+
+
+def _violated(found: Evaluation) -> Lines:
+    return [] if found.violations is None else found.violations.lines()
+
+
+def _sentence(name: str) -> Callable[[Evaluation], str]:
+    """Return the function that gives the sentence of a part of an evaluation."""
+
+    def text(found: Evaluation) -> str:
+        part = getattr(found, name)
+        return "" if part is None else part.text(f"per {found.rate_unit}")
+
+    return text
+
+
+@dataclass(frozen=True, repr=False)
+class _Row(Displayed):
+    """A row of the table of an evaluation: a cost or, in a direction in which it holds, a bound, and rates."""
+
+    name: str
+    cost: Estimate | None  # a proved bound is rounded
+    rates: Mapping[str, Estimate | None]
+    up: int = 0
+    exact: Estimate | None = None  # the bound, which the text rounds to the digits of its standard error
+
+    def rate(self, link: str) -> str:
+        """Return the cell of a rate; only that of the policy is measured."""
+        rate = self.rates.get(link)
+        return "" if rate is None else str(rate) if self.name == "this policy" else f"{rate.value:.4g}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -461,7 +598,52 @@ class Evaluation(Tabular):
         cost_all_time_error: proved bound on the error of ``cost_all_time``; None if its error is only estimated.
     """
 
+    FIELDS: ClassVar[tuple[Field[Evaluation], ...]] = (
+        Field("policy", say="policy", above=True),
+        *plain_fields("unit", "rate_unit", "base_rate"),
+        Field("cost", json=whole),
+        *plain_fields("cost_all_time", "cost_all_time_error", "cost_bound"),
+        Field("proved", say="proof", text=_proof),
+        Field("cost_bound_at_rate"),
+        Field("bound_error", key="cost_bound_at_rate_standard_error"),
+        Field("rates"),
+        Field("traffic", say="traffic", text=_traffic, after="schedule"),
+        Field("seed"),
+        Field("seconds", json=seconds),
+        *plain_fields("steps", "reached"),
+        Field("method", say="method", text=_method, above=True),
+        Field("reason", key="method_reason"),
+        Field("cost_lower_bound", "lower_bound.cost", optional=True),
+        Field(
+            "cost_lower_bound_confidence",
+            "lower_bound.confidence",
+            optional=True,
+            say="no schedule",
+            text=_sure,
+        ),
+        Field("rate_bounds", optional=True, say="certified rate", text=_certified),
+        Field("consistency", optional=True, say="consistent"),
+        Field("cost_periodic_same_rate"),
+        Field("clock", say="periodic", text=_periodic, after=""),
+        Field("no_clock", key="clock_reason", optional=True),
+        Field("mean_interval", json=whole, optional=True, say="mean interval", text="{} s", after="rate_bounds"),
+        Field("linearisation", json=asdict, optional=True, say="linearisation", text=_promised, after="proved"),
+        Field("schedule", optional=True, say="queries", text=_queries),
+        Field("cost_lqg", optional=True),
+        Field("power", optional=True, say="power", text=_powers),
+        Field("battery_days", _days, optional=True),
+        Field("violations", key="violation", optional=True, say="violation", text=_violated),
+        Field("after_step", optional=True, say="after a step", text=_sentence("after_step")),
+        Field("without_limits", key=SPLICED, optional=True, say="limits", text=_sentence("without_limits")),
+        Field("as_written", optional=True, say="by default", text=_sentence("as_written"), above=True),
+        Field("verdict", key="", say="verdict", text=_verdict),
+        Field("notes", optional=True, say="note"),
+    )
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
+    shown: ClassVar[tuple[str, ...]] = (
+        "policy", "cost", "rates", "unit", "cost_all_time", "cost_periodic_same_rate", "cost_bound", "method",
+    )  # fmt: skip
+    gap: ClassVar[str] = "\n\n"
 
     policy: str
     unit: Unit
@@ -508,6 +690,11 @@ class Evaluation(Tabular):
         return rate_unit(self.unit)
 
     @property
+    def per(self) -> str:
+        """Unit of the costs as text."""
+        return per_unit(self.unit)
+
+    @property
     def highest_all_time(self) -> float:
         """The upper end of the cost of sending every sample, of which a bound is a multiple."""
         assert self.cost_all_time is not None, "a bound is that of a base"
@@ -530,291 +717,73 @@ class Evaluation(Tabular):
         """Exact cost of fair periodic control at the measured rate, or None if there is none."""
         return None if self.clock is None else self.clock.cost
 
-    def summary(self) -> Mapping[str, object]:
-        """Return policy, cost, rates and bounds by name."""
-        names = ("policy", "cost", "rates", "unit", "cost_all_time", "cost_periodic_same_rate", "cost_bound", "method")
-        return {name: getattr(self, name) for name in names}
+    @property
+    def periodic(self) -> Estimate | None:
+        """Cost of fair periodic control at the measured rate, with the error due to that of the rate."""
+        return None if self.clock is None else _known(self.clock.cost, self.clock.standard_error)
+
+    @property
+    def guarantee_at_rate(self) -> Estimate | None:
+        """Upper bound on the cost at the measured rate, with the error due to that of the rate."""
+        return _known(self.cost_bound_at_rate, self.bound_error)
 
     def short(self) -> str:
         """Return the cost as short text."""
         return f"cost {self.cost}"
 
-    def columns(self) -> Columns:
-        """Return one row each for this policy, periodic control at its rate, sending every sample, and the bounds."""
-        return columns_of([*evaluation_records(self)])
+    def table_rows(self) -> Sequence[_Row]:
+        """Return the policy, periodic control at its rate, sending every sample, and the bounds.
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn evaluate`` prints."""
-        how = self.method if self.cost.method == "simulation" else self.cost.method
-        method = how if self.estimator in ("", how) else f"{how}, {self.estimator}"
-        first: Lines = [("policy", self.policy), ("method", f"{method}: {self.reason}")]
-        if self.as_written is not None:
-            first.append(("by default", self.as_written.text(f"per {self.rate_unit}")))
-        return "\n\n".join(filter(None, [pairs_text(first), _table(self), pairs_text(_details(self))]))
+        A policy that sends every sample is not compared with itself.
+        """
+        always, same = _sends_every_sample(self), self.rates
+        pace = dict.fromkeys(same, _known(self.base_rate))
+        lower = None if self.lower_bound is None else self.lower_bound.cost
+        least = None if lower is None else outward(lower, 6, -1)
+        found = (
+            _Row("this policy", self.cost, same),
+            _Row("periodic, same rate", None if always else self.periodic, _clock_rates(self)),
+            _Row("every sample", None if always else _known(self.cost_all_time), pace),
+            _Row("guarantee", _known(proved(self.cost_bound)), {}, 1, _known(self.cost_bound)),
+            _Row("guarantee, this rate", self.guarantee_at_rate, same, 1),
+            _Row("no schedule below", _known(least), same, -1, _known(lower)),
+        )
+        return [row for row in found if row.cost is not None]
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn evaluate --json``."""
-        result: dict[str, Any] = {
-            "policy": self.policy,
-            "unit": self.unit,
-            "rate_unit": self.rate_unit,
-            "base_rate": self.base_rate,
-            "cost": _estimate(self.cost),
-            "cost_all_time": self.cost_all_time,
-            "cost_all_time_error": self.cost_all_time_error,
-            "cost_bound": self.cost_bound,
-            "proved": self.proved,
-            "cost_bound_at_rate": self.cost_bound_at_rate,
-            "cost_bound_at_rate_standard_error": self.bound_error,
-            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
-            "traffic": None if self.traffic is None else self.traffic.document("value", "standard_error"),
-            "seed": self.seed,
-            "seconds": round(self.seconds, 4),
-            "steps": self.steps,
-            "reached": self.reached,
-            "method": self.method,
-            "method_reason": self.reason,
-        }
-        if self.lower_bound is not None:
-            result["cost_lower_bound"] = self.lower_bound.cost
-            result["cost_lower_bound_confidence"] = self.lower_bound.confidence
-        if self.rate_bounds is not None:
-            result["rate_bounds"] = list(self.rate_bounds)
-        if self.consistency is not None:
-            result["consistency"] = self.consistency
-        result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
-        result["clock"] = None if self.clock is None else self.clock.document()
-        result |= {"clock_reason": self.no_clock} if self.no_clock else {}
-        if self.mean_interval is not None:
-            result["mean_interval"] = _estimate(self.mean_interval)
-        if self.linearisation is not None:
-            result["linearisation"] = asdict(self.linearisation)
-        if self.schedule is not None:
-            result["schedule"] = self.schedule.document()
-        result |= {} if self.cost_lqg is None else {"cost_lqg": self.cost_lqg}
-        for name, found, unit in (("power", self.power, 1.0), ("battery_days", self.life, DAY)):
-            if found:
-                scaled = {link: one.scaled(1 / unit) for link, one in found.items()}
-                result[name] = {link: one.document("value", "standard_error") for link, one in scaled.items()}
-        if self.violations is not None:
-            result["violation"] = self.violations.document()
-        if self.after_step is not None:
-            result["after_step"] = self.after_step.document()
-        result |= {} if self.without_limits is None else self.without_limits.document()
-        result |= {} if self.as_written is None else {"as_written": self.as_written.document()}
-        return result | ({"notes": list(self.notes)} if self.notes else {})
+    def row_fields(self) -> tuple[Field[_Row], ...]:
+        """Return the cost of a row, its excess over the cost of sending every sample, and its rates."""
+        base = None if _sends_every_sample(self) else self.cost_all_time
+        per = "sends per step" if self.unit == "mission" else f"sends per {self.rate_unit}"
+        seen = () if self.violations is None else self.violations.records().items()
 
+        def extra(row: _Row) -> Estimate | None:
+            return row.cost.scaled(100 / base, -100) if base and row.cost is not None else None
 
-def evaluation_records(found: Evaluation) -> list[dict[str, object]]:
-    """Return rows of costs and rates: the policy, periodic control at its rate, sending every sample, and the bounds.
+        def exact(row: _Row) -> Estimate:
+            found = row.exact or row.cost
+            assert found is not None, "a row without a cost is left out"
+            return found
 
-    A policy that sends every sample is not compared with itself.
-    """
-    always = _sends_every_sample(found)
-    base = None if always else found.cost_all_time
-    same = found.rates
-    pace = dict.fromkeys(same, None if found.base_rate is None else Estimate(found.base_rate, 0.0, "exact"))
-    rows: list[dict[str, object]] = []
+        def above(row: _Row) -> str:
+            of = self.highest_all_time if row.up == 1 else self.cost_all_time or 0.0
+            return "" if row.name == "every sample" else percent_above(exact(row), of, row.up)
 
-    def add(name: str, cost: Estimate | float | None, rates: Mapping[str, Estimate | None]) -> None:
-        if cost is not None:
-            known = cost if isinstance(cost, Estimate) else Estimate(cost, 0.0, "exact")
-            extra = {"extra_percent": known.scaled(100 / base, -100)} if base else {}
-            seen: Mapping[str, object] = {} if rows or found.violations is None else found.violations.records()
-            rows.append(
-                {"name": name, "cost": known, **extra, **{f"rate_{link}": rates.get(link) for link in same}, **seen}
+        def cost(row: _Row) -> str:
+            return bound_text(exact(row), row.up) if row.up else str(row.cost)
+
+        def rate(link: str) -> Field[_Row]:
+            heading, column = f"{link} {per}" if len(self.rates) > 1 else per, f"rate_{link}"
+            return Field(
+                link, lambda row: row.rates.get(link), column=column, say=heading, text=lambda row: row.rate(link)
             )
 
-    add("this policy", found.cost, found.rates)
-    add("periodic, same rate", None if always else periodic_cost(found), _clock_rates(found))
-    add("every sample", base, pace)
-    add("guarantee", proved(found.cost_bound), {})
-    add("guarantee, this rate", bound_at_rate(found), same)
-    add("no schedule below", least_cost(found), same)
-    return rows
+        def violation(name: str, share: Estimate) -> Field[_Row]:
+            return Field(name, lambda row: share if row.name == "this policy" else None, column=name)
 
-
-def _table(found: Evaluation) -> str:
-    """Return the records as a text table; bounds are rounded so that they still hold."""
-    total, many = found.unit == "mission", len(found.rates) > 1
-    base = None if _sends_every_sample(found) else found.cost_all_time
-    per = "sends per step" if total else f"sends per {found.rate_unit}"
-    header = ["", f"cost {per_unit(found.unit)}"]
-    header += (["extra cost"] if base else []) + [f"{link} {per}" if many else per for link in found.rates]
-    lower = None if found.lower_bound is None else found.lower_bound.cost
-    unrounded = dict(zip(DIRECTION, (found.cost_bound, found.cost_bound_at_rate, lower), strict=True))
-    rows: list[list[str]] = []
-    for record in evaluation_records(found):
-        cost, up = cast("Estimate", record["cost"]), DIRECTION.get(str(record["name"]))
-        value = unrounded.get(str(record["name"]))
-        exact = cost if value is None else replace(cost, value=value)  # it is rounded once
-        cells = [str(record["name"]), str(cost) if up is None else bound_text(exact, up)]
-        if base:
-            of = base if up != 1 else found.highest_all_time
-            above = percent_above(exact, of, up or 0)
-            cells.append("" if record["name"] == "every sample" else above)
-        for link, rate in found.rates.items():
-            shown = cast("Estimate | None", record[f"rate_{link}"])
-            measured = record["name"] == "this policy"
-            cells.append("" if shown is None else str(rate) if measured else f"{shown.value:.4g}")
-        rows.append(cells)
-    return table_text(header, rows, 1)
-
-
-def _details(found: Evaluation) -> Lines:
-    """Return the details that the table does not contain, one line each."""
-    lines: Lines = []
-    if _sends_every_sample(found):
-        lines.append(("periodic", "the same as this policy, which sends every sample"))
-    elif found.clock is not None:
-        ((_, rate),) = _clock_rates(found).items()
-        fewer = "" if rate in found.rates.values() else "; more packets do not lower its cost"
-        lines.append(("periodic", clock_text(found.clock) + fewer))
-    elif found.no_clock:
-        lines.append(("periodic", f"none at this rate: {found.no_clock}"))
-    if found.cost_bound is not None:
-        lines.append(("proof", proof_text(found.proved, found.cost_all_time_error is not None)))
-    if found.linearisation is not None:
-        lines.append(("linearisation", _promised(found)))
-    if found.lower_bound is not None:
-        lines.append(("no schedule", f"of this controller at this rate, {percent(found.lower_bound.confidence)} sure"))
-    if found.rate_bounds is not None:
-        low, high = found.rate_bounds
-        text = f"{rounded(low, 4, -1)} to {rounded(high, 4, 1)} per {found.rate_unit}"
-        lines.append(("certified rate", text))
-    if found.mean_interval is not None:
-        lines.append(("mean interval", f"{found.mean_interval} s"))
-    if found.consistency is not None:
-        lines.append(("consistent", found.consistency))
-    if found.schedule is not None:
-        several = len(found.schedule.links) > 1
-        for link, one in found.schedule.by_link.items():
-            lines.append((f"queries, {link}" if several else "sensor queries", queries_text(one)))
-    if len(found.rates) > 1 and found.traffic is not None:
-        lines.append(("traffic", f"{found.traffic} per {found.rate_unit}, the rates times the prices of a packet"))
-    for link, power in found.power.items():
-        life = found.life.get(link)
-        lasting = "" if life is None else f"; the battery lasts {life.scaled(1 / DAY)} days"
-        lines.append((f"power, {link}", f"{power.scaled(1e3)} mW for packets{lasting}"))
-    lines += [] if found.violations is None else found.violations.lines()
-    for name, part in (("after a step", found.after_step), ("limits", found.without_limits)):
-        lines += [] if part is None else [(name, part.text(f"per {found.rate_unit}"))]
-    lines += [("verdict", text) for text in _verdict(found)]
-    return [*lines, *(("note", note) for note in found.notes)]
-
-
-def _verdict(found: Evaluation) -> list[str]:
-    """Return a sentence with the rate and the cost of a policy and their distance from the bounds, or a reason."""
-    base, lower = found.cost_all_time, found.lower_bound
-    if _sends_every_sample(found):
-        return []
-    if base is None:
-        return ["none: the cost of sending every sample is known for the loop of the design, and not for this loop"]
-    if base <= 0:
-        return ["none: sending every sample costs nothing, so no cost is a percentage of it"]
-    if not found.settled:
-        return ["none: the loop has not settled, so the simulated cost is not an average"]
-    if not found.trusted:
-        return ["none: the standard error of the cost cannot be trusted"]
-    if found.as_written is not None:
-        return [_verdict_as_written(found, found.as_written)]
-    above, error = found.cost.value / base - 1, found.cost.standard_error / base
-    error = 0.0 if negligible(found.cost.standard_error, found.cost.value) else error
-    least = None if lower is None else lower.cost / base - 1
-    decimals = max(MOST_DECIMALS, -magnitude(100 * above))
-    if least is not None:
-        decimals = max(decimals, decimals_of(above - least, 1))  # enough to distinguish the two
-    side = "above" if above >= 0 else "below"
-    text = f"costs {percent(abs(above), decimals, error=error)} {side} sending every sample"
-    if abs(above) <= ZERO and error == 0:
-        text = "costs as much as sending every sample"
-    if found.base_rate is not None:
-        text = f"sends {_shares(found.rates, found.base_rate)}, {text}"
-    bound = found.cost_bound if found.cost_bound_at_rate is None else found.cost_bound_at_rate
-    if bound is not None:
-        by, moved = ("the guarantee", 0.0) if found.cost_bound_at_rate is None else (THERE, found.bound_error)
-        text += f", at most {percent_above(_moved(bound, moved), found.highest_all_time, 1, signed=False)} by {by}"
-    if least is None:
-        return [text]
-    if least <= ZERO:
-        return [f"{text}; no bound above the cost of sending every sample is proved for this controller at this rate"]
-    least_text = percent(least, max(decimals, -magnitude(100 * least)), up=-1)
-    return [f"{text}; no schedule of this controller at this rate costs less than {least_text} above"]
-
-
-def _verdict_as_written(found: Evaluation, written: AsWritten) -> str:
-    """Return the verdict for the plant as written, next to that for the plant with what a default has added."""
-    assert found.cost_all_time is not None
-    rates = "" if found.base_rate is None else f"sends {_shares(written.rates, found.base_rate)}, "
-    with_it = percent_above(found.cost, found.cost_all_time)
-    if not written.settled:
-        return f"none: on the plant as written, the loop has not settled; {with_it} with the disturbance by default"
-    if not written.cost_all_time:
-        extra = f"costs {written.cost}; the cost of every sample there is not known"
-    else:
-        extra = f"costs {written.extra()} relative to sending every sample"
-    return (
-        f"on the plant as written, without the disturbance that is added by default: {rates}{extra}. With the "
-        f"disturbance {with_it}, to which the guarantee refers"
-    )
-
-
-def _shares(rates: Mapping[str, Estimate], base_rate: float) -> str:
-    """Return the rates of all links as percentages of the rate of sending every sample."""
-    found: list[str] = []
-    for link, rate in rates.items():
-        share = rate.value / base_rate
-        text = f"{percent(share, decimals_of(share, 3), error=rate.standard_error / base_rate)} of the time"
-        found.append(f"{text} on the {link} link" if len(rates) > 1 else text)
-    return " and ".join(found)
-
-
-def _sends_every_sample(found: Evaluation) -> bool:
-    """Return whether the policy is the one that sends every sample, by a closed form."""
-    return found.cost.method == "exact" and all(rate.value == found.base_rate for rate in found.rates.values())
-
-
-def _promised(found: Evaluation) -> str:
-    """Return the cost that the linearisation predicts, compared with the plant's cost; it is not a guarantee."""
-    promised, cost = found.linearisation, found.cost.value
-    assert promised is not None
-    text = f"sending every sample costs {promised.cost_all_time:.6g}"
-    if promised.cost_all_time:
-        text += f" (measured: {found.cost.scaled(1 / promised.cost_all_time)} times that)"
-    if promised.cost_bound is not None:
-        over, margin = cost - promised.cost_bound, 4 * found.cost.standard_error
-        seen = "met here" if over + margin <= 0 else "exceeded here" if over > margin else "undecided within the errors"
-        text += f", its bound {promised.cost_bound:.6g} ({seen})"
-    return f"{text}; none of this is guaranteed for the nonlinear plant"
-
-
-def least_cost(found: Evaluation) -> float | None:
-    """Return the lower bound on the cost of any schedule, rounded down to six digits, or None without a bound."""
-    return None if found.lower_bound is None else outward(found.lower_bound.cost, 6, -1)
-
-
-def bound_at_rate(found: Evaluation) -> Estimate | None:
-    """Return the upper bound at the measured rate, with the error due to that of the rate."""
-    bound = found.cost_bound_at_rate
-    return None if bound is None else _moved(bound, found.bound_error)
-
-
-def periodic_cost(found: Evaluation) -> Estimate | None:
-    """Return the cost of periodic control at the measured rate, with the error due to that of the rate."""
-    return None if found.clock is None else _moved(found.clock.cost, found.clock.standard_error)
-
-
-def _clock_rates(found: Evaluation) -> Mapping[str, Estimate]:
-    """Return the rates of periodic control: the measured ones, or a lower one at which it costs no more."""
-    (rate, *others), clock = found.rates.values(), found.clock
-    if clock is None or others or clock.rate >= rate.value * (1 - SAME):
-        return found.rates
-    return dict.fromkeys(found.rates, Estimate(clock.rate, 0.0, "exact"))
-
-
-def _moved(cost: float, error: float) -> Estimate:
-    return Estimate(cost, error, "simulation" if error else "exact")
-
-
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})
+        return (
+            Field("name", column="name", say=""),
+            Field("cost", column="cost", say=f"cost {self.per}", text=cost),
+            *([Field("extra", extra, column="extra_percent", say="extra cost", text=above)] if base else []),
+            *map(rate, self.rates),
+            *(violation(name, share) for name, share in seen),
+        )

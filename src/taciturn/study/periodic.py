@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, TypeAlias
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from taciturn.lqg.riccati import kept
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
+from taciturn.model.result import Field, Result, plain_fields
 from taciturn.model.steps import Assign, Send, Terms
 from taciturn.problem import Problem
 from taciturn.renewal.policy import nodes_of
@@ -77,7 +78,7 @@ class ClockPoint(Displayed):
 
 
 @dataclass(frozen=True, repr=False)
-class ClockMix(Displayed):
+class ClockMix(Result):
     """Periodic control at a rate: one cycle of send intervals, or two cycles that alternate in long phases.
 
     Args:
@@ -87,6 +88,13 @@ class ClockMix(Displayed):
         words: actuation, ``"hold"`` or ``"model"``; ``"queries"`` if queries of the sensor are scheduled.
         standard_error: standard error of the cost that is due to the standard error of a measured rate.
     """
+
+    FIELDS: ClassVar[tuple[Field[ClockMix], ...]] = (
+        Field("words", key="kind"),
+        *plain_fields("cost", "standard_error", "shares"),
+        Field("cycles", lambda found: [point.cycle for point in found.points]),  # in steps; None: any period
+        Field("rates", lambda found: [point.rate for point in found.points]),
+    )
 
     cost: float
     points: tuple[ClockPoint, ...]
@@ -98,17 +106,6 @@ class ClockMix(Displayed):
     def rate(self) -> float:
         """Its sends per step or per second: less than the requested rate if a lower one costs no more."""
         return sum(share * point.rate for share, point in zip(self.shares, self.points, strict=True))
-
-    def document(self) -> dict[str, Any]:
-        """Return a JSON document: the cost, and rate and intervals (in steps; null: any period) of each cycle."""
-        return {
-            "kind": self.words,
-            "cost": self.cost,
-            "standard_error": self.standard_error,
-            "shares": list(self.shares),
-            "cycles": [None if point.cycle is None else list(point.cycle) for point in self.points],
-            "rates": [point.rate for point in self.points],
-        }
 
 
 class Clock(ABC):

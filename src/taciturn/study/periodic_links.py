@@ -12,9 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import permutations
-from typing import Any
+from typing import Any, ClassVar
 
-from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import percent
 from taciturn.errors import UnstableError
@@ -22,6 +21,7 @@ from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import MultirateControl, Timing
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
+from taciturn.model.result import Field, Result, plain_fields
 from taciturn.problem import Problem
 from taciturn.study.periodic import OF_A_DESIGN, ClockPoint, beside, lower_hull
 
@@ -33,7 +33,7 @@ Timings = tuple[Timing, ...]
 
 
 @dataclass(frozen=True, repr=False)
-class LinkClocks(Displayed):
+class LinkClocks(Result):
     """Periodic control over several links at a traffic: the timing of each link, or two timings that share the time.
 
     Args:
@@ -43,6 +43,11 @@ class LinkClocks(Displayed):
         plans: whether a packet to an actuator contains the inputs until the next packet, or one input that is held.
         tried: number of timings that were tried.
     """
+
+    FIELDS: ClassVar[tuple[Field[LinkClocks], ...]] = (
+        Field("kind", lambda found: "model" if found.plans else "hold"),
+        *plain_fields("cost", "timings", "shares", "tried"),
+    )
 
     cost: float
     timings: tuple[Mapping[str, Timing], ...] = field(hash=False)
@@ -60,17 +65,6 @@ class LinkClocks(Displayed):
         ]
         both = [f"{percent(share, 3)} of the time {text}" for share, text in zip(self.shares, texts, strict=True)]
         return "; ".join(both) if len(both) > 1 else texts[0]
-
-    def document(self) -> dict[str, Any]:
-        """Return a JSON document."""
-        timings = [{link: list(one) for link, one in timing.items()} for timing in self.timings]
-        return {
-            "kind": "model" if self.plans else "hold",
-            "cost": self.cost,
-            "timings": timings,
-            "shares": list(self.shares),
-            "tried": self.tried,
-        }
 
 
 class NoLinkClocksError(Exception):

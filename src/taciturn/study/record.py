@@ -1,6 +1,12 @@
-"""Encoding of results as text that restores them exactly, and digests of the data behind the results.
+"""Results as text that restores them exactly, digests of the data behind them, and a folder of them.
 
-A folder with one file per cell of a sweep, so that an interrupted sweep can continue, and the file of the result.
+``encode`` writes the fields of a result and of its parts as JSON, each with the name of its class. ``decode`` restores
+any ``Result``: it finds the class of the result by its name, and those of its parts in the types of its fields. So a
+new result, or a new part of one, needs no entry here. A result that contains a problem or a loop is not restored, since
+functions of a plant are written as their operations; the problem file states them.
+
+``fingerprint`` is the digest of all data of a problem. A ``Store`` is a folder with one file per cell of a sweep, each
+under the digest of the data on which it depends, so that an interrupted sweep can continue.
 """
 
 from __future__ import annotations
@@ -23,18 +29,20 @@ import numpy as np
 from taciturn._files import PART, read_bytes, why_unreadable, write_whole
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
+from taciturn.loop import Loop
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.link import IDEAL_LINK
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
+from taciturn.model.result import Result
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.tracing import trace
-from taciturn.study.evaluation import Evaluation
 
 if TYPE_CHECKING:
     import xarray
 
+STATED = (Problem, Loop)
 KIND = "kind of data"  # key for the class of the data in a mapping
 NONE = ("operating_point", "drift", "input_rate", "changes", "max_interval")
 LATER: Mapping[str, object] = {**dict.fromkeys(NONE), "min_interval": 1}  # neutral values that digests do not contain
@@ -127,34 +135,48 @@ def _fields(value: Any, *apart: str) -> dict[str, object]:
     return {name: one for name, one in plain.items() if name not in LATER or one != LATER[name]}
 
 
-def _restored(value: object) -> Any:
+def _restored(value: object, known: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+    """Return the data of JSON, with the classes that can be parts of the result around it."""
     if isinstance(value, list):
-        return tuple(_restored(one) for one in cast("list[object]", value))
+        return tuple(_restored(one, known) for one in cast("list[object]", value))
     if not isinstance(value, dict):
         return value
     held = cast("dict[str, Any]", value)
     kind = held.pop(KIND, None)
     if kind is None:
-        return {key: _restored(one) for key, one in held.items()}
+        return {key: _restored(one, known) for key, one in held.items()}
     if kind == "array":
         return np.array(held["values"], dtype=held["type"]).reshape(held["shape"])
-    if kind not in _recorded():
+    known = _parts(_result(kind)) if known is None else known
+    if kind not in known:
         raise ValueError(f"{kind} is not a class of result data")
     try:
-        return _recorded()[kind](**{key: _restored(one) for key, one in held.items()})
+        return known[kind](**{key: _restored(one, known) for key, one in held.items()})
     except TypeError as error:
         raise ValueError(str(error)) from None
 
 
-@cache
-def _recorded() -> Mapping[str, Callable[..., Any]]:
-    """Return the classes of an evaluation by name: itself, and all of which its fields can be, however deep."""
-    found, left = dict[str, Callable[..., Any]](), list[Any]([Evaluation])
+def _result(name: str) -> type[Result] | None:
+    """Return the class of results with a name, if its module is loaded."""
+    left = [Result]
     while left:
         kind = left.pop()
-        if is_dataclass(kind) and isinstance(kind, type) and kind.__name__ not in found:
+        if kind.__name__ == name:
+            return kind
+        left += kind.__subclasses__()
+    return None
+
+
+@cache
+def _parts(result: type[Result] | None) -> Mapping[str, Callable[..., Any]]:
+    """Return the classes of a result by name: itself, and all of which its fields can be, however deep."""
+    found, left = dict[str, Callable[..., Any]](), list[Any]([result])
+    while left:
+        kind = left.pop()
+        if is_dataclass(kind) and isinstance(kind, type) and kind.__name__ not in found and kind not in STATED:
             found[kind.__name__] = kind
-            left += get_type_hints(kind).values()
+            types = get_type_hints(kind)
+            left += [*(types[field.name] for field in fields(kind)), *kind.__subclasses__()]
         left += get_args(kind)
     return found
 

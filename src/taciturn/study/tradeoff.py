@@ -1,8 +1,15 @@
-"""Cost against rate of a policy over its parameters, with fair periodic control and the guarantee."""
+"""Cost against rate of a policy over its parameters, with fair periodic control and the guarantee.
+
+Each point of a grid is an evaluation (``points``), all with one seed, so that the errors of two points are correlated.
+Its row has the upper bound (the one at the measured rate if every point has it), the cost of fair periodic control at
+the same rate, and, if a confidence is given, the lower bound on every schedule. The figure shows cost against rate for
+each link. Below the lower bounds of all points, max_i (c_i + λ_i (r_i − r)) over rates r, lies the region that no
+schedule reaches; it is drawn if all points have one controller.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,13 +17,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from taciturn._display import Displayed
 from taciturn._figure import HEIGHT, Panel, Series, Size, draw
 from taciturn._progress import Progress, answered_within, in_notebook
-from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
+from taciturn._text import per_unit, percent, wrapped_text
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import SPLICED, Field, Result, Tabular, plain_fields
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
@@ -24,13 +30,7 @@ from taciturn.study.evaluation import (
     Evaluation,
     TimeUnit,
     Unit,
-    bound_at_rate,
-    bound_text,
-    least_cost,
     percent_above,
-    periodic_cost,
-    proved,
-    proved_text,
     rate_unit,
 )
 from taciturn.study.periodic import ClockKind, ClockPoint, clock_of
@@ -46,13 +46,15 @@ GRAY = 7
 
 
 @dataclass(frozen=True, repr=False)
-class Point(Displayed):
+class Point(Result):
     """One point of the trade-off.
 
     Args:
         values: values of the varied keys.
         evaluation: evaluation of the policy, with fair periodic control at its rate.
     """
+
+    FIELDS: ClassVar[tuple[Field[Point], ...]] = (Field("values"), Field("evaluation", key=SPLICED))
 
     values: Mapping[str, Any] = field(hash=False)
     evaluation: Evaluation
@@ -71,6 +73,16 @@ class Point(Displayed):
         return self.evaluation.cost_periodic_same_rate
 
 
+def _curves_document(curves: Mapping[ClockKind, Sequence[ClockPoint]]) -> dict[str, Any]:
+    return {kind: [{"rate": p.rate, "cost": p.cost} for p in curve] for kind, curve in curves.items()}
+
+
+def _every_sample(found: Tradeoff) -> str:
+    first = found.points[0].evaluation
+    pace = "" if first.base_rate is None else f" at {first.base_rate:.4g} sends per {first.rate_unit}"
+    return f"{first.cost_all_time:.6g}{pace}" if found.one_base else ""
+
+
 @dataclass(frozen=True, repr=False)
 class Tradeoff(Tabular):
     """Cost against rate of a policy.
@@ -84,6 +96,13 @@ class Tradeoff(Tabular):
         guarantee: the theorem that proves the bounds, or None.
     """
 
+    FIELDS: ClassVar[tuple[Field[Tradeoff], ...]] = (
+        Field("points"),
+        Field("periodic", json=_curves_document),
+        *plain_fields("unit", "rate_unit", "method"),
+        Field("every sample", key="", say="every sample", text=_every_sample),
+        Field("guarantee", say="guarantee", text=lambda found: (found.one_base and found.guarantee) or ""),
+    )
     heading: ClassVar[tuple[str, ...]] = ("unit", "rate_unit", "method", "guarantee")
 
     points: tuple[Point, ...]
@@ -113,41 +132,77 @@ class Tradeoff(Tabular):
         """True if all points have the same sampling rate and cost of sending every sample."""
         return len({(one.evaluation.base_rate, one.evaluation.cost_all_time) for one in self.points}) == 1
 
-    def columns(self) -> Columns:
-        """Return one row per point: varied values, rates, cost, bounds, and cost of periodic control at its rate."""
-        bounded = any(point.evaluation.lower_bound is not None for point in self.points)
-        return columns_of(
-            [
-                {
-                    **point.values,
-                    **{f"rate_{link}": rate for link, rate in point.evaluation.rates.items()},
-                    "cost": point.evaluation.cost,
-                    "guarantee": proved(point.evaluation.cost_bound),
-                    "guarantee_at_rate": bound_at_rate(point.evaluation),
-                    "periodic_same_rate": periodic_cost(point.evaluation),
-                    **({"no_schedule_below": least_cost(point.evaluation)} if bounded else {}),
-                    **({} if point.evaluation.violations is None else point.evaluation.violations.records()),
-                }
-                for point in self.points
-            ]
+    @property
+    def one_base(self) -> bool:
+        """True if sending every sample has one cost, the same at all points."""
+        return len(costs := {one.evaluation.cost_all_time for one in self.points}) == 1 and None not in costs
+
+    @property
+    def labels(self) -> int:
+        """Number of the varied keys."""
+        return len(self.points[0].values)
+
+    def table_rows(self) -> Sequence[Point]:
+        """Return the points."""
+        return self.points
+
+    def row_fields(self) -> tuple[Field[Point], ...]:
+        """Return varied values, rates, cost, bounds, and cost of periodic control at the rate of a point."""
+        found = [point.evaluation for point in self.points]
+        links = list(dict.fromkeys(link for one in found for link in one.rates))
+        sharp = "guarantee, this rate" if all(one.cost_bound_at_rate is not None for one in found) else None
+        below, least = "no schedule below" if self._bounded else None, "no_schedule_below"
+        seen = [one.violations for one in found if one.violations is not None]
+
+        def value(name: str) -> Field[Point]:
+            return Field(name, lambda p: p.values[name], column=name, say=name, text=lambda p: str(p.values[name]))
+
+        def rate(link: str) -> Field[Point]:
+            heading = f"sends per {self.rate_unit}{f', {link}' if len(links) > 1 else ''}"
+            return Field(link, lambda point: point.evaluation.rates.get(link), column=f"rate_{link}", say=heading)
+
+        def extra(point: Point) -> str:
+            base = point.evaluation.cost_all_time
+            return percent_above(point.evaluation.cost, base) if base else ""
+
+        def violation(name: str) -> Field[Point]:
+            heading = {"violation": "violation per step", "violation_within": f"within {seen[0].window}"}.get(name)
+            return Field(name, lambda point: _violation(point.evaluation, name), column=name, say=heading, none="none")
+
+        return (
+            *map(value, self.points[0].values),
+            *map(rate, links),
+            Field("cost", "evaluation.cost", column="cost", say=f"cost {per_unit(self.unit)}"),
+            Field("extra", say="extra cost", text=extra),
+            Field("guarantee", "evaluation.cost_bound", column="guarantee", say=None if sharp else "guarantee", up=1),
+            Field("guarantee_at_rate", "evaluation.guarantee_at_rate", column="guarantee_at_rate", say=sharp, up=1),
+            Field(
+                "periodic", "evaluation.periodic", column="periodic_same_rate", say="periodic, same rate", none="none"
+            ),
+            Field(
+                "lowest",
+                "evaluation.lower_bound.cost",
+                optional=True,
+                column=least,
+                say=below,
+                text="{:.6g}",
+                none="none",
+                up=-1,
+            ),
+            *map(violation, dict.fromkeys(name for one in seen for name in one.records())),
         )
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn tradeoff`` prints."""
-        return tradeoff_text(self)
+    @property
+    def _bounded(self) -> bool:
+        return any(point.evaluation.lower_bound is not None for point in self.points)
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn tradeoff --json``."""
-        return {
-            "points": [{"values": dict(point.values)} | point.evaluation.document() for point in self.points],
-            "periodic": {
-                kind: [{"rate": p.rate, "cost": p.cost} for p in curve] for kind, curve in self.periodic.items()
-            },
-            "unit": self.unit,
-            "rate_unit": self.rate_unit,
-            "method": self.method,
-            "guarantee": self.guarantee,
-        }
+    def remarks(self) -> Iterator[str]:
+        """Yield the notes, each with the points at which it applies."""
+        for note in dict.fromkeys(note for point in self.points for note in point.evaluation.notes):
+            at = [point.short() for point in self.points if note in point.evaluation.notes]
+            yield wrapped_text(note if len(at) == len(self.points) else f"{'; '.join(at)}: {note}")
+        if self._bounded and not self.one_controller:
+            yield wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs")
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of cost against the rate of each link.
@@ -308,51 +363,5 @@ def _rate(point: Point) -> float:
     return next(iter(point.evaluation.rates.values())).value
 
 
-def tradeoff_text(found: Tradeoff) -> str:
-    """Return the table of ``taciturn tradeoff``: rates, cost, guarantee and periodic control at each point."""
-    names = list(found.points[0].values)
-    first = found.points[0].evaluation
-    of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
-    cost = f"cost {per_unit(found.unit)}"
-    header = [*names, *(f"sends per {first.rate_unit}{text}" for text in of.values())]
-    sharp = all(point.evaluation.cost_bound_at_rate is not None for point in found.points)
-    header += [cost, "extra cost", "guarantee, this rate" if sharp else "guarantee", "periodic, same rate"]
-    bounded = any(point.evaluation.lower_bound is not None for point in found.points)
-    header += ["no schedule below"] if bounded else []
-    windows = {one.evaluation.violations.window for one in found.points if one.evaluation.violations is not None}
-    header += [name for window in windows for name in ("violation per step", f"within {window}")]
-    rows: list[list[str]] = []
-    for point in found.points:
-        e, least, periodic = point.evaluation, least_cost(point.evaluation), periodic_cost(point.evaluation)
-        bound = bound_at_rate(e) if sharp else None
-        rows.append(
-            [
-                *(str(value) for value in point.values.values()),
-                *(str(rate) for rate in e.rates.values()),
-                str(e.cost),
-                percent_above(e.cost, e.cost_all_time) if e.cost_all_time else "",
-                proved_text(e.cost_bound) if bound is None else bound_text(bound, 1),
-                "none" if periodic is None else str(periodic),
-                *(["none" if least is None else f"{least:.6g}"] if bounded else []),
-                *(_violation(e) if windows else []),
-            ]
-        )
-    parts = [table_text(header, rows, len(names))]
-    if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
-        pace = "" if first.base_rate is None else f" at {first.base_rate:.4g} sends per {first.rate_unit}"
-        lines = [("every sample", f"{first.cost_all_time:.6g}{pace}")]
-        parts.append(pairs_text(lines + ([("guarantee", found.guarantee)] if found.guarantee else [])))
-    for note in dict.fromkeys(note for point in found.points for note in point.evaluation.notes):
-        at = [point.values for point in found.points if note in point.evaluation.notes]
-        settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
-        parts.append(wrapped_text(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}"))
-    if bounded and not found.one_controller:
-        parts.append(wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs"))
-    return "\n".join(parts)
-
-
-def _violation(found: Evaluation) -> list[str]:
-    """Return the probabilities that a limit is violated, per step and within the window."""
-    if found.violations is None:
-        return ["none", "none"]
-    return [str(found.violations.total.per_step), str(found.violations.total.within)]
+def _violation(found: Evaluation, name: str) -> Estimate | None:
+    return None if found.violations is None else found.violations.records().get(name)

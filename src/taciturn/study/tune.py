@@ -1,28 +1,32 @@
-"""Tuning: the parameter with which a policy meets a budget: of rate, traffic, cost, or violation of limits.
+"""Tuning: the parameter with which a policy meets a budget of rate, traffic, cost, or violation of limits.
 
-Result of the search for a parameter that meets a budget.
+``tune`` brackets the budget along the tuning parameter of the policy kind, closes in on it with common random draws
+(``search``), and then measures the answer more precisely and corrects it, until it is at least two standard errors
+within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the policy on the side
+that meets the budget, and ``beyond`` is the one on the other side. For time-triggered control with an exact cost, both
+are neighbouring cycles of send intervals. If a policy divides its threshold among links, the shares are tuned first.
 
-Joint tuning of the period of the checks and the threshold, at a given rate.
+``tune_period`` also tunes the period τ of the checks, at a given rate: τ is halved, and the threshold is tuned again,
+until a halving gains less than a hundredth of the excess over the cost of sending every sample.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 from taciturn._arrays import number
-from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages, answered_within, in_notebook
-from taciturn._text import Lines, pairs_text, percent, table_text
+from taciturn._text import pairs_text, percent
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import has_average
 from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.result import SPLICED, Field, Result, Tabular
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
@@ -35,7 +39,7 @@ from taciturn.study.search import Division, Look, Refinement, Search
 
 
 @dataclass(frozen=True, repr=False)
-class Parameter(Displayed):
+class Parameter(Result):
     """A tuned parameter with its standard error.
 
     Args:
@@ -66,6 +70,29 @@ class Parameter(Displayed):
         return f"{self.value:.{17 if alike else 6}g}"
 
 
+def _shares(found: Tuned) -> str:
+    return "" if found.shares is None else shares_text(found.shares)
+
+
+def _beyond(found: Tuned) -> dict[str, Any]:
+    """Return the document of the policy on the other side of a jump."""
+    rates = {link: rate.value for link, rate in found.evaluation.rates.items()}
+    traffic = found.evaluation.traffic
+    jump = {"value": found.parameter.value, "cost": found.evaluation.cost.value, "rates": rates}
+    return jump | ({} if traffic is None else {"traffic": traffic.value})
+
+
+def _beyond_text(found: Tuned) -> str:
+    other, parameter = found.beyond, found.parameter
+    if other is None:
+        return ""
+    rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
+    traffic = f", traffic {other.evaluation.traffic}" if found.goal.name == "traffic" else ""
+    text = f"{other.parameter.beside(parameter)}: {rates}{traffic}, cost {other.evaluation.cost}"
+    jump = f"the {found.goal.name} jumps across the budget; on the other side:"
+    return f"{jump} {parameter.name} = {text}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Tuned(Tabular):
     """A policy that meets a budget.
@@ -80,6 +107,14 @@ class Tuned(Tabular):
             at a jump.
         shares: tuned shares of the links, by name of the parameter that contains them; None if they were not tuned.
     """
+
+    FIELDS: ClassVar[tuple[Field[Tuned], ...]] = (
+        Field("parameter", say="", text=lambda found: [(found.parameter.name, str(found.parameter))]),
+        Field("budget", "budget", say="budget", text=lambda found: _budget_text(found)),
+        Field("evaluation", key=SPLICED),
+        Field("shares", optional=True, say="shares", text=_shares, after="parameter"),
+        Field("beyond", optional=True, json=_beyond, say="beyond", text=lambda found: _beyond_text(found)),
+    )
 
     goal: Goal
     parameter: Parameter
@@ -97,6 +132,11 @@ class Tuned(Tabular):
         """
         return self.goal.confidence(self.evaluation)
 
+    @property
+    def budget(self) -> dict[str, object]:
+        """The budget with its level, and the confidence with which the policy meets it."""
+        return {"of": self.goal.name, "at_most": self.goal.document, "confidence": self.confidence}
+
     def summary(self) -> Mapping[str, object]:
         """Return the parameter, the budget, and the cost and rates at this parameter by name."""
         found = self.evaluation
@@ -108,42 +148,17 @@ class Tuned(Tabular):
         shares = {} if self.shares is None else {"shares": shares_text(self.shares)}
         return {"parameter": self.parameter.short(), **shares, "budget": _budget_text(self), **self.evaluation.about()}
 
-    def columns(self) -> Columns:
+    def table_rows(self) -> Sequence[Any]:
         """Return the rows of the evaluation at the tuned parameter."""
-        return columns_of(self.evaluation.records())
+        return self.evaluation.table_rows()
+
+    def row_fields(self) -> tuple[Field[Any], ...]:
+        """Return the fields of these rows."""
+        return self.evaluation.row_fields()
 
     def __str__(self) -> str:
         """Return the text that ``taciturn tune`` prints."""
-        parameter = self.parameter
-        lines: Lines = [(parameter.name, str(parameter))]
-        lines += [] if self.shares is None else [("shares", shares_text(self.shares))]
-        lines.append(("budget", _budget_text(self)))
-        if self.beyond is not None:
-            other = self.beyond
-            rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
-            traffic = f", traffic {other.evaluation.traffic}" if self.goal.name == "traffic" else ""
-            text = f"{other.parameter.beside(parameter)}: {rates}{traffic}, cost {other.evaluation.cost}"
-            jump = f"the {self.goal.name} jumps across the budget; on the other side:"
-            lines.append(("beyond", f"{jump} {parameter.name} = {text}"))
-        return f"{pairs_text(lines)}\n{self.evaluation}"
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn tune --json``."""
-        parameter = {
-            "name": self.parameter.name,
-            "value": self.parameter.value,
-            "standard_error": self.parameter.standard_error,
-        }
-        budget = {"of": self.goal.name, "at_most": self.goal.document, "confidence": self.confidence}
-        found = {"parameter": parameter, "budget": budget} | self.evaluation.document()
-        if self.shares is not None:
-            found["shares"] = dict(self.shares)
-        if self.beyond is not None:
-            rates = {link: rate.value for link, rate in self.beyond.evaluation.rates.items()}
-            jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
-            traffic = self.beyond.evaluation.traffic
-            found["beyond"] = jump | ({} if traffic is None else {"traffic": traffic.value})
-        return found
+        return f"{pairs_text(self.lines())}\n{self.evaluation}"
 
 
 def _budget_text(found: Tuned) -> str:
@@ -391,39 +406,37 @@ class TunedPeriod(Tabular):
         tried: all results, from the longest period to the shortest, all at the requested rate.
     """
 
+    FIELDS: ClassVar[tuple[Field[TunedPeriod], ...]] = (
+        Field("period", lambda found: _period(found.best), say="period", text="{:g}"),
+        Field("best", key=SPLICED),
+        Field("periods", lambda found: found.row_documents()),
+    )
+
     best: Tuned
     tried: tuple[Tuned, ...]
 
-    def columns(self) -> Columns:
-        """Return one row per period: the parameter, the cost, and whether the policy is consistent."""
-        return columns_of(
-            [
-                {
-                    "period": one.problem.parameters["period"],
-                    one.parameter.name: one.parameter.beside(None),
-                    "cost": one.evaluation.cost,
-                    "consistency": one.evaluation.consistency,
-                }
-                for one in self.tried
-            ]
+    def table_rows(self) -> Sequence[Tuned]:
+        """Return the results, one per period."""
+        return self.tried
+
+    def row_fields(self) -> tuple[Field[Tuned], ...]:
+        """Return the period, the parameter, the cost, and whether the policy is consistent."""
+        name = self.best.parameter.name
+        return (
+            Field("period", _period, column="period", say="period", text="{:g}"),
+            Field(name, lambda one: one.parameter.beside(None), key="", column=name, say=name),
+            Field(name, "parameter.value"),
+            Field("cost", "evaluation.cost", json=lambda cost: cost.value, column="cost", say="cost"),
+            Field("consistency", "evaluation.consistency", column="consistency", say="consistent"),
         )
 
-    def __str__(self) -> str:
-        """Return the text that ``taciturn tune --least-period`` prints."""
-        return periods_text(self)
+    def remarks(self) -> Sequence[str]:
+        """Return the text of the best result."""
+        return [str(self.best)]
 
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn tune --least-period --json``."""
-        rows = [
-            {
-                "period": one.problem.parameters["period"],
-                one.parameter.name: one.parameter.value,
-                "cost": one.evaluation.cost.value,
-                "consistency": one.evaluation.consistency,
-            }
-            for one in self.tried
-        ]
-        return {"period": self.best.problem.parameters["period"]} | self.best.document() | {"periods": rows}
+
+def _period(found: Tuned) -> object:
+    return found.problem.parameters["period"]
 
 
 def tune_period(
@@ -514,19 +527,3 @@ def _gains(before: Tuned, after: Tuned) -> bool:
     cost, base = after.evaluation.cost, after.evaluation.cost_all_time
     above = cost.value - (0.0 if base is None else base)
     return before.evaluation.cost.value - cost.value > max(ENOUGH * above, cost.standard_error)
-
-
-def periods_text(found: TunedPeriod) -> str:
-    """Return the periods that were tried at a given rate, and the best of them."""
-    names = ["period", found.best.parameter.name, "cost", "consistent"]
-    rows = [
-        [
-            f"{one.problem.parameters['period']:g}",
-            one.parameter.beside(None),
-            str(one.evaluation.cost),
-            one.evaluation.consistency or "",
-        ]
-        for one in found.tried
-    ]
-    period = pairs_text([("period", f"{found.best.problem.parameters['period']:g}")])
-    return "\n".join([table_text(names, rows, 1), period, str(found.best)])
