@@ -20,7 +20,7 @@ Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 
 NO_VARIANCE = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
-DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
+_DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
 ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
 
 
@@ -75,10 +75,10 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
     """Return ``value`` as a read-only symmetric positive semidefinite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
-    if exceeds(scaled, -DEFINITENESS_TOLERANCE):
+    if exceeds(scaled, -_DEFINITENESS_TOLERANCE):
         return result
     smallest = float(np.linalg.eigvalsh(scaled)[0])
-    if smallest < -DEFINITENESS_TOLERANCE and not _is_rounding(result):
+    if smallest < -_DEFINITENESS_TOLERANCE and not _is_rounding(result):
         raise ProblemError(
             f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive semidefinite matrix "
             "(all eigenvalues ≥ 0)"
@@ -90,10 +90,10 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
     """Return ``value`` as a read-only symmetric positive definite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
-    if exceeds(scaled, DEFINITENESS_TOLERANCE):
+    if exceeds(scaled, _DEFINITENESS_TOLERANCE):
         return result
     smallest = float(np.linalg.eigvalsh(scaled)[0])
-    if smallest <= DEFINITENESS_TOLERANCE:
+    if smallest <= _DEFINITENESS_TOLERANCE:
         raise ProblemError(
             f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive definite matrix "
             "(all eigenvalues > 0)"
@@ -103,7 +103,7 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 def is_definite(matrix: Array) -> bool:
     """Return whether a symmetric matrix is positive definite and invertible, in any units of the variables."""
-    return bool((matrix.diagonal() > NO_VARIANCE).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
+    return bool((matrix.diagonal() > NO_VARIANCE).all()) and exceeds(_in_units(matrix), _DEFINITENESS_TOLERANCE)
 
 
 def exceeds(matrix: Array, bound: float) -> bool:

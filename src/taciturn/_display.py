@@ -9,10 +9,10 @@ from typing import Any, cast
 
 LONGEST = 200  # largest number of characters in a line
 SHORT = 60  # largest number of characters of one value in a line
-LISTED = 4  # longest vector that a line shows entry by entry
+_LISTED = 4  # longest vector that a line shows entry by entry
 WIDEST = 12  # most rows or columns of a matrix that a notebook shows entry by entry
 FULL = 10_000  # largest number of characters of one value in a notebook
-STYLE = "text-align: left; vertical-align: top"
+_STYLE = "text-align: left; vertical-align: top"
 
 
 class Displayed:
@@ -56,8 +56,8 @@ def html_pairs(title: str, named: Mapping[str, object]) -> str:
 
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return an HTML table of HTML cells, without colours, so that it suits light and dark notebooks."""
-    head = "".join(f'<th style="{STYLE}">{escape(title)}</th>' for title in header)
-    lines = ["".join(f'<td style="{STYLE}">{cell}</td>' for cell in row) for row in rows]
+    head = "".join(f'<th style="{_STYLE}">{escape(title)}</th>' for title in header)
+    lines = ["".join(f'<td style="{_STYLE}">{cell}</td>' for cell in row) for row in rows]
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     return f"<table>{f'<thead><tr>{head}</tr></thead>' if header else ''}<tbody>{body}</tbody></table>"
 
@@ -105,7 +105,7 @@ def _joined(ends: str, parts: Sequence[str], longest: int) -> str:
 
 
 def _array(value: Any) -> str:
-    if value.ndim == 1 and 0 < value.size <= LISTED:
+    if value.ndim == 1 and 0 < value.size <= _LISTED:
         return f"[{', '.join(map(brief, value.tolist()))}]"
     return f"{'×'.join(map(str, value.shape))} array" if value.ndim > 1 else f"array of {value.size}"
 

@@ -16,9 +16,9 @@ LONGEST_NAME = 28  # largest width of a column of names; longer names take sever
 SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
 FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
 ROUNDED = 12  # digits of a number that are not affected by rounding errors
-PROVED = 8  # digits of a percentage that are not affected by the radius of a proved number
-GAP = "  "
-FIXED = "\N{NO-BREAK SPACE}"
+_PROVED = 8  # digits of a percentage that are not affected by the radius of a proved number
+_GAP = "  "
+_FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
 
 
@@ -43,7 +43,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
     columns = [[row[i] for row in rows] for i in range(len(header))]
     wrapped = [_wrapped(title, max(map(len, column), default=0)) for title, column in zip(header, columns, strict=True)]
     widths = [max(map(len, [*title, *column])) for title, column in zip(wrapped, columns, strict=True)]
-    fixed = sum(widths[:names]) + len(GAP) * names
+    fixed = sum(widths[:names]) + len(_GAP) * names
     parts: list[list[int]] = [[]]
     used = fixed
     for i in range(names, len(header)):
@@ -51,7 +51,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
             parts.append([])
             used = fixed
         parts[-1].append(i)
-        used += widths[i] + len(GAP)
+        used += widths[i] + len(_GAP)
     return "\n\n".join(_part([*range(names), *part], wrapped, columns, widths, names) for part in parts)
 
 
@@ -96,7 +96,7 @@ def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up
         return f"{measured_text(value, spread)} %"
     way = {1: ROUND_CEILING, 0: ROUND_HALF_EVEN, -1: ROUND_FLOOR}[up]
     last = 5 - magnitude(value) if decimals is None or abs(value) >= LARGE else decimals
-    shown = Decimal(f"{value:.{PROVED}g}").quantize(Decimal(1).scaleb(-last), way)
+    shown = Decimal(f"{value:.{_PROVED}g}").quantize(Decimal(1).scaleb(-last), way)
     sign = "+" if signed and shown > 0 else ""
     if abs(value) >= LARGE:
         return f"{sign}{number_text(float(shown))} %"
@@ -163,7 +163,7 @@ def _part(
     titles = [[""] * (tall - len(wrapped[i])) + wrapped[i] for i in chosen]
     lines = zip(*(title + columns[i] for title, i in zip(titles, chosen, strict=True)), strict=True)
     return "\n".join(
-        GAP.join(
+        _GAP.join(
             cell.ljust(widths[i]) if i < names else cell.rjust(widths[i]) for cell, i in zip(line, chosen, strict=True)
         ).rstrip()
         for line in lines
@@ -173,7 +173,7 @@ def _part(
 def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) -> list[Sequence[str]]:
     """Return the rows with additional lines for long names, so that the widest other column fits next to the names."""
     widths = [max([len(row[i]) for row in rows] + [SHORTEST]) for i in range(len(header))]
-    room = WIDTH - len(GAP) * names - max(widths[names:], default=0)
+    room = WIDTH - len(_GAP) * names - max(widths[names:], default=0)
     limits = [min(width, LONGEST_NAME) for width in widths[:names]]
     while sum(limits) > room and max(limits) > SHORTEST:
         limits[limits.index(max(limits))] -= 1
@@ -197,9 +197,9 @@ def _hanging(first: str, text: str) -> list[str]:
     A number, its standard error and its percent sign stay on one line.
     """
     indent = " " * len(first)
-    text = re.sub("(?<=[0-9]) (?=[%±])|(?<=±) (?=[0-9])", FIXED, text)
+    text = re.sub("(?<=[0-9]) (?=[%±])|(?<=±) (?=[0-9])", _FIXED, text)
     return [
-        line.replace(FIXED, " ")
+        line.replace(_FIXED, " ")
         for paragraph, lead in zip(text.split("\n"), [first] + [indent] * text.count("\n"), strict=True)
         for line in textwrap.wrap(
             paragraph,

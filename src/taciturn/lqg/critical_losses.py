@@ -1,23 +1,21 @@
-"""Mean-square cost and growth of a loop over lossy links under a given gain.
+"""Mean-square cost and growth of a loop over lossy links, and the critical losses of a plant, with proofs.
 
-The cost-to-go has a weight K of the state and a weight P of the estimation error. One step of the loop is a linear map
-of the pairs (K, T), T = K + P:
+**Under a given gain** L, the cost-to-go has a weight K of the state and a weight P of the estimation error. One step of
+the loop is a linear map of the pairs (K, T), T = K + P:
 
     K ← M'KM + αᾱ L'YL,   T ← A'((1−β)K + βT)A,   M = A + ᾱBL,   Y = B'((1−φ)K + φT)B.
 
 These are two Lyapunov equations, coupled only by the symmetric matrix Y, whose size is the number of inputs. So a loop
-with sixty states needs only a few Lyapunov equations with sixty states, instead of one system of 7200 unknowns.
+with sixty states needs only a few Lyapunov equations with sixty states, instead of one system of 7200 unknowns. The map
+preserves the order of pairs. So if it maps a definite pair to a smaller one, the mean square is bounded.
 
-The map preserves the order of pairs. So if it maps a definite pair to a smaller one, the mean square is bounded.
+**Among all linear gains**, only modes on or outside the unit circle matter. Their coordinates are rows V with
+VA = A_u V: the rows of p(A), where p is the polynomial of the other modes, whose roots are known within balls. The
+farthest losses that some gain survives are approached by the secant method, from the best gain for smaller losses.
 
-Least growth of the mean square over lossy links among all linear gains, and critical losses, with proofs.
+*Survived losses:* some gain maps a definite pair of weights to a smaller one.
 
-Only modes on or outside the unit circle matter. Their coordinates are rows V with VA = A_u V: the rows of p(A), where p
-is the polynomial of the other modes, whose roots are known within balls.
-
-**Survived losses.** Some gain maps a definite pair of weights to a smaller one.
-
-**Losses that no linear gain survives.** T before a step does not depend on the gain, and one gain minimises K for all
+*Losses that no linear gain survives:* T before a step does not depend on the gain, and one gain minimises K for all
 states. So the best step is a map of pairs, (K, T) ← G(K, T), which preserves their order and is below the step of every
 gain. If G(K, T) ⪰ (K, T) for some semidefinite pair, then the weights vanish under no gain. Such a pair may be zero on
 some modes, such as those of an axis that survives more losses than another one. It is sought on the smallest set of
@@ -48,7 +46,22 @@ from taciturn.lqg.equation import relative
 from taciturn.lqg.quadratic import price
 from taciturn.lqg.riccati import regulate
 
-SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
+_SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
+TURNS = 200  # places that are tried on a path
+POLICIES = 8  # improvements of a gain at a place
+ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
+CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
+STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
+FASTER = 1.1  # first growth, relative to that without inputs
+SLOW = 0.99  # modulus above which a gain moves a mode that decays
+FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
+_NILPOTENT = 1e-6  # a growth below this counts as none
+SAME = 1e-7  # relative difference of losses that count as equal
+_POWERS = 100  # steps towards the pair of weights that grows fastest
+WIDE = 1e-6  # relative distance of the ends of a proof from which on both are named
+SHARP = 4 * UNIT  # radius of coordinates, with the rounding to doubles, relative to the largest
+MARGINS = (1e-9, 1e-7, 1e-5, 1e-3, 1e-2, 1e-1)  # distances of a loss from its critical value at which a proof is tried
+Link: TypeAlias = Literal["actuator", "sensor"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -207,7 +220,7 @@ class LossyStep(NamedTuple, Generic[E]):
         off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
         cost = np.sqrt(np.maximum(np.diag(price.middle), NO_VARIANCE))
         parts = [relative(form, size) for form, size in zip(missed, sizes, strict=True)]
-        least = max(float(np.linalg.eigvalsh(price.middle / cost / cost[:, None]).min(initial=1.0)), SINGULAR)
+        least = max(float(np.linalg.eigvalsh(price.middle / cost / cost[:, None]).min(initial=1.0)), _SINGULAR)
         slack = 4 * max(*parts, float(((off.most / cost[:, None]) ** 2 / sizes[0]).sum()) / least)
         off, price = (self.arriving(one - more.times(slack)) for one, more in ((off, turned), (price, pushed)))
         lower = falls[0].times(slack) + missed[0]
@@ -217,25 +230,6 @@ class LossyStep(NamedTuple, Generic[E]):
         if not (lower.definite() and (falls[1].times(slack) + missed[1]).definite() and all(above)):
             raise UnprovedError("the error of the cost-to-go is not proved")
         return slack
-
-
-TURNS = 200  # places that are tried on a path
-POLICIES = 8  # improvements of a gain at a place
-ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
-CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
-STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
-FASTER = 1.1  # first growth, relative to that without inputs
-SLOW = 0.99  # modulus above which a gain moves a mode that decays
-FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
-NILPOTENT = 1e-6  # a growth below this counts as none
-SAME = 1e-7  # relative difference of losses that count as equal
-POWERS = 100  # steps towards the pair of weights that grows fastest
-WIDE = 1e-6  # relative distance of the ends of a proof from which on both are named
-SHARP = 4 * UNIT  # radius of coordinates, with the rounding to doubles, relative to the largest
-MARGINS = (1e-9, 1e-7, 1e-5, 1e-3, 1e-2, 1e-1)  # distances of a loss from its critical value at which a proof is tried
-
-
-Link: TypeAlias = Literal["actuator", "sensor"]
 
 
 class Critical(NamedTuple):
@@ -339,7 +333,7 @@ class Lasting:
             return 0.0, self.of_states(np.zeros((self.B.shape[1], 0)))
         A, B, *_ = self.rough(self.modes)
         first = FASTER * self.size**2
-        last = max(NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
+        last = max(_NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
         found = follow(
             lambda fall, L: _loop(A, B, L, channel, first * (1 - fall)), np.zeros(B.T.shape), 1 - last / first
         )
@@ -422,7 +416,7 @@ class Lasting:
             if B.shape[1] >= B.shape[0]:  # the best of so many inputs move the modes anywhere
                 B = Balls.exact(np.eye(len(found.K)))
             K, T = found.K, found.T
-            for _ in range(POWERS):  # towards a pair that a step under the best gain multiplies
+            for _ in range(_POWERS):  # towards a pair that a step under the best gain multiplies
                 loop = _loop(A.middle, B.middle, _best(A.middle, B.middle, K, T, channel), channel)
                 K, T = loop.step(K, T)
                 if not np.trace(K) > 0:

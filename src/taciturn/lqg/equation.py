@@ -1,14 +1,18 @@
-"""The stabilising solution of a Riccati equation, with a proof of its error.
+"""Riccati equations, and sums along a stable map, each solved with a proof of its error.
 
-The problem is to minimise the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu with A + BL stable. Its solution is found
-in two parts.
+**Sums** X = Σ F^k W F'^k. Let X̂ be a candidate by repeated squaring, and Y the sum of F^k D F'^k for a diagonal D ≻ 0.
+If Y ≻ 0 and P = Y − FYF' ≻ 0, F is stable. If for a number ε also −εP ≺ FX̂F' + W − X̂ ≺ εP, the sum lies between
+X̂ − εY and X̂ + εY. The proof holds for every F and W within one rounding of the given ones, such as the closed loop
+A + BL that was computed in doubles.
 
-**A candidate** K, L, by structured doubling from a small definite terminal weight, in double precision or in balls. The
-small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
+**Riccati equations.** The sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu is to be minimised with A + BL stable.
+
+A candidate K, L follows by structured doubling from a small definite terminal weight, in double precision or in balls.
+The small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
 Newton's method corrects it.
 
-**A proof**, with enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k
-for a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
+The proof uses enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k for
+a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
 
     εP − (M + F'KF − K) ≻ 0,                       so that the gain L costs at most K + εX, and
 
@@ -20,19 +24,12 @@ it lies between K − εX and K + εX. This holds for every method that finds K 
 given: each is an enclosure of the exact one, such as the matrix of a sampled plant.
 
 The proof takes the gain as it is stored, rounded to doubles. If that fails, it takes the gain with all digits, and the
-solution says that its gain is not held by doubles.
+solution says that its gain is not held by doubles. The precision grows until the error is small enough.
 
-The precision grows until the error is small enough. In continuous time, the midpoint rule
-x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has the same stabilising solution for every
-step h (Cayley's transform), so its proof is the proof of the continuous-time equation.
+In continuous time, the midpoint rule x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has
+the same stabilising solution for every step h (Cayley's transform), so its proof is that of continuous time.
 
 Source: anderson1978, lancaster1995
-
-Sums of F^k W F'^k along a stable map F, with a proof of their error.
-
-Let X̂ be a candidate, and Y the sum of F^k D F'^k for a diagonal D ≻ 0. If Y ≻ 0 and P = Y − FYF' ≻ 0, F is stable. If
-for a number ε also −εP ≺ FX̂F' + W − X̂ ≺ εP, the sum lies between X̂ − εY and X̂ + εY. The proof holds for every F and
-W within one rounding of the given ones, such as the closed loop A + BL that was computed in doubles.
 """
 
 from __future__ import annotations
@@ -56,7 +53,14 @@ from taciturn.errors import UnstableError
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
 from taciturn.lqg.quadratic import Before, Free, Quadratic, Span, Worth, free_inputs, in_powers_of_two, worth_of
 
+FEW = 10  # most states for which balls are faster than doubles with bounds
+ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
+CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
+LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
 TURNS = 100  # doublings
+CORRECTIONS = 2  # steps of Newton's method
+_FAST = 10.0  # growth within a step from which on it is named as a reason
+CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
@@ -176,16 +180,6 @@ def total(arithmetic: type[E], F: E, M: E) -> E:
             return found
         power = (power @ power).centre()
     raise UnprovedError("the closed loop does not forget")
-
-
-FEW = 10  # most states for which balls are faster than doubles with bounds
-ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
-CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
-LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
-TURNS = 100  # doublings
-CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
-CORRECTIONS = 2  # steps of Newton's method
-FAST = 10.0  # growth within a step from which on it is named as a reason
 
 
 class Equation(NamedTuple, Generic[E]):
@@ -479,7 +473,7 @@ def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
 def not_held(what: str, A: Array, lacking: str) -> UnstableError:
     """Return the error that a gain needs more digits than it is stored with, and what those that are stored lack."""
     grows, often = radius(A), ""
-    if grows > FAST:
+    if grows > _FAST:
         lacking, often = f"{lacking}; the plant grows by up to {grows:.1e} within a step", "a shorter period, "
     return UnstableError(
         f"the optimal gain of the {what} has more digits than a double holds: {lacking}; expected {often}modes that "

@@ -1,4 +1,17 @@
-"""Steady Kalman filters, including filters for noise-free measurements."""
+"""Steady Kalman filters, including filters for noise-free measurements.
+
+    Σ̃ = AΣA' + W,   S = CΣ̃C' + V,   gain = Σ̃C'S⁻¹,   Σ = Σ̃ − gain S gain'
+
+The prior covariance Σ̃ is the stabilising solution of the Riccati equation of the dual problem (A', C', W, V), which is
+solved with a proof of its error (``equation``). The dual of a state without a cost-to-go is a state that is known for
+ever; the dual of an input that costs nothing is a combination of outputs that is known in advance, in whose direction
+S is singular and the gain is that of a stable observer. Σ is computed in Joseph's form, which stays semidefinite:
+
+    Σ = (I − gain C) Σ̃ (I − gain C)' + gain V gain'.
+
+Modes on the unit circle that no noise reaches and no output shows keep their first uncertainty: their covariance and
+gain are 0 (``resting_states``). If no stable filter exists, the error names the mode that is the reason.
+"""
 
 from __future__ import annotations
 

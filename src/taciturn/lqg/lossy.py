@@ -1,6 +1,22 @@
 """Optimal control over links that drop packets: finite-horizon and steady gains, and critical loss probabilities.
 
-The actuator applies zero if no packet arrives. A packet of the sensor link contains the state.
+The actuator applies zero if no packet arrives. A packet of the sensor link contains the state. With the losses α of the
+actuator link and β of the sensor link, the cost-to-go has a weight K of the estimate and a weight P of its error:
+
+    M = R + B'(K + αφP)B without acknowledgements, or R + B'KB with them,   L = −M⁻¹B'KA,
+    Γ = (1−α) A'KB M⁻¹ B'KA,   K ← Q + A'KA − Γ,   P ← Γ + βA'PA,   φ = β, or 1 with a delay of one step.
+
+**Steady gains** are the fixed point. Policy iteration finds it: the cost of a stabilising gain from coupled Lyapunov
+equations (``critical_losses``), then the best gain for this cost. This converges quadratically, and all its gains are
+stabilising; the first one is that of the plant without losses, or one that survives the most losses.
+
+**The proof.** One step under a gain maps the pairs (K, T), T = K + P, to larger pairs for larger pairs, and the best
+gain is the best one for both weights, since T⁺ does not depend on it. So pairs have the proof of ``equation``. Let
+(X, Z) ≻ 0 be a pair that the step without stage costs maps to a pair below (X, Z): then L stabilises in mean square. If
+the step under L maps (K, T) + ε(X, Z) to a smaller pair, L costs at most this pair. If the best step maps
+(K, T) − ε(X, Z) to a larger pair, no stabilising gain costs less. The gain is the one that is stored, in doubles.
+
+Source: khashooei2017, schenato2007
 """
 
 from __future__ import annotations
@@ -57,6 +73,141 @@ class LossyRegulator(Displayed):
     L: Array
     Gamma: Array
     error: Array
+
+
+def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
+    """Return the gains that minimise the infinite-horizon average cost over links that drop packets.
+
+    They are the fixed point of :func:`lossy_step`.
+
+    The gains are computed by policy iteration: the cost of a stabilising gain from linear equations, then the best gain
+    for this cost. This converges quadratically, and all its gains are stabilising. Balls, or doubles with bounds on
+    their rounding, prove that the gain as it is stored is stabilising, and the errors of the costs.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        Q: (n, n) semidefinite state weight.
+        R: (m, m) semidefinite input weight.
+        channel: loss probabilities, acknowledgement and delay.
+
+    Returns:
+        The gains; the average cost of sending every sample is tr((K + φP)W).
+
+    Raises:
+        UnstableError: the losses exceed those that mean-square stability allows (the message has the critical values),
+            or the cost of some state is not proved to nine digits.
+
+    Source: khashooei2017, schenato2007
+    """
+    given = Quadratic(A, B, Q, R, np.zeros_like(B))
+    seen = states_with_cost(*given)
+    found = _fixed_point(given.among(seen), channel)
+    to = np.eye(len(seen))[:, seen]
+    K, P, Gamma, error = (frozen(to @ form @ to.T) for form in (found.K, found.P, found.Gamma, found.error))
+    return LossyRegulator(K, P, frozen(found.L @ to.T), Gamma, error)
+
+
+def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
+    """Return the gains of a problem whose states all have a cost-to-go."""
+    A, B, Q, R, N = given
+    plain = regulate(*given)  # raises an error for uncontrollable modes and for modes that do not affect the cost
+    state, unit = in_powers_of_two(plain.K.diagonal()), in_powers_of_two(plain.H.diagonal())
+    here = Quadratic(
+        A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None], R * unit * unit[:, None], N
+    )
+    L = plain.L * state / unit[:, None]
+    if MeanSquare(here.A, here.B, L, channel).weights() is None:
+        plant = Lasting(A, B)
+        gain = plant.gain(channel)
+        if gain is None:
+            raise UnstableError(
+                f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
+            )
+        L = gain * state / unit[:, None]
+    K, T = _iterated(here, L, channel)
+    reason = UnprovedError()
+    for bits in (0, *PRECISIONS) if len(A) > FEW else PRECISIONS:
+        check_time()
+        try:
+            with precision(max(bits, PRECISIONS[0])), np.errstate(all="ignore"):
+                found = _proved(Balls, here, K, T, channel) if bits else _proved(Doubles, here, K, T, channel)
+        except UnprovedError as error:
+            reason = error
+            continue
+        K, P, Gamma, error = (frozen(found[i] / state / state[:, None]) for i in (0, 1, 3, 4))
+        return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
+    raise UnstableError(
+        f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
+        "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
+        "states that decay faster"
+    )
+
+
+def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
+    """Return K and T = K + P by policy iteration in double precision, from a stabilising gain."""
+    previous = np.inf
+    for _ in range(TURNS):
+        check_time()
+        try:
+            K, T = _cost_of(here, L, channel)
+        except np.linalg.LinAlgError:  # the mean square grows, or hardly decays
+            break
+        following = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
+        change = float(max(np.abs(following[0] - K).max(), np.abs(following[0] + following[1] - T).max()))
+        if change <= 1e-13 * float(np.abs(K).max()) or not change < 0.5 * previous:
+            return K, T
+        previous, L = change, following[2]
+    raise UnstableError(
+        "the gains over lossy links could not be computed: the cost of a gain is too large; expected losses further "
+        "from their critical values"
+    )
+
+
+def _cost_of(given: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
+    """Return K and T = K + P of a gain: the sum of the stage costs."""
+    stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
+    return MeanSquare(given.A, given.B, L, channel).solve(stage, given.Q)
+
+
+def _proved(
+    arithmetic: type[E], here: Quadratic, K: Array, T: Array, channel: Channel
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return K, P, L and Γ near given K and T = K + P, and a proved bound on the error of the cost K + φP of L."""
+    exact, reason = arithmetic.exact, UnprovedError()
+    A, B, Q, R = (exact(part) for part in here[:4])
+    own, both = exact(K), exact(T)
+    for _ in range(CORRECTIONS):
+        price = (R + LossyStep(A, B, Q, R, R, channel).felt(own, both)).centre()  # it needs no gain
+        L = solve(price, (B.T @ own @ A).centre()).times(-1.0).middle
+        loop, step = MeanSquare(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
+        try:
+            missed = step.missed(own, both)
+            own, both = (
+                (one + exact(more)).centre()
+                for one, more in zip((own, both), loop.solve(missed[0].middle, missed[1].middle), strict=True)
+            )
+            scale = [sizes(here.A, here.Q, one.middle, CRUMB) for one in (own, both)]
+            X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in scale)))
+        except np.linalg.LinAlgError as error:
+            raise UnprovedError("the cost of the gain is too large") from error
+        try:
+            slack = step.proved(own, both, X, Z, scale)
+        except UnprovedError as error:
+            reason = error
+            continue
+        errors = [slack * form.middle for form in (X, Z)]
+        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
+            break
+        reason = UnprovedError("the error of the cost-to-go is too large")
+    else:
+        raise reason
+    K, T = symmetrised(own.middle), symmetrised(both.middle)
+    Gamma = symmetrised((1 - channel.actuator_loss) * L.T @ price.middle @ L)
+    P = symmetrised(Gamma + channel.sensor_loss * here.A.T @ (T - K) @ here.A)
+    phi = channel.exposure
+    rounding = np.abs(K + P - T).sum(axis=1) + 4 * UNIT * np.abs(T).sum(axis=1)
+    return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
 
 
 def lossy_step(
@@ -174,142 +325,6 @@ def _recursion_in_balls(
     return K_all, P_all, L_all, Gamma_all
 
 
-def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
-    """Return the gains that minimise the infinite-horizon average cost over links that drop packets.
-
-    They are the fixed point of :func:`lossy_step`.
-
-    The gains are computed by policy iteration: the cost of a stabilising gain from linear equations, then the best gain
-    for this cost. This converges quadratically, and all its gains are stabilising. Balls, or doubles with bounds on
-    their rounding, prove that the gain as it is stored is stabilising, and the errors of the costs.
-
-    Args:
-        A: (n, n) dynamics.
-        B: (n, m) input matrix.
-        Q: (n, n) semidefinite state weight.
-        R: (m, m) semidefinite input weight.
-        channel: loss probabilities, acknowledgement and delay.
-
-    Returns:
-        The gains; the average cost of sending every sample is tr((K + φP)W).
-
-    Raises:
-        UnstableError: the losses exceed those that mean-square stability allows (the message has the critical values),
-            or the cost of some state is not proved to nine digits.
-
-    Source: khashooei2017, schenato2007
-    """
-    given = Quadratic(A, B, Q, R, np.zeros_like(B))
-    seen = states_with_cost(*given)
-    found = _fixed_point(given.among(seen), channel)
-    to = np.eye(len(seen))[:, seen]
-    K, P, Gamma, error = (frozen(to @ form @ to.T) for form in (found.K, found.P, found.Gamma, found.error))
-    return LossyRegulator(K, P, frozen(found.L @ to.T), Gamma, error)
-
-
-def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
-    """Return the gains of a problem whose states all have a cost-to-go."""
-    A, B, Q, R, N = given
-    plain = regulate(*given)  # raises an error for uncontrollable modes and for modes that do not affect the cost
-    state, unit = in_powers_of_two(plain.K.diagonal()), in_powers_of_two(plain.H.diagonal())
-    here = Quadratic(
-        A * state / state[:, None], B * unit / state[:, None], Q * state * state[:, None], R * unit * unit[:, None], N
-    )
-    L = plain.L * state / unit[:, None]
-    if MeanSquare(here.A, here.B, L, channel).weights() is None:
-        plant = Lasting(A, B)
-        gain = plant.gain(channel)
-        if gain is None:
-            raise UnstableError(
-                f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
-            )
-        L = gain * state / unit[:, None]
-    K, T = _iterated(here, L, channel)
-    reason = UnprovedError()
-    for bits in (0, *PRECISIONS) if len(A) > FEW else PRECISIONS:
-        check_time()
-        try:
-            with precision(max(bits, PRECISIONS[0])), np.errstate(all="ignore"):
-                found = _proved(Balls, here, K, T, channel) if bits else _proved(Doubles, here, K, T, channel)
-        except UnprovedError as error:
-            reason = error
-            continue
-        K, P, Gamma, error = (frozen(found[i] / state / state[:, None]) for i in (0, 1, 3, 4))
-        return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
-    raise UnstableError(
-        f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
-        "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
-        "states that decay faster"
-    )
-
-
-def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
-    """Return K and T = K + P by policy iteration in double precision, from a stabilising gain."""
-    previous = np.inf
-    for _ in range(TURNS):
-        check_time()
-        try:
-            K, T = _cost_of(here, L, channel)
-        except np.linalg.LinAlgError:  # the mean square grows, or hardly decays
-            break
-        following = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
-        change = float(max(np.abs(following[0] - K).max(), np.abs(following[0] + following[1] - T).max()))
-        if change <= 1e-13 * float(np.abs(K).max()) or not change < 0.5 * previous:
-            return K, T
-        previous, L = change, following[2]
-    raise UnstableError(
-        "the gains over lossy links could not be computed: the cost of a gain is too large; expected losses further "
-        "from their critical values"
-    )
-
-
-def _proved(
-    arithmetic: type[E], here: Quadratic, K: Array, T: Array, channel: Channel
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Return K, P, L and Γ near given K and T = K + P, and a proved bound on the error of the cost K + φP of L.
-
-    One step under a gain maps the pairs (K, T) to larger pairs for larger pairs, and the best gain is the best one for
-    both weights, since T⁺ does not depend on it. So pairs have the proof of ``stabilising``. Let (X, Z) ≻ 0 be a pair
-    that the step without stage costs maps to a pair below (X, Z): then L stabilises in mean square. If the step under L
-    maps (K, T) + ε(X, Z) to a smaller pair, L costs at most this pair. If the best step maps (K, T) − ε(X, Z) to a
-    larger pair, no stabilising gain costs less. The gain is the one that is stored, in doubles.
-    """
-    exact, reason = arithmetic.exact, UnprovedError()
-    A, B, Q, R = (exact(part) for part in here[:4])
-    own, both = exact(K), exact(T)
-    for _ in range(CORRECTIONS):
-        price = (R + LossyStep(A, B, Q, R, R, channel).felt(own, both)).centre()  # it needs no gain
-        L = solve(price, (B.T @ own @ A).centre()).times(-1.0).middle
-        loop, step = MeanSquare(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
-        try:
-            missed = step.missed(own, both)
-            own, both = (
-                (one + exact(more)).centre()
-                for one, more in zip((own, both), loop.solve(missed[0].middle, missed[1].middle), strict=True)
-            )
-            scale = [sizes(here.A, here.Q, one.middle, CRUMB) for one in (own, both)]
-            X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in scale)))
-        except np.linalg.LinAlgError as error:
-            raise UnprovedError("the cost of the gain is too large") from error
-        try:
-            slack = step.proved(own, both, X, Z, scale)
-        except UnprovedError as error:
-            reason = error
-            continue
-        errors = [slack * form.middle for form in (X, Z)]
-        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
-            break
-        reason = UnprovedError("the error of the cost-to-go is too large")
-    else:
-        raise reason
-    K, T = symmetrised(own.middle), symmetrised(both.middle)
-    Gamma = symmetrised((1 - channel.actuator_loss) * L.T @ price.middle @ L)
-    P = symmetrised(Gamma + channel.sensor_loss * here.A.T @ (T - K) @ here.A)
-    phi = channel.exposure
-    rounding = np.abs(K + P - T).sum(axis=1) + 4 * UNIT * np.abs(T).sum(axis=1)
-    return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
-
-
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
     """Return the critical loss probability of each link at the given loss probability of the other link.
 
@@ -369,9 +384,3 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
     """Return the factor by which the mean square of a noise-free loop with a given gain grows per step."""
     return MeanSquare(A, B, L, channel).growth()
-
-
-def _cost_of(given: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
-    """Return K and T = K + P of a gain: the sum of the stage costs."""
-    stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
-    return MeanSquare(given.A, given.B, L, channel).solve(stage, given.Q)

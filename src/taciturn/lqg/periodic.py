@@ -1,17 +1,19 @@
-"""Optimal gains and exact cost of control whose input is updated only at fixed steps of a repeating cycle.
+"""Optimal control with sends at fixed steps: one input that is held in a cycle of intervals, or links with own periods.
 
-An interval of k steps is one step of a slower plant, the lifted plant. A cycle of intervals is one step of an even
-slower plant, whose input contains the inputs of all sends. One Riccati equation gives the cost-to-go at the start of
-the cycle; one backward step per interval gives the other costs-to-go and the gains.
+**One link.** An interval of k steps with a constant input is one step of a slower plant, the lifted plant:
 
-Optimal control over several links that send at fixed steps, each with a period and a phase of its own.
+    A^k,   B_k = Σ_{j<k} A^j B,   weights Σ_{j<k} F'^j M F^j with F = [[A, B], [0, I]] and M = [[Q, N], [N', R]].
 
-A packet of a sensor contains all its measurements so far. So the error covariance of the estimate at a step depends
-only on the age of the last packet of each sensor: it is that of the Kalman filter of all sensors at the oldest of these
-packets, continued with the measurements of the sensors whose packets are newer. A packet to an actuator contains an
-input that the actuator holds, or the inputs of all steps until the next packet. Both are states of a periodic linear
-quadratic problem. Since the information of the controller does not depend on its inputs, the optimal gains are those of
-a known state, and the error of the estimate adds tr(L'HL P).
+A cycle of intervals is one step of an even slower plant, whose input contains the inputs of all sends. One Riccati
+equation gives the cost-to-go at the start of the cycle; one backward step per interval gives the other costs-to-go and
+the gains. Many cycles are first screened by doubling without an error check.
+
+**Several links,** each with a period and a phase of its own. A packet of a sensor contains all its measurements so far.
+So the error covariance of the estimate at a step depends only on the age of the last packet of each sensor: it is that
+of the Kalman filter of all sensors at the oldest of these packets, continued with the measurements of the sensors whose
+packets are newer. A packet to an actuator contains an input that the actuator holds, or the inputs of all steps until
+the next packet. Both are states of a periodic linear quadratic problem. Since the information of the controller does
+not depend on its inputs, the optimal gains are those of a known state, and the error of the estimate adds tr(L'HL P).
 """
 
 from __future__ import annotations
@@ -41,6 +43,9 @@ from taciturn.model.network import Network
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
 CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
+SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
+LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
+MOST_STEPS = 20_000  # steps of the backward iteration
 
 
 def lift(
@@ -237,11 +242,6 @@ def _extended(head: tuple[int, ...], left: int, sends: int, intervals: Sequence[
     for interval in reversed(intervals):
         if interval <= min(head[0] if head else left, left - missing + 1):
             yield from _extended((*head, interval), left - interval, sends, intervals)
-
-
-SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
-LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
-MOST_STEPS = 20_000  # steps of the backward iteration
 
 
 class Timing(NamedTuple):

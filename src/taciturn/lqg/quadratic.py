@@ -1,15 +1,18 @@
-"""Linear-quadratic problems in double precision: their matrices, the price of an input, and many steps of them.
+"""Linear-quadratic problems in double precision: matrices, the price of an input, many steps, and their structure.
 
-Structure of a problem: states without a cost-to-go, and inputs that cost nothing, which are left out of equations.
+One step back changes a cost-to-go K to Q + A'KA − (A'KB + N)H⁻¹(B'KA + N') with the weight H = R + B'KB of an input.
+Many steps are a ``Span``: relative to a terminal weight X ≻ 0, they map a change Δ of it to K + F'Δ(I + GΔ)⁻¹F. Spans
+compose, so that 2^k steps take k compositions (structured doubling).
 
-States whose cost-to-go is exactly zero are, for example, registers that no noise reaches, and modes that nothing drives
-and that do not affect the cost. The cost of such a state has no natural size to which an error could be relative, and
-iterations only halve it towards zero. Which state affects which follows from the exact zeros of the matrices.
+Some states and inputs are left out before an equation is solved:
 
-An input that costs nothing, now or later, moves states within a subspace in which other such inputs keep them (the
-largest controllability subspace on which the cost is zero). For a filter, it is a combination of outputs that is known
-in advance. The weight R + B'KB of such an input is zero, so no gain follows from the Riccati equation. The subspace is
-computed in rational numbers: a double is one, and so is a rank of doubles.
+* States whose cost-to-go is exactly zero, for example registers that no noise reaches, and modes that nothing drives
+  and that do not affect the cost. The cost of such a state has no natural size to which an error could be relative, and
+  iterations only halve it towards zero. Which state affects which follows from the exact zeros of the matrices.
+* Inputs that cost nothing, now or later. They move states within a subspace in which other such inputs keep them (the
+  largest controllability subspace on which the cost is zero). For a filter, such an input is a combination of outputs
+  that is known in advance. The weight H of such an input is zero, so no gain follows from the Riccati equation. The
+  subspace is computed in rational numbers: a double is one, and so a rank of doubles has an exact answer.
 
 Source: trentelman2001
 """
@@ -45,6 +48,7 @@ from taciturn._rational import (
 
 TURNS = 40  # 2^40 steps
 SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
+MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
 class Quadratic(NamedTuple):
@@ -198,9 +202,6 @@ def _divided(matrix: Array, right: Array) -> Array:
 def in_powers_of_two(sizes: Array) -> Array:
     """Return 1/√size as powers of two, the units in which a form with this diagonal has entries near 1; 1 for 0."""
     return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)) / 2))
-
-
-MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
 class Worth(NamedTuple):

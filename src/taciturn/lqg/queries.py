@@ -1,6 +1,25 @@
-"""Schedules of sensor queries, computed from the value of a measurement to the controller.
+"""Schedules of sensor queries, from the value of a measurement to the controller, or from the variances of outputs.
 
-Schedules of several sensors, computed from the variances of the predicted outputs.
+The controller uses the measurement of step k at step k + 1. Let Ric(Σ) be the next error covariance with a measurement,
+and P the weight of the error in the cost. If all later steps query the sensor, a query at Σ saves
+
+    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),   D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ),
+
+and ``schedule_queries`` queries the sensor if h(Σ_k) exceeds the price of a query. ``schedule_by_variance`` queries the
+sensors of which the variance of a predicted output exceeds a threshold. Both end when the covariance returns to an
+earlier one (Brent's algorithm), so that the schedule repeats.
+
+The differences are computed without subtraction: D_0 = G(CΣC' + V)G' with the gain G of Σ. The others follow from the
+recursion in closed form, relative to the steady covariance Σ̄: with F̄ = A − ḠC and
+O_s = Σ_{j<s} F̄'^j C'(CΣ̄C' + V)⁻¹C F̄^j,
+
+    Ric^s(X) − Ric^s(Y) = F̄^s (I + (X − Σ̄)O_s)⁻¹ (X − Y) (I + O_s(Y − Σ̄))⁻¹ F̄'^s.
+
+The parts that do not depend on Σ are computed once. Over a block of many steps, the terms of a slow filter are smooth:
+the sum over a block is that over a few of its steps, near those of Gauss and Legendre. If V is singular, or Σ does not
+converge to Σ̄, the differences are computed step by step.
+
+Source: khashooei2017
 """
 
 from __future__ import annotations
@@ -31,21 +50,19 @@ FORGOTTEN = 1e-12  # remaining fraction of an error that is negligible, as its s
 MOST, NUMBERS = 100_000, 20_000_000  # most steps of a closed form, and most entries of all their matrices
 DENSE, NODES = 64, 24  # most steps of a block that are all summed, and steps of a longer block
 EXACT = 1e-13  # relative error of a block
-CONDITION = 1e6  # largest condition number of the inverted matrix, for nine accurate digits
+_CONDITION = 1e6  # largest condition number of the inverted matrix, for nine accurate digits
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as equal when a cycle is sought
-FORGOTTEN = 1e-20  # share of the largest weighed variance of a state below which later steps do not count
+WEIGHTLESS = 1e-20  # share of the largest weighed variance of a state below which later steps do not count
 USUAL = 1000  # steps within which most covariances converge
 LONGEST = 100_000  # steps within which a schedule must repeat
 WORK = 6e10  # longest time for one schedule, approximate nanoseconds
-VALUE, TERM, STEP = (
-    6e5,
-    2e3,
-    1.5e5,
-)  # nanoseconds: for one value of a query, for a term of its sum, for a term that is computed step by step
+# nanoseconds: for one value of a query, for a term of its sum, for a term that is computed step by step
+VALUE, TERM, STEP = 6e5, 2e3, 1.5e5
 SILENT = 1, 16, 256  # steps without a query before which the sum over few steps is checked
 CHUNK = 512  # steps whose matrices are computed together
 APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
+Sensors = Mapping[str, Sequence[int]]  # the outputs of each sensor by its link; the other outputs are always measured
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,6 +81,29 @@ class Weights(Displayed):
     def horizon(self) -> int | None:
         """Number of steps of the horizon, or None for an infinite horizon."""
         return len(self.P) if self.P.ndim == 3 else None
+
+
+def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
+    """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ.
+
+    It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever, such
+    as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state would
+    not decay.
+    """
+    unknown = _unknown_states(plant, initial)
+    block = np.ix_(unknown, unknown)
+    A, W, C, first = plant.A[block], plant.W[block], plant.C[:, unknown], initial[block]
+    found = _scheduled(A, plant.B[unknown], W, C, plant.V, weights.P[..., *block], weights.discount, price, first)
+    covariance = np.zeros((len(found.covariance), plant.states, plant.states))
+    covariance[:, *block] = found.covariance
+    return replace(found, covariance=frozen(covariance))
+
+
+def _unknown_states(plant: Plant, initial: Array) -> Bits:
+    """Return a mask of the states that noise or the initial covariance makes uncertain at some step; all if none is."""
+    uncertain = (plant.W.diagonal() > 0) | (initial.diagonal() > 0)
+    found = closure(uncertain, np.asarray(plant.A != 0, dtype=np.bool_))
+    return found if found.any() else ~found
 
 
 class Predictor:
@@ -149,12 +189,7 @@ class Predictor:
 
 
 class _Flow(NamedTuple):
-    """Filter Riccati recursion Ric^s over s = 0, 1, … steps in closed form, relative to the steady covariance Σ̄.
-
-    With F̄ = A − ḠC and O_s = Σ_{j<s} F̄'^j C'(CΣ̄C' + V)^{-1}C F̄^j, any two covariances X and Y satisfy
-
-        Ric^s(X) − Ric^s(Y) = F̄^s (I + (X − Σ̄)O_s)^{-1} (X − Y) (I + O_s(Y − Σ̄))^{-1} F̄'^s.
-    """
+    """Closed form of the filter's Riccati recursion over s = 0, 1, … steps, relative to the steady covariance Σ̄."""
 
     steady: Array  # Σ̄, the steady covariance, (n, n)
     unit: Array  # standard deviation of each state, (n,)
@@ -165,7 +200,7 @@ class _Flow(NamedTuple):
     def attracts(self, covariances: Array) -> bool:
         """Return whether given covariances converge to the steady covariance, so that the closed form is accurate."""
         off = (covariances - self.steady) @ self.observed[-1]
-        return bool((np.linalg.cond(np.eye(len(self.unit)) + off / self.unit[:, None] * self.unit) < CONDITION).all())
+        return bool((np.linalg.cond(np.eye(len(self.unit)) + off / self.unit[:, None] * self.unit) < _CONDITION).all())
 
     def weighed(self, P: Array, discount: float) -> Array:
         """Return α^{s+1} F̄'^s P F̄^s for every step s and, if P is the same in all, the sum over all later steps."""
@@ -390,29 +425,6 @@ class QueryValue:
         )
 
 
-def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
-    """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ.
-
-    It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever, such
-    as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state would
-    not decay.
-    """
-    unknown = _unknown_states(plant, initial)
-    block = np.ix_(unknown, unknown)
-    A, W, C, first = plant.A[block], plant.W[block], plant.C[:, unknown], initial[block]
-    found = _scheduled(A, plant.B[unknown], W, C, plant.V, weights.P[..., *block], weights.discount, price, first)
-    covariance = np.zeros((len(found.covariance), plant.states, plant.states))
-    covariance[:, *block] = found.covariance
-    return replace(found, covariance=frozen(covariance))
-
-
-def _unknown_states(plant: Plant, initial: Array) -> Bits:
-    """Return a mask of the states that noise or the initial covariance makes uncertain at some step; all if none is."""
-    uncertain = (plant.W.diagonal() > 0) | (initial.diagonal() > 0)
-    found = closure(uncertain, np.asarray(plant.A != 0, dtype=np.bool_))
-    return found if found.any() else ~found
-
-
 @kept
 def _scheduled(
     A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
@@ -425,7 +437,7 @@ def _scheduled(
         check_time()
         value.append(worth(covariance[-1], tick))
         covariance.append(predictor.follow(covariance[-1], value[-1] > price))
-        cycle = None if horizon is not None else cycle_of(predictor, covariance)
+        cycle = None if horizon is not None else _cycle_of(predictor, covariance)
         if cycle is not None:
             return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
     if horizon is None:
@@ -462,13 +474,13 @@ def follow_every_query(
         check_time()
         covariance.append(predictor.follow(covariance[-1], True))
         if horizon is None:
-            cycle = cycle_of(predictor, covariance)
+            cycle = _cycle_of(predictor, covariance)
             if cycle is not None:
                 return frozen(np.array(covariance[: cycle[1]])), cycle[0]
             weight *= discount
             weighed = weight * covariance[-1].diagonal()
             largest = np.maximum(largest, weighed)
-            if len(covariance) > USUAL and (weighed <= FORGOTTEN * (1 - discount) * largest).all():
+            if len(covariance) > USUAL and (weighed <= WEIGHTLESS * (1 - discount) * largest).all():
                 return frozen(np.array(covariance)), len(covariance) - 1
             continue
         period = repetition.period(len(covariance), covariance[-1])
@@ -491,11 +503,11 @@ def _schedule(
     queries = values > price
     queries.setflags(write=False)  # designs share a schedule
     found = Schedule(queries, values, frozen(np.array(covariance)), price, start, discount)
-    expect_queries(plant, found)
+    _expect_queries(plant, found)
     return found
 
 
-def expect_queries(plant: Plant, schedule: Schedule) -> None:
+def _expect_queries(plant: Plant, schedule: Schedule) -> None:
     """Raise an ``UnstableError`` if the plant is unstable and no query is in the repeating part of a schedule."""
     moving, start = ~resting_states(plant), schedule.start
     if start is not None and not schedule.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
@@ -506,7 +518,7 @@ def expect_queries(plant: Plant, schedule: Schedule) -> None:
         )
 
 
-def cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
+def _cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
     """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet.
 
     The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that one
@@ -520,9 +532,6 @@ def cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, in
     while start > 0 and predictor.change(covariance[start - 1], covariance[start - 1 + period]) <= SAME:
         start -= 1
     return start, start + period
-
-
-Sensors = Mapping[str, Sequence[int]]  # the outputs of each sensor by its link; the other outputs are always measured
 
 
 def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Schedule:
@@ -541,7 +550,7 @@ def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Sc
         if read not in predictors:
             predictors[read] = Predictor(plant, read)
         covariance.append(predictors[read].follow(covariance[-1], len(read) > 0))
-        cycle = cycle_of(every, covariance)
+        cycle = _cycle_of(every, covariance)
         if cycle is not None:
             return _repeating(plant, covariance[slice(*cycle)], value[slice(*cycle)], threshold, sensors)
     raise UnstableError(
@@ -571,7 +580,7 @@ def _repeating(
     values = frozen(values[:, 0] if len(sensors) == 1 else values)
     found = Schedule(values > threshold, values, frozen(np.array(covariance)), threshold, 0, links=(*sensors,))
     if sum(map(len, sensors.values())) == plant.outputs:
-        expect_queries(plant, found)
+        _expect_queries(plant, found)
     return found
 
 

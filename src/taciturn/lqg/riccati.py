@@ -1,11 +1,18 @@
 """Optimal state-feedback gains u = L x for infinite, discounted and finite horizons, and in continuous time.
 
-A cache of Riccati solutions, keyed by array bytes; the points of a sweep often have the same plant and cost.
+    K = Q + αA'KA − L'HL,   H = R + αB'KB,   L = −H⁻¹(αB'KA + N')
 
-Recursions over many steps that return to an earlier state bit for bit, after which they repeat.
+Without a horizon, ``equation`` solves this equation with a proof of its error. A discount α is a factor √α of A and B.
+If disturbances or set-points move states that cost nothing while the inputs follow them (``followed``), the problem of
+the deviations is solved instead. If there is no solution, the error names the mode that is the reason: it is sought in
+rational numbers, among the modes before sampling if these are known.
 
-A Riccati recursion converges up to rounding, and then stays constant or alternates between a few states. Each state
-determines the next one, so the remaining steps of a long horizon need no further computation.
+With a horizon the equation is a recursion. It converges up to rounding, and then stays constant or alternates between a
+few states. Each state determines the next one, so as soon as a state returns bit for bit (``Repetition``), the
+remaining steps of a long horizon need no further computation.
+
+The points of a sweep often have the same plant and cost, so solutions are cached by the bytes of the matrices
+(``kept``).
 """
 
 from __future__ import annotations
@@ -34,57 +41,6 @@ MOST = 16  # most results in the cache of a function
 
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
-
-
-class _Bits(NamedTuple):
-    shape: tuple[int, ...]
-    bits: bytes
-
-
-def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
-    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
-    loose = cast("Callable[..., T]", solve)
-
-    @lru_cache(maxsize=MOST)
-    def of_bits(*given: object) -> T:
-        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
-
-    @wraps(solve)
-    def found(*args: *Ts) -> T:
-        check_time()  # every design and every search for periodic control solves such equations
-        given = cast("tuple[Array | object, ...]", args)
-        return of_bits(*map(_hashable, given))
-
-    return found
-
-
-def _hashable(one: Array | object) -> object:
-    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
-
-
-class Repetition:
-    """Detection that a recursion has returned to an earlier state."""
-
-    def __init__(self) -> None:
-        """Start without states."""
-        # number and state of a step, by the hash of the state
-        self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
-
-    def period(self, step: int, *state: Array) -> int | None:
-        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet."""
-        key = hash(b"".join(part.tobytes() for part in state))
-        earlier, same = self._seen.setdefault(key, (step, state))
-        alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
-        return abs(step - earlier) if alike and step != earlier else None
-
-
-def fill_earlier(parts: tuple[Array, ...], step: int, period: int) -> None:
-    """Fill the steps before a step of a backward recursion that repeats after ``period`` steps."""
-    alike = step + (np.arange(step) - step) % period
-    for part in parts:
-        part[:step] = part[alike]
-
-
 __all__ = [
     "FiniteRegulator",
     "Regulator",
@@ -284,6 +240,32 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
         )
 
 
+class _Bits(NamedTuple):
+    shape: tuple[int, ...]
+    bits: bytes
+
+
+def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
+    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
+    loose = cast("Callable[..., T]", solve)
+
+    @lru_cache(maxsize=MOST)
+    def of_bits(*given: object) -> T:
+        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
+
+    @wraps(solve)
+    def found(*args: *Ts) -> T:
+        check_time()  # every design and every search for periodic control solves such equations
+        given = cast("tuple[Array | object, ...]", args)
+        return of_bits(*map(_hashable, given))
+
+    return found
+
+
+def _hashable(one: Array | object) -> object:
+    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
+
+
 @kept
 def regulate_sampled(
     exact: Exact | None, A: Array, B: Array, Q: Array, R: Array, N: Array, discount: float
@@ -403,3 +385,26 @@ def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:
         f"direction is free; expected every input to cost something; give {weight} a positive part, or remove the "
         "redundant input"
     )
+
+
+class Repetition:
+    """Detection that a recursion has returned to an earlier state."""
+
+    def __init__(self) -> None:
+        """Start without states."""
+        # number and state of a step, by the hash of the state
+        self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
+
+    def period(self, step: int, *state: Array) -> int | None:
+        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet."""
+        key = hash(b"".join(part.tobytes() for part in state))
+        earlier, same = self._seen.setdefault(key, (step, state))
+        alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
+        return abs(step - earlier) if alike and step != earlier else None
+
+
+def fill_earlier(parts: tuple[Array, ...], step: int, period: int) -> None:
+    """Fill the steps before a step of a backward recursion that repeats after ``period`` steps."""
+    alike = step + (np.arange(step) - step) % period
+    for part in parts:
+        part[:step] = part[alike]

@@ -1,24 +1,20 @@
-"""The average cost of a loop with the gains as they are stored, with a proof of its error.
+"""Stored gains: the average cost of their loop, and what their rounding adds to the cost of silence, with proofs.
 
-A controller with memory closes the loop around x⁺ = Ax + Bu + w, y = Cx + v. With the state ζ of plant and controller,
+**Average cost.** A controller with memory closes the loop around x⁺ = Ax + Bu + w, y = Cx + v. With the state ζ of
+plant and controller,
 
     ζ⁺ = F ζ + G w + J v,   u = T ζ + D v,
 
 and the stage cost ζ'Mζ + v'D'RDv, the average cost is tr(PΩ) + tr(D'RDV), with the covariance Ω = GWG' + JVJ' and the
 value P = M + F'PF. The matrices of the controller are the doubles that programs hold; A, B, the weights and W are
-enclosures of the exact ones, such as those of a sampled plant.
+enclosures of the exact ones, such as those of a sampled plant. The proof takes any P̃ and any X. If X ≻ 0, X − F'XF ≻ 0,
+and ε(X − F'XF) ± (M + F'P̃F − P̃) ≻ 0, the loop is stable and P̃ − εX ⪯ P ⪯ P̃ + εX. Then the cost is
+tr(P̃Ω) ± ε tr(XΩ), whatever terms of the trace cancel. States that the cost does not see, by the zeros of the matrices,
+are left out, and need not decay.
 
-The proof takes any P̃ and any X. If X ≻ 0, X − F'XF ≻ 0, and ε(X − F'XF) ± (M + F'P̃F − P̃) ≻ 0, the loop is stable and
-P̃ − εX ⪯ P ⪯ P̃ + εX. Then the cost is tr(P̃Ω) ± ε tr(XΩ), whatever terms of the trace cancel. The precision grows until
-the radius is small. States that the cost does not see, by the zeros of the matrices, are left out, and need not decay.
-
-Source: anderson1990optimal, rump2006
-
-The effect of the rounding of stored gains on the cost of silence, with a proof.
-
-The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so far, holds for the
-optimal gains. Programs hold doubles. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the
-mean of the state given the measurements, from which x̂ differs by d = x̂* − x̂. Completion of squares with K* gives
+**Cost of silence.** The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so
+far, holds for the optimal gains. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the mean
+of the state given the measurements, from which x̂ differs by d = x̂* − x̂. Completion of squares with K* gives
 
     J ≤ J* + E|e + (L − L*)x̂ − L*d|²   in the norm of H*,
 
@@ -26,21 +22,17 @@ since x − x̂* is independent of the measurements. J* is at most the cost of t
 rounding adds a = |(L − L*)x̂| and b = |L*d|, root mean squares, to s = |e|:  J ≤ J_all + (s + a + b)².
 
 Both are bounded along the stored loop ζ⁺ = Fζ + noise + Me, ζ = (x, x − x̂⁻), with x̂ = Sζ + gv. If X − F'XF ⪰ X/ν, then
-F contracts by √(1 − 1/ν) in the norm of X: |ζ| ≤ √(ν tr(XΩ)) + 2ν|Me|. With the innovation ι* of the exact filter, of
-covariance S*, and the differences ΔA, ΔB between the exact plant and the stored one,
+F contracts by √(1 − 1/ν) in the norm of X: |ζ| ≤ √(ν tr(XΩ)) + 2ν|Me|. With the innovation ι* of the exact filter, and
+the differences ΔA, ΔB between the exact plant and the stored one,
 
     d = (I − gC)d⁻ + (g* − g)ι*,   d⁻⁺ = A d + (ΔA + ΔB L)x̂ + ΔB e.
 
-Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop.
+Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop. If several
+sensors filter apart, their sum differs from the stored filter by Δ, which counts as an error LΔ of the input. A trigger
+that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights, which are wrong by |d| in
+the norm of Q and by the rounding of the weights.
 
-If several sensors filter apart, programs add contributions ξˢ⁺ = Ωξˢ + g_s y_s with Ω ≈ (I − gC)A, and the estimate
-differs from that of the stored filter by Δ⁺ = (I − gC)AΔ + (roundings of Ω and I − gC)·(ξ, x̂, e). It counts as an error
-LΔ of the input.
-
-A trigger that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights. Its mean is that
-of the true stage cost up to |d| in the norm of Q, and up to the rounding of the weights.
-
-Source: khashooei2017, anderson1990optimal
+Source: khashooei2017, anderson1990optimal, rump2006
 """
 
 from __future__ import annotations
@@ -68,6 +60,10 @@ from taciturn.model.controller import Controller
 
 SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
 MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
+MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
+TRIALS = 40  # doublings of a bound until it is proved
+SQUARINGS = 2  # of a matrix whose norm is sought
+ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class Proved(NamedTuple):
@@ -213,7 +209,7 @@ def controller_loop(problem: Discrete, controller: Controller) -> Stored:
 
 
 def _valued(problem: Discrete, close: Closing, near: Near | None, arithmetic: type[E]) -> Valued[E]:
-    step, V = step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
+    step, V = _step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
     loop = close(step, arithmetic)
     n, size = problem.plant.states, loop.F.shape[0]
     at = block([[arithmetic.exact(np.eye(n, size))], [loop.T]])
@@ -232,7 +228,7 @@ def _valued(problem: Discrete, close: Closing, near: Near | None, arithmetic: ty
     return Valued(cost, step, loop, keep, noise, X, falls)
 
 
-def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
+def _step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
     """Return enclosures of the plant and the weights of a step, without those of other parts of the cost."""
     p = problem.plant
     if problem.exact is None:
@@ -276,12 +272,6 @@ def _guess(F: Array, M: Array, near: Near | None) -> Array:
     return block_diagonal(K, summed(F[n:, n:].T, symmetrised(M[n:, n:] + across.T @ K @ across)))
 
 
-MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
-TRIALS = 40  # doublings of a bound until it is proved
-SQUARINGS = 2  # of a matrix whose norm is sought
-ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
-
-
 class Apart(NamedTuple):
     """Sensors that filter apart, and the matrices of their filters as programs hold them."""
 
@@ -290,7 +280,7 @@ class Apart(NamedTuple):
     moved: Array  # Ω, about (I − gC)A, (n, n)
 
 
-class StageError(NamedTuple):
+class _StageError(NamedTuple):
     """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one.
 
     If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
@@ -308,7 +298,7 @@ class Allowance(NamedTuple):
     excess: float  # ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one
     fixed: float  # root of a cost that rounding adds to silence
     slope: float  # the same in units of the root of the cost of silence
-    stage: StageError  # the error of the stage cost of a trigger
+    stage: _StageError  # the error of the stage cost of a trigger
 
     def within(self, share: float, cost: float) -> bool:
         """Return whether the rounding adds at most a share of a cost, J_all."""
@@ -449,7 +439,7 @@ def _allowance(
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
-    stage = StageError(float(d[0]) * MORE, float(d[1]) * MORE, float(rest) * MORE, float(squares) * MORE)
+    stage = _StageError(float(d[0]) * MORE, float(d[1]) * MORE, float(rest) * MORE, float(squares) * MORE)
     excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * MORE, float(a[1] + b[1]) * MORE
     if apart is not None and not plant.full_state:
         # e + LΔ in place of e: s' ≤ (s + l₀)/(1 − l₁)

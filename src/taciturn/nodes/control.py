@@ -29,6 +29,8 @@ from taciturn.program.ops import Entry, Sent
 
 Function: TypeAlias = Callable[[float, Array, Array, object], Array]
 """Function from time, state, input and parameters to the next state, or to the output."""
+NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
+_CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
 
 
 def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
@@ -36,7 +38,7 @@ def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool,
     return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
 
 
-def nonlinear_system(
+def _nonlinear_system(
     update: Function,
     output: Function,
     states: Sequence[str],
@@ -51,7 +53,7 @@ def nonlinear_system(
     )
 
 
-def is_linear(system: object) -> bool:
+def _is_linear(system: object) -> bool:
     """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
     control = _control()
     return isinstance(system, (control.StateSpace, control.TransferFunction))
@@ -65,10 +67,6 @@ def _control() -> Any:
             "python-control is not installed, but to_control and from_control require it: "
             "pip install 'taciturn[control]'"
         ) from None
-
-
-NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
-CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
 
 
 def to_control(
@@ -128,7 +126,7 @@ def to_control(
             "pass the network of a loop to `close`"
         )
     if isinstance(thing, Plant | ContinuousPlant):
-        CONVERTED.check(thing)
+        _CONVERTED.check(thing)
     if isinstance(thing, ContinuousPlant):
         return state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
     if isinstance(thing, Plant) and thing.D is not None:
@@ -186,7 +184,7 @@ def from_control(
         >>> from_control(control.ss([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
         0.1
     """
-    if not is_linear(system):
+    if not _is_linear(system):
         raise ProblemError(
             f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
             "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
@@ -225,7 +223,7 @@ def _system(
 
     outputs = _labels(shown)
     outputs += [f"sent_{link}" for link in links]
-    return nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
+    return _nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
 
 
 def _moving(plant: Plant, function: Dynamics) -> Any:
@@ -239,7 +237,7 @@ def _moving(plant: Plant, function: Dynamics) -> Any:
         return plant.C @ x
 
     taken, shown = _labels({"u": plant.inputs}), _labels({"y": plant.outputs})
-    return nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
+    return _nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
 
 
 def _step(plant: Plant) -> float | bool:

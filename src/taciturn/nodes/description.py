@@ -21,7 +21,7 @@ from taciturn.program.ir import Program
 from taciturn.program.node import lay_out, lower_node
 from taciturn.program.ops import State, needed, text_of, tiles
 
-DESCRIBED = 1  # version of the description
+_DESCRIBED = 1  # version of the description
 
 
 def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, Any]:
@@ -51,7 +51,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
             "signals": [{"name": name, "size": policy.sizes[name]} for name in names],
         })  # fmt: skip
     return {
-        "description": DESCRIBED, "policy": policy.kind, "fingerprint": f"{fingerprint(policy, network):016x}",
+        "description": _DESCRIBED, "policy": policy.kind, "fingerprint": f"{fingerprint(policy, network):016x}",
         "seconds_per_step": policy.model.dt or policy.tick, "lossless": network.protocol == "ideal",
         "wire": {
             "version": VERSION, "byte_order": "big-endian", "header": header, "kinds": list(KINDS),

@@ -31,6 +31,9 @@ from taciturn.program.node import Arrival
 
 WIDTH = 1024  # width of the window in sequence numbers
 News: TypeAlias = Literal["new", "duplicate", "replayed"]
+AHEAD = 64  # largest number of steps by which a packet may be early
+Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
+USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
 class Window:
@@ -75,11 +78,6 @@ class Window:
     def restore(self, saved: list[int]) -> None:
         """Continue from a saved window."""
         self.epoch, self.newest, self.seen, self.distinct = saved
-
-
-AHEAD = 64  # largest number of steps by which a packet may be early
-Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
-USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
 @dataclass(repr=False)

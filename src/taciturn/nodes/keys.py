@@ -20,7 +20,7 @@ from taciturn.errors import ProblemError
 KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
 LARGEST = 2**20  # bytes of a key file
 LOOKED = 1.0  # seconds between checks whether a key file has changed
-EVERY = ""  # name under which a key for all links is stored
+_EVERY = ""  # name under which a key for all links is stored
 
 
 class Keys:
@@ -53,7 +53,7 @@ class Keys:
     @staticmethod
     def same(key: bytes) -> Keys:
         """Return one key for all links."""
-        return Keys({EVERY: (key,)})
+        return Keys({_EVERY: (key,)})
 
     @staticmethod
     def parse(text: str, source: str = "the text") -> Keys:
@@ -67,13 +67,13 @@ class Keys:
             if not line:
                 continue
             name, colon, digits = line.rpartition(":")
-            link = name.strip() if colon else EVERY
+            link = name.strip() if colon else _EVERY
             if link in links:
                 raise ProblemError(
                     f"{source} has two lines for {f'the {link} link' if link else 'all links'}; expected all keys of a "
                     "link on one line, separated by spaces"
                 )
-            if links and EVERY in (link, *links):
+            if links and _EVERY in (link, *links):
                 raise ProblemError(
                     f"{source} has a key for all links and keys of single links; expected one line KEY, or a line "
                     "LINK: KEY for each link"
@@ -85,7 +85,7 @@ class Keys:
 
     def of(self, link: str) -> tuple[bytes, ...]:
         """Return the keys of a link; none if it has no key."""
-        return next((self._links[one] for one in (link, link.partition("/")[0], EVERY) if one in self._links), ())
+        return next((self._links[one] for one in (link, link.partition("/")[0], _EVERY) if one in self._links), ())
 
     def expect(self, links: Sequence[str]) -> None:
         """Check that all keys belong to the links of a network.
@@ -93,7 +93,7 @@ class Keys:
         Raises:
             ProblemError: a key has the name of another link.
         """
-        for link in self._links.keys() - {*links, EVERY}:
+        for link in self._links.keys() - {*links, _EVERY}:
             raise ProblemError(f"{self._source} names the link {link!r}; expected one of {', '.join(links)}")
 
     def check(self, role: str, links: Iterable[str]) -> None:
@@ -148,7 +148,7 @@ class RenewedKeys(Keys, ABC):
         self._stamp = stamp
         try:
             links = self._read()
-            former = [link for link, keys in self._links.items() if keys and link != EVERY]
+            former = [link for link, keys in self._links.items() if keys and link != _EVERY]
             for role, used in {"process": former, **self._used}.items():
                 Keys(links).check(role, used)
         except ProblemError as error:

@@ -36,6 +36,10 @@ from taciturn.program.ops import Option
 from taciturn.program.python import CompiledStep, compile_python
 
 SEAL = "digest"
+_CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
+FORMAT = 4  # format version of a saved state
+Values: TypeAlias = tuple[float, ...]
+Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
 def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,12 +59,6 @@ def check_seal(saved: Mapping[str, Any], name: str) -> None:
 def _digest(content: Mapping[str, Any]) -> str:
     text = json.dumps(content, sort_keys=True)
     return hashlib.blake2s(text.encode(), digest_size=16).hexdigest()
-
-
-CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
-FORMAT = 4  # format version of a saved state
-Values: TypeAlias = tuple[float, ...]
-Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
 class Stepped(NamedTuple):
@@ -258,7 +256,7 @@ class Node:
             else:
                 self.counters["missed"] += missed
             if not joins and not self.measures:
-                for behind in range(max(self.tick + 1, tick - CAUGHT_UP), tick):
+                for behind in range(max(self.tick + 1, tick - _CAUGHT_UP), tick):
                     sent += self._advance(behind, y, None)
             self._degrade("joined" if joins else "missed", tick)
         sent += self._advance(tick, y, draws)

@@ -44,6 +44,7 @@ from taciturn.program.python import compile_python
 HELD = "held"  # name, or its beginning, of the copy of an actuator's input at another node
 NEAR = 1e-9  # relative difference of two inputs
 TRIES = 4
+BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 
 
 def started(
@@ -158,9 +159,6 @@ def _command(policy: Policy, network: Network, measured: bool = False) -> Array 
     start: list[float] = [0.0 if isinstance(state.start, tuple) else state.start for state in program.states]
     values = compile_python(program)(start, [given.get(name, 0.5) for name in program.inputs])[1]
     return np.array(values) + 0.0
-
-
-BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 
 
 class StepFunction:

@@ -44,7 +44,7 @@ def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> P
 
 
 @dataclass(frozen=True, eq=False)
-class CopiedInput:
+class _CopiedInput:
     """A signal of a filter or controller into which the copy of an input enters at the end of a step."""
 
     signal: str  # the signal
@@ -53,18 +53,18 @@ class CopiedInput:
     inputs: tuple[int, ...]  # indices of the inputs
 
 
-def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
+def copies_of_inputs(policy: Policy) -> tuple[_CopiedInput, ...]:
     """Return the copies of inputs that filters and given controllers use, apart from models of the actuator."""
     names = {HELD: tuple(range(policy.model.inputs))} | {
         f"{HELD}_{node}": rows for node, rows in policy.applied.values()
     }
-    found = list[CopiedInput]()
+    found = list[_CopiedInput]()
     for step in (step for step in policy.steps if isinstance(step, Assign) and step.on is None):
         told = step.signal == FILTER or (step.signal in REGISTERS and step.at in policy.site(policy.network.controller))
         for held in (name for name in step.branches[0] if told and name in names):
             effect = step.branches[0][held]
             if isinstance(effect, np.ndarray):
-                found.append(CopiedInput(step.signal, held, effect, names[held]))
+                found.append(_CopiedInput(step.signal, held, effect, names[held]))
     return tuple(found)
 
 

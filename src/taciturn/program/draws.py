@@ -49,6 +49,7 @@ _WORD = (1 << 64) - 1
 
 GENERATOR = "generator"  # name of the four words of xoshiro256++
 NORMAL, UNIFORM = "normal", "uniform"  # an input that is a random number has the name Entry(NORMAL, i)
+MOST = 64  # most controls; more would take longer than the rest of a step
 
 
 def with_draws(program: Program) -> Program:
@@ -186,9 +187,6 @@ def minus_two_log(b: Builder, u: int) -> int:
     r = b.emit("sub", b.emit("mul", b.emit("number", mantissa), b.pick(_INVERSES, eighth)), b.constant(1.0))
     whole = b.emit("add", b.emit("mul", b.constant(-4096 * _LOG_TWO), exponent), b.pick(_LOGARITHMS, eighth))
     return b.emit("add", b.emit("mul", b.polynomial(_MINUS_TWO_LOG, r), r), whole)
-
-
-MOST = 64  # most controls; more would take longer than the rest of a step
 
 
 def with_controls(program: Program) -> Program:

@@ -44,8 +44,13 @@ from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.ops import Entry, Name, Named, Option, Sent, State
 from taciturn.program.tracing import trace
 
+Operands = list[int]
+APPLIED = "applied"  # the input that the actuators apply
+Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
+LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
 
-class Truths:
+
+class _Truths:
     """Operations on truth values; a truth value that is known before the program runs is a ``bool``."""
 
     def __init__(self, builder: Builder) -> None:
@@ -118,13 +123,6 @@ class Truths:
         return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
 
 
-Operands = list[int]
-APPLIED = "applied"  # the input that the actuators apply
-Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
-
-LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
-
-
 def first_input(policy: Policy, plant: Plant) -> Array:
     """Return the input of a plant before the first step: that of the policy, or 0, within the limits."""
     found = np.zeros(plant.inputs)
@@ -133,7 +131,7 @@ def first_input(policy: Policy, plant: Plant) -> Array:
     return found if plant.saturation is None else plant.saturation.begun(found)
 
 
-class TimeStep(Truths):
+class TimeStep(_Truths):
     """Translation of one time step: the operations that give the value of each signal after each policy step.
 
     A signal that is read before it is assigned becomes a memory, which is a state of the program.

@@ -41,8 +41,14 @@ from taciturn.program.numpy import Run
 
 SPARE = 8  # files are deleted when the limit is exceeded by 1/8, since deletion reads the age of each file
 LARGEST = 2**28  # bytes of a compiled program
-PRIVATE = 0o700  # mode of the folder
-LAYOUT = "digest of key and code, code"  # of a file; part of its key
+_PRIVATE = 0o700  # mode of the folder
+_LAYOUT = "digest of key and code, code"  # of a file; part of its key
+PASSES = "combine"  # the compiler passes, which are part of the cache key
+MOST_KEPT = 512  # most compiled programs on disk, some 10 kB each; the least recently used are deleted
+_MOST_PRINTED = 256  # most texts of programs in memory
+_WORTH_A_THREAD = 2_000_000  # operations per thread, which take about 0.5 ms; starting a thread takes 0.1 ms
+_ALONE = ContextVar("alone", default=False)
+_SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
 
 def cache_folder() -> Path | None:
@@ -51,10 +57,10 @@ def cache_folder() -> Path | None:
     if folder is None:
         return None
     try:
-        folder.mkdir(PRIVATE, parents=True, exist_ok=True)
+        folder.mkdir(_PRIVATE, parents=True, exist_ok=True)
         found = folder.stat()
-        if _is_ours(found) and stat.S_IMODE(found.st_mode) & ~PRIVATE:
-            folder.chmod(PRIVATE)
+        if _is_ours(found) and stat.S_IMODE(found.st_mode) & ~_PRIVATE:
+            folder.chmod(_PRIVATE)
             if _why_not(found) is not None:  # others could have written the files, too
                 _warn(f"other users could write to the cache folder {folder}; its compiled programs were deleted")
                 for path in folder.glob("*.o"):
@@ -145,14 +151,6 @@ def _warn(sentence: str) -> None:
     warnings.warn(sentence, stacklevel=3)
 
 
-PASSES = "combine"  # the compiler passes, which are part of the cache key
-MOST_KEPT = 512  # most compiled programs on disk, some 10 kB each; the least recently used are deleted
-MOST_PRINTED = 256  # most texts of programs in memory
-WORTH_A_THREAD = 2_000_000  # operations per thread, which take about 0.5 ms; starting a thread takes 0.1 ms
-_ALONE = ContextVar("alone", default=False)
-_SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
-
-
 class Kernel:
     """Compiled machine code for all programs that differ only in their constants."""
 
@@ -173,7 +171,7 @@ class Kernel:
         assert self.own == (constants is not None), (
             "constants per path are supplied to a kernel with shared constants, or are missing"
         )
-        return shared_constants(program) if constants is None else constants
+        return _shared_constants(program) if constants is None else constants
 
     def run(
         self,
@@ -207,7 +205,7 @@ class Kernel:
         def work(part: tuple[int, int]) -> None:
             self.call(*part, ticks, arrays)
 
-        worthwhile = program.operations * ticks * paths // WORTH_A_THREAD
+        worthwhile = program.operations * ticks * paths // _WORTH_A_THREAD
         workers = max(1, min(threads or min(available_processors(), worthwhile), blocks))
         cuts = [blocks * i // workers for i in range(workers + 1)]
         parts = list(pairwise(cuts))
@@ -306,7 +304,7 @@ def host() -> Target:
     return whole.limited(os.environ.get(VECTORS, ""))
 
 
-def shared_constants(program: Program) -> Array:
+def _shared_constants(program: Program) -> Array:
     """Return the constants of a program that all paths share, as an array in memory layout."""
     return np.array(constants_of(program), dtype=program.precision)
 
@@ -319,7 +317,7 @@ class _Printable:
     program: Program = field(compare=False)
 
 
-@lru_cache(maxsize=MOST_PRINTED)
+@lru_cache(maxsize=_MOST_PRINTED)
 def _print(printable: _Printable, target: Target, lanes: int, build: Build, own: bool) -> str:
     """Return the LLVM IR of a module, which is the same for all programs of equal structure."""
     return print_llvm(printable.program, target, lanes, build, own)
@@ -349,7 +347,7 @@ def _load(text: str) -> _Code:
     """Return the machine code of a module for this processor, from the cache on disk if possible."""
     llvm = _llvm()
     release: str = importlib.import_module("llvmlite").__version__
-    key = hashlib.sha256("\n".join([text, release, PASSES, LAYOUT]).encode()).hexdigest()
+    key = hashlib.sha256("\n".join([text, release, PASSES, _LAYOUT]).encode()).hexdigest()
     folder = cache_folder()
     stored = None if folder is None else read_code(folder, key)
     if stored is None:

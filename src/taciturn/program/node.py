@@ -27,6 +27,8 @@ from taciturn.program.lower import APPLIED, Operands, Payloads, TimeStep, encode
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
 
 NODES = Coverage(LOOPS, "nodes do not carry out")
+FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
+NEVER = 1 << 62
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +55,12 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
     """Return the programs of one time step of the nodes at one site of a policy."""
     policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
-    check_separable(policy)
-    expect_order(policy)
+    _check_separable(policy)
+    _expect_order(policy)
     return _Lowering(policy, site, network, precision).result()
 
 
-def check_separable(policy: Policy) -> None:
+def _check_separable(policy: Policy) -> None:
     """Raise an error if the nodes of a policy cannot run separately."""
     places: dict[str, int] = {}
     for place, step in enumerate(policy.steps):
@@ -88,7 +90,7 @@ def check_separable(policy: Policy) -> None:
                 )
 
 
-def expect_order(policy: Policy) -> None:
+def _expect_order(policy: Policy) -> None:
     """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other."""
     sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
     waits: dict[frozenset[str], set[frozenset[str]]] = {}
@@ -290,10 +292,6 @@ def _applied(signal: str) -> str:
 def _flags(decision: str) -> str:
     """Return the name of the memory that stores the outcome of a decision for the second part."""
     return f"decided {decision}"
-
-
-FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
-NEVER = 1 << 62
 
 
 class Arrival(NamedTuple):

@@ -18,6 +18,7 @@ from taciturn.program.ir import Program
 from taciturn.program.ops import EIGHT, WINDOW, Name, Op, Tile, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
+_GIVEN = ("const", "word", "half", "state", "input")  # operations without a computation
 
 
 def _lookup(table: Value, x: Value) -> Value:
@@ -101,8 +102,6 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "count": _count,
     "any_bit": _any_bit,
 }
-
-_GIVEN = ("const", "word", "half", "state", "input")  # operations without a computation
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,7 @@ from taciturn._arrays import Array
 from taciturn.model.steps import Acknowledged, Received
 
 Precision = Literal["float64", "float32"]
-TILE = 8  # rows of a product that are computed together
+_TILE = 8  # rows of a product that are computed together
 WINDOW = 256  # steps that are summed in the precision of the program; the sums of windows are added as doubles
 EIGHT = 8  # entries of a ``pick`` table, as many as the widest vector (AVX-512) has
 
@@ -56,6 +56,7 @@ LITERAL: Mapping[str, int] = {  # position (from 0) of the argument that is a li
     "shift_right": 1,
     "rotate_left": 1,
 }
+MatrixRows = tuple[tuple[float, ...], ...]
 
 
 class Op(NamedTuple):
@@ -121,14 +122,11 @@ class Tile(NamedTuple):
     end: int  # column after the last one
 
 
-MatrixRows = tuple[tuple[float, ...], ...]
-
-
 def tiles(matrix: MatrixRows) -> list[Tile]:
     """Return the tiles (blocks of rows) of a matrix, without blocks of zero rows."""
     found: list[Tile] = []
-    for first in range(0, len(matrix), TILE):
-        rows = matrix[first : first + TILE]
+    for first in range(0, len(matrix), _TILE):
+        rows = matrix[first : first + _TILE]
         used = [j for j, column in enumerate(zip(*rows, strict=True)) if any(column)]
         found += [Tile(first, len(rows), used[0], used[-1] + 1)] if used else []
     return found

@@ -24,7 +24,7 @@ _INFIX: Mapping[str, str] = {
 }  # fmt: skip
 
 
-def print_python(program: Program) -> str:
+def _print_python(program: Program) -> str:
     """Return the Python source of a program as a function ``tick(s, u)`` of states s and inputs u."""
     assert program.precision == "float64", "nodes compute in double precision"
     roots = [*program.following, *program.outputs.values()]
@@ -42,7 +42,7 @@ def compile_python(program: Program) -> CompiledStep:
         "_rotate": _rotate, "inf": math.inf, "nan": math.nan,
     }  # fmt: skip
     names |= {f"table{i}": table for i, table in enumerate(program.tables)}
-    exec(compile(print_python(program), "<a step of a node>", "exec"), names)
+    exec(compile(_print_python(program), "<a step of a node>", "exec"), names)
     return names["tick"]
 
 

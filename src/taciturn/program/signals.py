@@ -23,9 +23,10 @@ from taciturn.program.ir import Builder
 from taciturn.program.lower import Operands, TimeStep
 from taciturn.program.ops import Entry
 
-MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
+_MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
 MOST = 100  # most jumps drawn per step
 ROUNDING = 1e-16  # size below which a term of the power series has no effect
+TIMETABLE = "timetable"  # step counter of set-points that change at known times
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
@@ -82,11 +83,11 @@ def _terms(A: Array, reach: float) -> int:
 
 
 def _drawn(noise: JumpNoise) -> int:
-    """Return the number of jumps that a step exceeds with a probability of at most MISSED (Poisson distribution)."""
+    """Return the number of jumps that a step exceeds with a probability of at most _MISSED (Poisson distribution)."""
     mean = noise.jumps.rate * noise.period
     chance, count = np.exp(-mean), 0
     seen = chance
-    while seen < 1 - MISSED:
+    while seen < 1 - _MISSED:
         count += 1
         chance *= mean / count
         seen += chance
@@ -112,9 +113,6 @@ def jump_size(b: Builder, distribution: JumpDistribution, drawn: int) -> int:
 def _draw(tick: TimeStep, distribution: JumpDistribution) -> int:
     b = tick.builder
     return b.input(Entry(NORMAL, len(b.inputs))) if distribution == "normal" else tick.uniform()
-
-
-TIMETABLE = "timetable"  # step counter of set-points that change at known times
 
 
 def draw_noise(tick: TimeStep, spread: Array) -> Operands:

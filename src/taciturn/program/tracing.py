@@ -36,12 +36,20 @@ Objects = npt.NDArray[Any]  # floats, truth values and symbols
 FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # rules for functions of whole arrays, filled by ``arrays``
 _UNKNOWN = "but numbers are unknown while the function is traced"
 _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
+_PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
+    np.append, np.atleast_1d, np.atleast_2d, np.block, np.broadcast_to, np.column_stack, np.concatenate, np.copy,
+    np.cross, np.cumsum, np.diag, np.diagonal, np.diff, np.empty_like, np.expand_dims, np.flip, np.full_like,
+    np.hstack, np.kron, np.mean, np.ndim, np.ones_like, np.outer, np.prod, np.ravel, np.repeat, np.reshape, np.roll,
+    np.shape, np.size, np.split, np.squeeze, np.stack, np.sum, np.swapaxes, np.tensordot, np.tile, np.trace,
+    np.transpose, np.vstack, np.zeros_like,
+)  # fmt: skip
+_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
 
 
-class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
+class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     """Placeholder that a traced function receives instead of a number or a truth value."""
 
-    def __init__(self, recorder: Recorder, index: int) -> None:
+    def __init__(self, recorder: _Recorder, index: int) -> None:
         """Store recorder and operation."""
         self.recorder, self.index = recorder, index
 
@@ -59,17 +67,17 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     ) -> Any:
         """Record an operator or a NumPy function of single entries."""
         if where is not True or initial is not None or dtype is not None:
-            raise recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
+            raise _recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
         return compute(ufunc, method, inputs, out, axis, keepdims)
 
     def __array_function__(self, function: Any, types: object, args: Any, kwargs: Any) -> Any:
         """Record a NumPy function of whole arrays."""
         given = [*args, *kwargs.values()]
-        if not symbols_in(given):
+        if not _symbols_in(given):
             named = {name: _as_floats(value) for name, value in kwargs.items()}
             return held(function(*map(_as_floats, args), **named))
         if function not in FUNCTIONS:
-            raise recorder_of(given).refused(function.__name__)
+            raise _recorder_of(given).refused(function.__name__)
         return FUNCTIONS[function](args, kwargs)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
@@ -106,33 +114,33 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     __index__ = __int__
 
 
-class Number(Symbol):
+class Number(_Symbol):
     """Placeholder of a number whose value is known only when the program runs."""
 
 
-class SymbolicTruth(Symbol):
+class _SymbolicTruth(_Symbol):
     """Placeholder of a truth value that is known only when the program runs."""
 
 
-class SymbolicArray(np.ndarray[Any, Any]):
+class _SymbolicArray(np.ndarray[Any, Any]):
     """A NumPy array whose entries can be placeholders of unknown numbers (symbols)."""
 
-    __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
-    __array_function__ = Symbol.__array_function__  # type: ignore[assignment]
+    __array_ufunc__ = _Symbol.__array_ufunc__  # type: ignore[assignment]
+    __array_function__ = _Symbol.__array_function__  # type: ignore[assignment]
 
 
-class Recorder:
+class _Recorder:
     """Recorder of a traced function: stores its computations as operations of a program."""
 
     def __init__(self, builder: Builder, name: str) -> None:
         """Start without operations."""
         self.builder, self.name = builder, name
 
-    def symbols(self, values: Sequence[int]) -> SymbolicArray:
+    def symbols(self, values: Sequence[int]) -> _SymbolicArray:
         """Return a vector of symbols, one for each of the given operations."""
         vector = np.empty(len(values), dtype=object)
         vector[:] = [self.symbol(self._known(value)) for value in values]
-        return vector.view(SymbolicArray)
+        return vector.view(_SymbolicArray)
 
     def symbol(self, value: Coefficient) -> float | Number:
         """Return a constant unchanged, or the symbol that represents an operation."""
@@ -142,7 +150,7 @@ class Recorder:
         """Return an array entry as a constant if it is a number, else as the operation that computes it."""
         if isinstance(value, Number):
             return value.index
-        if isinstance(value, SymbolicTruth):
+        if isinstance(value, _SymbolicTruth):
             return choose(self.builder, value.index, 1.0, 0.0)
         try:
             found = float(value)  # type: ignore[arg-type]
@@ -156,7 +164,7 @@ class Recorder:
 
     def truth(self, value: object) -> int | bool:
         """Return an array entry as a truth value if it is known, or else as the operation that computes it."""
-        if isinstance(value, SymbolicTruth):
+        if isinstance(value, _SymbolicTruth):
             return value.index
         if isinstance(value, Number):
             return COMPARISONS["not_equal"](self.builder, value.index, 0.0)
@@ -165,7 +173,7 @@ class Recorder:
     def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
         """Return the result of an element-wise NumPy function for single entries, which can be symbols."""
         name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
-        if not any(isinstance(value, Symbol) for value in values):
+        if not any(isinstance(value, _Symbol) for value in values):
             return ufunc(*(float(value) if type(value) is int else value for value in values))
         if name in LOGIC:
             return self.condition(LOGIC[name](self.builder, *(self.truth(value) for value in values)))
@@ -175,9 +183,9 @@ class Recorder:
             return self.symbol(NUMBERS[name](self.builder, *(self.number(value) for value in values)))
         raise self.refused(name)
 
-    def condition(self, truth: int | bool) -> bool | SymbolicTruth:
+    def condition(self, truth: int | bool) -> bool | _SymbolicTruth:
         """Return a known truth value unchanged, or the symbol that represents an operation."""
-        return truth if isinstance(truth, bool) else SymbolicTruth(self, truth)
+        return truth if isinstance(truth, bool) else _SymbolicTruth(self, truth)
 
     def either(self, condition: object, yes: object, no: object) -> object:
         """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
@@ -229,32 +237,32 @@ class Recorder:
 
 def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
     """Return the result of an element-wise NumPy function (or its ``reduce``) for arrays that contain symbols."""
-    if not symbols_in(inputs):
+    if not _symbols_in(inputs):
         more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
         result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
     elif method == "reduce":
         result = _reduced(ufunc, objects(inputs[0]), axis, keepdims)
     elif method == "__call__" and ufunc.__name__ == "matmul":
-        result = matrix_product(objects(inputs[0]), objects(inputs[1]))
+        result = _matrix_product(objects(inputs[0]), objects(inputs[1]))
     elif method == "__call__":
-        recorder = recorder_of(inputs)
+        recorder = _recorder_of(inputs)
         rule = np.frompyfunc(lambda *values: recorder.entry(ufunc, *values), len(inputs), 1)
         result = rule(*(objects(one) for one in inputs))
     else:
-        raise recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
-    if out is None or isinstance(out[0], Symbol):  # in x[0] += 1, the symbol is immutable
+        raise _recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
+    if out is None or isinstance(out[0], _Symbol):  # in x[0] += 1, the symbol is immutable
         return seen(result)
     out[0][...] = result
     return out[0]
 
 
-def matrix_product(A: Objects, B: Objects) -> Any:
+def _matrix_product(A: Objects, B: Objects) -> Any:
     """Return the matrix product of vectors and matrices that contain symbols."""
     if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
         raise ProblemError(
             f"the operands of @ have the shapes {A.shape} and {B.shape}; expected vectors or matrices of matching sizes"
         )
-    recorder = recorder_of([A, B])
+    recorder = _recorder_of([A, B])
     columns = B[:, None] if B.ndim == 1 else B
     found = [recorder.product(A[None] if A.ndim == 1 else A, column) for column in columns.T]
     result = np.empty((1 if A.ndim == 1 else len(A), columns.shape[1]), dtype=object)
@@ -269,47 +277,47 @@ def objects(value: object) -> Objects:
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``SymbolicArray``, which records operations; return other values unchanged."""
+    """Return an array of objects as a ``_SymbolicArray``, which records operations; return other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
-    return value.view(SymbolicArray) if is_array(value) and value.dtype == object else value
+    return value.view(_SymbolicArray) if _is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
     """Return an array of floats as an array that can contain symbols; return other values unchanged."""
-    return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
+    return seen(value.astype(object) if _is_array(value) and value.dtype.kind == "f" else value)
 
 
-def is_array(value: object) -> TypeGuard[Objects]:
+def _is_array(value: object) -> TypeGuard[Objects]:
     """Return whether a value is a NumPy array."""
     return isinstance(value, np.ndarray)
 
 
-def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+def _is_list(value: object) -> TypeGuard[Sequence[Any]]:
     """Return whether a value is a list or a tuple."""
     return isinstance(value, list | tuple)
 
 
 def _as_floats(value: Any) -> Any:
     """Return an argument that contains no symbols, with arrays of objects converted to floats."""
-    if is_list(value):
+    if _is_list(value):
         return [_as_floats(one) for one in value]
-    return objects(value).astype(float) if isinstance(value, SymbolicArray) else value
+    return objects(value).astype(float) if isinstance(value, _SymbolicArray) else value
 
 
-def symbols_in(value: object) -> list[Symbol]:
+def _symbols_in(value: object) -> list[_Symbol]:
     """Return all symbols among given arguments, including those in arrays and lists."""
-    if isinstance(value, Symbol):
+    if isinstance(value, _Symbol):
         return [value]
-    if is_array(value) and value.dtype == object:
-        return [entry for entry in value.ravel().tolist() if isinstance(entry, Symbol)]
-    return list(chain.from_iterable(map(symbols_in, value))) if is_list(value) else []
+    if _is_array(value) and value.dtype == object:
+        return [entry for entry in value.ravel().tolist() if isinstance(entry, _Symbol)]
+    return list(chain.from_iterable(map(_symbols_in, value))) if _is_list(value) else []
 
 
-def recorder_of(values: Sequence[object]) -> Recorder:
+def _recorder_of(values: Sequence[object]) -> _Recorder:
     """Return the recorder of the symbols in given arguments, or a new recorder if there are no symbols."""
-    found = symbols_in(list(values))
-    return found[0].recorder if found else Recorder(Builder(), "the function")
+    found = _symbols_in(list(values))
+    return found[0].recorder if found else _Recorder(Builder(), "the function")
 
 
 def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any:
@@ -325,18 +333,9 @@ def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any
     return result
 
 
-_PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
-    np.append, np.atleast_1d, np.atleast_2d, np.block, np.broadcast_to, np.column_stack, np.concatenate, np.copy,
-    np.cross, np.cumsum, np.diag, np.diagonal, np.diff, np.empty_like, np.expand_dims, np.flip, np.full_like,
-    np.hstack, np.kron, np.mean, np.ndim, np.ones_like, np.outer, np.prod, np.ravel, np.repeat, np.reshape, np.roll,
-    np.shape, np.size, np.split, np.squeeze, np.stack, np.sum, np.swapaxes, np.tensordot, np.tile, np.trace,
-    np.transpose, np.vstack, np.zeros_like,
-)  # fmt: skip
-
-
-def choose_entries(condition: Any, yes: Any, no: Any) -> Any:
+def _choose_entries(condition: Any, yes: Any, no: Any) -> Any:
     """Return the result of ``np.where``: entries of ``yes`` where the condition is true, and of ``no`` elsewhere."""
-    recorder = recorder_of([condition, yes, no])
+    recorder = _recorder_of([condition, yes, no])
     return seen(np.frompyfunc(recorder.either, 3, 1)(*(objects(one) for one in (condition, yes, no))))
 
 
@@ -350,7 +349,7 @@ def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: 
 def dot(a: Any, b: Any) -> Any:
     """Return the result of ``np.dot`` for vectors, matrices or scalars."""
     one, other = objects(a), objects(b)
-    return seen(matrix_product(one, other)) if one.ndim and other.ndim else a * b
+    return seen(_matrix_product(one, other)) if one.ndim and other.ndim else a * b
 
 
 def inner(a: Any, b: Any) -> Any:
@@ -377,7 +376,7 @@ def solve(a: Any, b: Any) -> Any:
         # the values are unknown while tracing, so that selections compare and exchange the row with every row below it
         for i in range(j + 1, size):
             larger = abs(rows[i][j]) > abs(rows[j][j])
-            rows[j], rows[i] = choose_entries(larger, rows[i], rows[j]), choose_entries(larger, rows[j], rows[i])
+            rows[j], rows[i] = _choose_entries(larger, rows[i], rows[j]), _choose_entries(larger, rows[j], rows[i])
         for i in range(j + 1, size):
             rows[i] = rows[i] - rows[i][j] / rows[j][j] * rows[j]
     for j in reversed(range(size)):
@@ -407,7 +406,7 @@ def _extreme(ufunc: np.ufunc) -> Callable[..., Any]:
 
 
 _RULES: Mapping[Callable[..., Any], Callable[..., Any]] = {
-    np.where: choose_entries, np.clip: clip, np.dot: dot, np.inner: inner, np.vdot: vdot, np.max: _extreme(np.maximum),
+    np.where: _choose_entries, np.clip: clip, np.dot: dot, np.inner: inner, np.vdot: vdot, np.max: _extreme(np.maximum),
     np.min: _extreme(np.minimum), np.any: _extreme(np.logical_or), np.all: _extreme(np.logical_and),
     np.linalg.solve: solve, np.linalg.inv: invert, np.linalg.norm: norm,
 }  # fmt: skip
@@ -425,21 +424,23 @@ def _plainly(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[s
 
 
 def _plain(value: Any) -> Any:
-    """Return an argument with every ``SymbolicArray`` replaced by a plain array of objects."""
-    if is_list(value):
+    """Return an argument with every ``_SymbolicArray`` replaced by a plain array of objects."""
+    if _is_list(value):
         listed = [_plain(one) for one in value]
         return tuple(listed) if isinstance(value, tuple) else listed
-    return objects(value) if isinstance(value, SymbolicArray | Symbol) else value
+    return objects(value) if isinstance(value, _SymbolicArray | _Symbol) else value
 
 
 FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
+
+
 FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
 
 
 def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
     if dtype is not None and np.dtype(dtype) == object:
         dtype = None
-    if (isinstance(value, SymbolicArray) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
+    if (isinstance(value, _SymbolicArray) or _symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
         return seen(np.array(value, object, copy=copy, order=order, ndmin=ndmin))
     return held(np.array(_plain(value), dtype, copy=copy, order=order, ndmin=ndmin))
 
@@ -456,7 +457,7 @@ def _filled(value: float) -> Callable[..., Any]:
 
 
 def _full(shape: Any, fill_value: Any, dtype: Any = None) -> Any:
-    if not symbols_in(fill_value):
+    if not _symbols_in(fill_value):
         return held(np.full(shape, fill_value, dtype))
     found = seen(np.empty(shape, dtype=object))
     found[...] = fill_value
@@ -475,7 +476,7 @@ def _joined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of several arrays that also accepts lists with symbols."""
 
     def joined(arrays: Any) -> Any:
-        return seen(function([objects(one) for one in arrays])) if symbols_in(arrays) else held(function(arrays))
+        return seen(function([objects(one) for one in arrays])) if _symbols_in(arrays) else held(function(arrays))
 
     return joined
 
@@ -488,14 +489,14 @@ def _joined_along(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _diagonal(v: Any, k: int = 0) -> Any:
-    return seen(np.diag(objects(v), k)) if symbols_in(v) else held(np.diag(v, k))
+    return seen(np.diag(objects(v), k)) if _symbols_in(v) else held(np.diag(v, k))
 
 
 def _block(arrays: Any) -> Any:
     return held(np.block(_plain(arrays)))
 
 
-STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose results can contain symbols
+_STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose results can contain symbols
     np.array: _array, np.asarray: _as_array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
     np.full: _full, np.eye: _eye, np.identity: _identity, np.concatenate: _joined_along(np.concatenate),
     np.stack: _joined_along(np.stack), np.hstack: _joined(np.hstack), np.vstack: _joined(np.vstack),
@@ -503,7 +504,7 @@ STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose resu
 }  # fmt: skip
 
 
-def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
+def _rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
     """Return a copy of a function in which given NumPy functions are replaced.
 
     Functions that it calls by name or from a list are copied in the same way.
@@ -543,7 +544,7 @@ class _Copies:
         if isinstance(value, partial):
             given = {name: self.of(one) for name, one in value.keywords.items()}
             return partial(self.of(value.func), *map(self.of, value.args), **given)
-        if is_list(value) and any(map(callable, value)):
+        if _is_list(value) and any(map(callable, value)):
             return type(value)(map(self.of, value))  # type: ignore[call-arg]
         if isinstance(value, dict):
             held = cast("dict[Any, Any]", value)
@@ -586,9 +587,6 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(constant)
 
 
-_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
-
-
 def trace(
     builder: Builder,
     function: Callable[..., object],
@@ -603,11 +601,11 @@ def trace(
     ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
     """
     name = getattr(function, "__name__", type(function).__name__)
-    recorder = Recorder(builder, name)
+    recorder = _Recorder(builder, name)
     vectors = [recorder.symbols(values) for values in arguments.values()]
     try:
         with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
-            returned = rebind(function, STAND_INS)(*vectors)
+            returned = _rebind(function, _STAND_INS)(*vectors)
     except ProblemError:
         raise
     except Exception as error:
@@ -621,14 +619,14 @@ def trace(
         raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
     if len(results) == 1:
         returned = (returned,)
-    elif not is_list(returned) or len(returned) != len(results):
-        got = f"{len(returned)} values" if is_list(returned) else "one vector"
+    elif not _is_list(returned) or len(returned) != len(results):
+        got = f"{len(returned)} values" if _is_list(returned) else "one vector"
         raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
     pairs = zip(results.items(), returned, strict=True)
     return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
 
 
-def _result(recorder: Recorder, name: str, size: int, value: object) -> list[int]:
+def _result(recorder: _Recorder, name: str, size: int, value: object) -> list[int]:
     found = objects(value)
     if found.shape != (size,) and not (size == 1 and found.shape == ()):
         raise ProblemError(
@@ -637,7 +635,7 @@ def _result(recorder: Recorder, name: str, size: int, value: object) -> list[int
     return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
 
 
-def _number(recorder: Recorder, name: str, place: int, entry: object) -> Coefficient:
+def _number(recorder: _Recorder, name: str, place: int, entry: object) -> Coefficient:
     if isinstance(entry, float) and not math.isfinite(entry):
         raise ProblemError(
             f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"

@@ -33,10 +33,10 @@ from taciturn.simulation.sampling import (
 )
 
 LEAST_STEPS, MOST_STEPS = 1024, 1e13  # the largest number takes hours
-WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two windows that are compared
-PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
-TO_START = 1.2e7  # counted work to build and compile a program
-LEAN = 60  # operations of a small program
+_WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two windows that are compared
+_PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
+_TO_START = 1.2e7  # counted work to build and compile a program
+_LEAN = 60  # operations of a small program
 CANCELS = 0.5  # share of an identity's constant below which the cost is a difference of larger numbers
 DIGITS = 1e-12  # rounding error of such a difference, relative to the constant
 
@@ -204,7 +204,7 @@ def _per_unit(loop: Loop, found: Averages) -> Averages:
 def least_work(loop: Loop) -> float:
     """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
     least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
-    return TO_START + PER_STEP * LEAN * WINDOWS * least * SIMULATED_PATHS
+    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * SIMULATED_PATHS
 
 
 class Averaging:
@@ -247,7 +247,7 @@ class Averaging:
             return float("inf")
         seen = self.first.steps / 2  # the other half is the burn-in
         missing = seen * (self.first.cost.standard_error / standard_error) ** 2
-        return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
+        return _PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
         """Continue the simulation to its end, and return the same result as :func:`average`."""

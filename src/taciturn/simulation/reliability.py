@@ -25,7 +25,7 @@ from taciturn.model.steps import Send
 LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
 SAME = 1e-9  # relative distance of two computed modes that are one
 NEARLY = 1e-9  # least growth above 1 that counts as unstable
-HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its value: two standard errors below 2
+_HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its value: two standard errors below 2
 
 
 def expect_arrivals(loop: Loop) -> None:
@@ -184,7 +184,7 @@ def _infinite(growth: float, sent: str, discounted: str) -> str:
 
 def doubt_tail(tail: float) -> tuple[str, ...]:
     """Return a warning if the largest costs of paths follow a power law with infinite variance."""
-    if tail >= HEAVY:
+    if tail >= _HEAVY:
         return ()
     return (
         f"the highest costs of paths follow a power law of index {tail:.2g}, and below an index of 2 the variance is "

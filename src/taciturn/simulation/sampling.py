@@ -47,7 +47,35 @@ from taciturn.program.ops import Control, Name, Sent
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
-RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
+_RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
+_DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
+REACH = 4  # the first step of a range is at least its last step divided by this number
+AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
+_ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
+FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
+_PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
+_GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
+GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
+_IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
+Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
+SIMULATED_PATHS = 4096
+USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
+FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
+_FEWEST_MISSIONS = 8
+SHORTEST_BURN_IN = 512  # least number of steps of the burn-in
+SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
+_KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
+SILENT = 1e-3  # largest share of paths without a late send in the burn-in
+MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
+_DRIFTING_STEPS = 20_000_000  # of a loop that has no average
+_DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
+HUGE = 1e150  # a limit whose square is still finite
+CHUNK = 1 << 24  # steps between two reports of progress
+_ROUNDING_OF_SINGLES = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
+ROOM = 8  # least number of paths per control variate
+_PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
+Watch = Callable[[Array], Array]
+FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,7 +146,7 @@ class Part(Displayed):
         size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
         largest, typical = float(size[-1]), float(size[len(size) // 2])
         all_time = (self.loop.policy.theory.cost_all_time or 0.0) * self.loop.policy.tick
-        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
+        if self.estimator.sum == COST and typical > 0 and largest > max(_RUNAWAY * typical, ticks * all_time):
             raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
 
 
@@ -179,19 +207,6 @@ def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | N
     )
 
 
-DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
-REACH = 4  # the first step of a range is at least its last step divided by this number
-AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
-ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
-FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
-PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
-GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
-GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
-IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
-
-Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
-
-
 class History:
     """The windows of steps since the start of all paths."""
 
@@ -240,9 +255,9 @@ class History:
         change = late / others - earlier
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         # paths that send at the same steps: a window may end just before a send
-        same = self.counted & (sums.std(axis=1) < IN_PHASE) & (late.std(axis=1) < IN_PHASE)
+        same = self.counted & (sums.std(axis=1) < _IN_PHASE) & (late.std(axis=1) < _IN_PHASE)
         early = same * (1 / steps + 1 / others)
-        least = DIFFERENT * spread + early + ROUNDING_OF_MEANS * np.abs(earlier.mean(axis=1))
+        least = _DIFFERENT * spread + early + _ROUNDING_OF_MEANS * np.abs(earlier.mean(axis=1))
         return bool((np.abs(change.mean(axis=1)) > least).any())
 
 
@@ -266,7 +281,7 @@ class Snapshots:
             return True
         limit = FAR * np.sqrt(2 / states.shape[1])
         earlier = before[:, : states.shape[1]].std(axis=1)
-        settles = (spread > GONE * self._largest) & (spread < GROWS * earlier)
+        settles = (spread > GONE * self._largest) & (spread < _GROWS * earlier)
         return any(_distance(before[i], states[i]) > limit for i in np.flatnonzero(settles))
 
 
@@ -277,7 +292,7 @@ def _distance(first: Array, second: Array) -> float:
     return float(np.abs(one - two).max())
 
 
-def shared_end(windows: Sequence[Window]) -> float:
+def _shared_end(windows: Sequence[Window]) -> float:
     """Return the standard deviation of the error of a rate that all paths share.
 
     Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or just
@@ -287,8 +302,8 @@ def shared_end(windows: Sequence[Window]) -> float:
     """
     steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
     rates = [float(sums.mean()) / length for length, sums in windows]
-    apart = sends.std() >= IN_PHASE or sends.mean() < 1
-    if apart or np.ptp(rates) <= ROUNDING_OF_MEANS:
+    apart = sends.std() >= _IN_PHASE or sends.mean() < 1
+    if apart or np.ptp(rates) <= _ROUNDING_OF_MEANS:
         return 0.0
     rate = min(1.0, float(sends.mean()) / steps)
     return float(np.sqrt((1 - rate**2) / 12)) / steps
@@ -301,27 +316,6 @@ def _joined(windows: Sequence[Window], rows: int) -> Window:
     for _, sums in later:
         total += sums[:rows]
     return sum(length for length, _ in windows), total
-
-
-SIMULATED_PATHS = 4096
-USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
-FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
-FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
-FEWEST_MISSIONS = 8
-SHORTEST_BURN_IN = 512  # least number of steps of the burn-in
-SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
-KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
-SILENT = 1e-3  # largest share of paths without a late send in the burn-in
-MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
-DRIFTING_STEPS = 20_000_000  # of a loop that has no average
-DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
-HUGE = 1e150  # a limit whose square is still finite
-CHUNK = 1 << 24  # steps between two reports of progress
-ROUNDING_OF_SINGLES = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
-ROOM = 8  # least number of paths per control variate
-PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
-
-Watch = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, repr=False)
@@ -398,7 +392,7 @@ class Sampling:
         The iteration ends at the given absolute standard error or number of steps.
         """
         drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
-        budget = steps or (DRIFTING_STEPS if drifts else MOST_OPERATIONS)
+        budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         most = (
             SIMULATED_PATHS
@@ -407,7 +401,7 @@ class Sampling:
         )
         states, history, forgotten = self.settle(most, budget)
         paths, first = states[0].shape[1], history.steps
-        if steps is not None and self._affordable(states, budget) > PAYS * first:
+        if steps is not None and self._affordable(states, budget) > _PAYS * first:
             self._add_controls(paths)
         window = min(first, self._affordable(states, budget) // 2)  # at least two windows, for comparison
         while True:
@@ -438,7 +432,7 @@ class Sampling:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
-            if missing > PAYS * measured and self._add_controls(paths):
+            if missing > _PAYS * measured and self._add_controls(paths):
                 first = history.steps
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, SHORTEST_BURN_IN // 4))
@@ -449,9 +443,9 @@ class Sampling:
         The iteration ends at the given absolute standard error or number of steps.
         """
         budget, width = steps or MOST_OPERATIONS, len(self.parts)
-        if FEWEST_MISSIONS * horizon * width > budget:
+        if _FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
-                f"the horizon is {horizon}, so {budget} steps contain fewer than {FEWEST_MISSIONS} runs; "
+                f"the horizon is {horizon}, so {budget} steps contain fewer than {_FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
         paths, discount = min(SIMULATED_PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
@@ -538,7 +532,7 @@ class Sampling:
             silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
             settled = history.steps >= max(least, pace) and silent <= SILENT and history.settled()
             enough = enough or (history.steps if settled else 0)
-            if settled and (not changed or history.steps >= PROLONGED * enough):
+            if settled and (not changed or history.steps >= _PROLONGED * enough):
                 return states, history, True
             pieces = [max(history.steps, int(pace) - history.steps + 1)]
             now = states[0].shape[1]
@@ -549,7 +543,7 @@ class Sampling:
 
     def _pace(self, rates: Array) -> float:
         """Return the steps until a transient has decayed, from time constants and intervals between sends."""
-        return KEEP * max([part.settling for part in self.parts] + [1 / float(rate) for rate in rates if rate > 0])
+        return _KEEP * max([part.settling for part in self.parts] + [1 / float(rate) for rate in rates if rate > 0])
 
     def _advance(self, states: Sequence[Array], ticks: int) -> tuple[Array, list[Array]]:
         """Run steps in chunks, between which progress is reported and the run can be interrupted."""
@@ -605,14 +599,14 @@ class Sampling:
 
     def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = controlled_mean(self._contrast(means), means[self.controls])
-        if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
+        if cost.standard_error <= _DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
         seen = sum(length for length, _ in kept) * means.shape[1]
         windows = [(length, self._sends(sums)) for length, sums in kept]
         rates = {
-            link: rate_of(row, seen, shared_end([(length, sends[link]) for length, sends in windows]))
+            link: rate_of(row, seen, _shared_end([(length, sends[link]) for length, sends in windows]))
             for link, row in self._sends(means).items()
         }
         return self._rounded(cost).scaled(1.0, self.offset), rates
@@ -621,7 +615,7 @@ class Sampling:
         """Add the rounding error of single precision to a mean; a difference of two precisions already measures it."""
         if len(self.parts) > 1 or self.parts[0].loop.precision == "float64":
             return cost
-        error = float(np.hypot(cost.standard_error, ROUNDING_OF_SINGLES * cost.value))
+        error = float(np.hypot(cost.standard_error, _ROUNDING_OF_SINGLES * cost.value))
         return Estimate(cost.value, error, cost.method)
 
     def _is_precise(self, cost: Estimate, target: float) -> bool:

@@ -11,7 +11,7 @@ from taciturn._arrays import Array, ArrayLike, array, count
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 
-TAIL = 64  # the tail is the largest 1/64 of the values, and must contain at least 64 values
+_TAIL = 64  # the tail is the largest 1/64 of the values, and must contain at least 64 values
 BATCHES = 32
 CYCLES = 30  # least number of cycles for a standard error
 
@@ -61,8 +61,8 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
 
 def tail_index(values: Array) -> float:
     """Return Hill's estimate of the power-law index of the largest values, relative to the median."""
-    largest = len(values) // TAIL
-    if largest < TAIL:
+    largest = len(values) // _TAIL
+    if largest < _TAIL:
         return float(np.inf)
     above = np.sort(values - np.median(values))[-largest - 1 :]
     if not above[0] > 0:

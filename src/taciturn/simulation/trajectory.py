@@ -30,8 +30,9 @@ from taciturn.simulation.statistics import mean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ADDRESSES = 2**47  # bytes that a process can address, of which NumPy refuses more in other ways
+_ADDRESSES = 2**47  # bytes that a process can address, of which NumPy refuses more in other ways
 COLUMNS = 6  # columns next to the time that ``str`` prints
+PATHS = 4096
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,7 +190,7 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     program = program.keep(outputs=set(program.outputs))
     size = 8 * ticks * len(program.outputs)
     try:
-        if size > ADDRESSES:
+        if size > _ADDRESSES:
             raise MemoryError
         outputs = prepare(program, exact=True)(loop.start(program, 1, seed), ticks, 1).outputs
     except MemoryError:
@@ -229,9 +230,6 @@ def _weighed(policy: Policy, records: Mapping[Name, Array]) -> tuple[Array, Arra
             if silent:
                 return np.min(silent, axis=0), np.min([values[label] for label in sending], axis=0)
     return np.empty(0), np.empty(0)
-
-
-PATHS = 4096
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -34,10 +34,22 @@ from taciturn.simulation.reliability import escapes, expect_arrivals, wandering_
 from taciturn.simulation.sampling import HUGE, Estimator, Part, Sampling, sends
 
 COPIES = 4
-MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
+_MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
 MOST_PATHS = 1 << 18  # above this number, the highest threshold is removed
 
-Whole = npt.NDArray[np.int64]
+_Whole = npt.NDArray[np.int64]
+ACCURACY = 0.05  # default standard error, relative to the probability per step
+_ORIGINALS = 1024  # paths that are no copies
+SETTLING = 512  # paths, at least, on which it is decided that the loop has settled
+MOST_STEPS = 20_000_000  # of all paths, for each limit
+_TO_SETTLE = 1_000_000_000  # steps of all paths until the loop is in stationary operation, at most
+_OFTEN = 0.01  # share of the steps with a violation, above which no path is copied
+LEVELS = 8  # levels for which the number of paths is chosen
+SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
+STAGE, LONGEST_STAGE = 32, 256  # least and most steps before the next threshold is placed
+SHORTEST_WINDOW, CONSTANTS = 64, 6  # half of a window: at least so many steps, and so many time constants
+HOUR, MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
+GROWN, QUARTILES = 7.0, 1.65  # standard errors of a ratio of spreads that are growth; one is 1.65/√paths
 
 
 class Splitting:
@@ -61,7 +73,7 @@ class Splitting:
     def restart(self, states: Array) -> None:
         """Replace all paths by original paths with given states."""
         self.states = states
-        self.root: Whole = np.arange(self.originals, dtype=np.int64)
+        self.root: _Whole = np.arange(self.originals, dtype=np.int64)
         self._level, self._first = (np.zeros(self.originals, dtype=np.int64) for _ in range(2))
         self.marks: Bits = np.zeros((0, self.originals), dtype=np.bool_)
         self.heights = self._height(self.x)
@@ -139,25 +151,11 @@ class Splitting:
         highest = len(self.thresholds)
         self._keep(np.flatnonzero(self._first <= highest), np.minimum(self._level, highest), self._first, False)
 
-    def _keep(self, at: Whole, level: Whole, first: Whole, told: bool = True) -> None:
+    def _keep(self, at: _Whole, level: _Whole, first: _Whole, told: bool = True) -> None:
         """Keep the paths of some indices, each perhaps several times."""
         self.states, self.root, self.heights = self.states[:, at], self.root[at], self.heights[at]
         self.marks, self._level = self.marks[:, at], level[at]
         self._first = first if told else first[at]
-
-
-ACCURACY = 0.05  # default standard error, relative to the probability per step
-ORIGINALS = 1024  # paths that are no copies
-SETTLING = 512  # paths, at least, on which it is decided that the loop has settled
-MOST_STEPS = 20_000_000  # of all paths, for each limit
-TO_SETTLE = 1_000_000_000  # steps of all paths until the loop is in stationary operation, at most
-OFTEN = 0.01  # share of the steps with a violation, above which no path is copied
-STAGE, LONGEST_STAGE = 32, 256  # least and most steps before the next threshold is placed
-SHORTEST_WINDOW, CONSTANTS = 64, 6  # half of a window: at least so many steps, and so many time constants
-LEVELS = 8  # levels for which the number of paths is chosen
-SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
-HOUR, MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
-GROWN, QUARTILES = 7.0, 1.65  # standard errors of a ratio of spreads that are growth; one is 1.65/√paths
 
 
 def violations(
@@ -242,7 +240,7 @@ class _Search:
         half = max(SHORTEST_WINDOW, int(CONSTANTS * settling))
         self.half = -(-half // cycle) * cycle
         self.stage = int(np.clip(settling / 4, STAGE, LONGEST_STAGE))
-        paths = int(np.clip(budget // (2 * self.half * LEVELS), 64, ORIGINALS))
+        paths = int(np.clip(budget // (2 * self.half * LEVELS), 64, _ORIGINALS))
         self.settled = self._begun(paths) if self.horizon else self._stationary(paths)
         self.deviation = self._deviation()
 
@@ -325,7 +323,7 @@ class _Search:
 
     def _place(self, split: Splitting) -> None:
         """Place thresholds, each of which one path in ``COPIES`` above the last one exceeds."""
-        for _ in range(MOST_LEVELS):
+        for _ in range(_MOST_LEVELS):
             if self.horizon is not None:
                 split.restart(self._begun(split.originals))
             heights = list[Array]()
@@ -335,7 +333,7 @@ class _Search:
                 self.progress.tick()
             reached = np.concatenate(heights)
             threshold = float(np.quantile(reached, 1 - 1 / COPIES)) if reached.size else 0.0
-            often = not len(split.thresholds) and (reached > 0).mean() > OFTEN
+            often = not len(split.thresholds) and (reached > 0).mean() > _OFTEN
             if often or not threshold < 0:
                 return
             split.add(threshold)
@@ -382,7 +380,7 @@ class _Search:
         for i in np.flatnonzero(self._wanders()):
             raise self._wandering(self.limits.names[i], "it follows a disturbance that wanders without limit")
         expect_arrivals(self.loop)
-        (states,), history, settled = self.sampling.settle(max(paths, SETTLING), TO_SETTLE, self._moments)
+        (states,), history, settled = self.sampling.settle(max(paths, SETTLING), _TO_SETTLE, self._moments)
         if not settled:
             raise ProblemError(
                 f"the loop has not settled within {history.steps} steps, so no stationary distribution of its states "
