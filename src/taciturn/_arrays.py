@@ -21,7 +21,7 @@ Word = TypeVar("Word", bound=str)
 
 NO_VARIANCE = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
 _DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
-ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
 
 
 def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array:
@@ -61,7 +61,7 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
     difference, spread = np.abs(result - result.T), np.sqrt(np.abs(np.diag(result)))
     # Tolerance in the units of each row and column, but at least the rounding error of the largest entry.
     allowed = np.maximum(np.maximum(np.abs(result), np.abs(result.T)), spread * spread[:, None])
-    allowed = np.maximum(1e-9 * allowed, ROUNDING * size * np.abs(result).max(initial=0.0))
+    allowed = np.maximum(1e-9 * allowed, _ROUNDING * size * np.abs(result).max(initial=0.0))
     if (difference > allowed).any():
         i, j = (int(k) for k in np.unravel_index(np.argmax(difference - allowed), result.shape))
         raise ProblemError(
@@ -255,10 +255,10 @@ def _in_units(matrix: Array) -> Array:
 def _is_rounding(matrix: Array) -> bool:
     """Return whether the negative eigenvalues of a matrix are explained by the rounding of its products."""
     others = np.abs(matrix).max(axis=1, initial=0.0)
-    if (matrix.diagonal() < -ROUNDING * len(matrix) * others).any():
+    if (matrix.diagonal() < -_ROUNDING * len(matrix) * others).any():
         return False
     values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] >= -ROUNDING * len(matrix) * np.abs(values).max())
+    return bool(values[0] >= -_ROUNDING * len(matrix) * np.abs(values).max())
 
 
 def _named(matrix: Array, smallest: float) -> str:

@@ -25,7 +25,7 @@ _EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
 """Settings for reproducible files with embedded TrueType fonts, which publishers require."""
 WIDTH, HEIGHT = 7.0, 4.2  # inches
 _LETTER = 0.08  # width of a letter of a label, in inches
-LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
+_LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
 _SLANT = 30  # degrees by which long labels of the x axis are rotated
 LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
 Size: TypeAlias = tuple[float, float]
@@ -92,7 +92,7 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
         axis.set_title(panel.title, fontsize="medium")
         axis.grid(True, alpha=0.3)
         if panel.names:
-            axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, LONGEST_NAME)) for name in panel.names])
+            axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, _LONGEST_NAME)) for name in panel.names])
         if any(series.label for series in panel.series):
             bars = any(series.error is not None and any(series.error) for series in panel.series)
             place: Any = (
@@ -109,7 +109,7 @@ def _separate(axis: Any, panel: Panel) -> None:
     low, high = sorted(axis.get_xlim())
     ticks = [tick for tick in axis.get_xticks() if low <= tick <= high]
     longest = max(map(len, axis.xaxis.get_major_formatter().format_ticks(ticks)), default=0)
-    beside = max((len(line) for name in panel.names for line in folded(name, LONGEST_NAME)), default=0)
+    beside = max((len(line) for name in panel.names for line in folded(name, _LONGEST_NAME)), default=0)
     room = axis.get_position().width * axis.figure.get_figwidth() - _LETTER * beside
     if _LETTER * (longest + 1) * len(ticks) > room:
         axis.tick_params(axis="x", labelrotation=_SLANT)

@@ -6,7 +6,7 @@ relative to the largest geometric mean of entries along a cycle, which no change
 
 Covariances. G with GG' = W is computed from the correlation matrix, whose entries have no units.
 
-Subspaces. ``invariant`` adds the images of all maps to a basis until nothing new of relative length above ``SAME``
+Subspaces. ``invariant`` adds the images of all maps to a basis until nothing new of relative length above ``_SAME``
 appears. ``summed`` adds 2^k terms of Σ F^k W F'^k by k doublings.
 
 Growth. The moments of a random linear system, such as a loop over lossy links, move by a linear map. Their growth is
@@ -36,13 +36,13 @@ ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 COST_ERROR = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
 SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
-FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
-SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
+_FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
+_SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
 STEPS = 4096  # largest number of steps from which the growth is computed
-ACCURACY = 1e-3  # relative accuracy of the logarithm of the growth, if it is computed from steps
-PRECISE = 1e-6  # relative error of an eigenvalue of Arnoldi's method that is accepted
+_ACCURACY = 1e-3  # relative accuracy of the logarithm of the growth, if it is computed from steps
+_PRECISE = 1e-6  # relative error of an eigenvalue of Arnoldi's method that is accepted
 _BASIS = 64  # largest dimension of a Krylov space
-LOOKS = 4  # dimensions between two computations of eigenvalues
+_LOOKS = 4  # dimensions between two computations of eigenvalues
 _FROM = (0, 64, 512)  # steps after which a Krylov space starts; they enlarge the share of the largest eigenvalues
 _VANISHES = 1e-14  # relative size of a new direction that is a rounding error
 
@@ -237,7 +237,7 @@ def summed(F: Array, W: Array) -> Array:
             square = float(np.vdot(power, power))
             if not square < LARGEST**2:
                 return X * np.inf
-            if square < FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
+            if square < _FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
             power = power @ power
         return (X + X.T) / 2
@@ -267,7 +267,7 @@ def _added(columns: Array, basis: Array) -> Array:
     for _ in range(2):  # the second pass removes rounding errors of the first
         rest = rest - basis @ (basis.T @ rest)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, values > SAME]
+    return left[:, values > _SAME]
 
 
 def growth(move: Callable[[Array], Array], moments: Array) -> float:
@@ -283,7 +283,7 @@ def growth(move: Callable[[Array], Array], moments: Array) -> float:
         if step and step & (step - 1) == 0:  # the average of the second half of the steps
             paces.append((size - earlier) / max(1, step - step // 2))
             earlier = size
-            if step > _FROM[-1] and max(abs(pace - paces[-1]) for pace in paces[-3:]) <= ACCURACY * abs(paces[-1]):
+            if step > _FROM[-1] and max(abs(pace - paces[-1]) for pace in paces[-3:]) <= _ACCURACY * abs(paces[-1]):
                 break
         moments = move(moments)
         factor = float(np.linalg.norm(moments))
@@ -310,7 +310,7 @@ def _largest(move: Callable[[Array], Array], start: Array) -> float | None:
             H[: k + 1, k] += along
         H[k + 1, k] = new = float(np.linalg.norm(moved))
         ends = new <= _VANISHES * length
-        if ends or (k + 1) % LOOKS == 0:
+        if ends or (k + 1) % _LOOKS == 0:
             found = _eigenvalue(H[: k + 1, : k + 1], 0.0 if ends else new)
             if found is not None or ends:
                 return found
@@ -329,7 +329,7 @@ def _eigenvalue(H: Array, rest: float) -> float | None:
     j = int(np.argmin(np.abs(others - values[i])))
     cosine = float(np.abs(left[:, j] @ right[:, i]))
     error = (rest * float(np.abs(right[-1, i])) + np.finfo(float).eps * float(np.linalg.norm(H))) / max(cosine, 1e-300)
-    return largest if error <= PRECISE * largest else None
+    return largest if error <= _PRECISE * largest else None
 
 
 def normal_moments(size: int, order: int) -> Array:

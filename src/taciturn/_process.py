@@ -27,7 +27,7 @@ GRACE = "TACITURN_GRACE"  # environment variable with the grace period in second
 _USUAL_GRACE = 1.2  # seconds, so that with the last calls every command ends within 2 s
 LIFELINE = "TACITURN_LIFELINE"  # environment variable of a process that ends when its standard input ends
 ENDED = "ended by"  # text of the line about a signal other than Ctrl-C
-LAST = 0.6  # seconds that the last calls, and the output so far, may take when the process is ended at once
+_LAST = 0.6  # seconds that the last calls, and the output so far, may take when the process is ended at once
 _present: Ending | None = None  # of the command that runs in this process
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -81,12 +81,12 @@ class Ending:
             sys.unraisablehook = threading.excepthook = _ignore
 
     def _end_at_once(self, number: int) -> NoReturn:
-        end = time.monotonic() + LAST
+        end = time.monotonic() + _LAST
         calls = [threading.Thread(target=_try, args=(call,), daemon=True) for call in (*reversed(self.last), self.tell)]
         calls.append(threading.Thread(target=_try, args=(sys.stdout.flush,), daemon=True))
         for call in calls:  # in order, unless one blocks
             call.start()
-            call.join(LAST / 4)
+            call.join(_LAST / 4)
         for call in calls:
             call.join(max(0.0, end - time.monotonic()))
         os._exit(128 + number)

@@ -41,11 +41,11 @@ from taciturn._modes import ROUNDOFF, Modes, balancing, closure, in_cycles, mode
 
 _PRIME = (1 << 61) - 1  # a rank modulo this prime is at most the rank of the rational numbers
 _LOCK = RLock()
-BITS = 128  # first precision of the roots; it doubles until the limit separates them
-SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
+_BITS = 128  # first precision of the roots; it doubles until the limit separates them
+_SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
 _ROUNDINGS = 8  # of each entry of a matrix, by which a mode may have left the limit
 FEWEST, MOST = 6, 17  # digits of a mode in a message
-NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
+_NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 def reaches_all(A: Array, B: Array) -> bool:
@@ -76,7 +76,7 @@ def _reached(A: Array, B: Array) -> int:
     return 0
 
 
-def reachable(A: Array, B: Array) -> fmpq_mat:
+def _reachable(A: Array, B: Array) -> fmpq_mat:
     """Return a basis of the states that the input through B reaches, the span of B, AB, A²B, …, in reduced form."""
     F, (n, m) = rational(A), B.shape
     chosen, block, columns = _independent(A, B), rational(B.T), fmpq_mat(0, n)
@@ -86,10 +86,10 @@ def reachable(A: Array, B: Array) -> fmpq_mat:
             break
         columns = above(columns, lines(block, own))
         block = block * F.transpose()
-    return within(F, basis(columns.transpose()))  # already invariant, unless the prime divides minors
+    return _within(F, basis(columns.transpose()))  # already invariant, unless the prime divides minors
 
 
-def within(F: fmpq_mat, some: fmpq_mat) -> fmpq_mat:
+def _within(F: fmpq_mat, some: fmpq_mat) -> fmpq_mat:
     """Return a basis of the least subspace with given states that F does not leave; both in reduced form."""
     while True:
         moved = F * some
@@ -290,7 +290,7 @@ class Limit(NamedTuple):
     def digits(self, mode: complex) -> int:
         """Return the least number of digits, six or more, in which a mode and the edge lie as they do."""
         at, own = self.at, mode.real if self.continuous else abs(mode)
-        if abs(own - at) <= SAME * at:
+        if abs(own - at) <= _SAME * at:
             return FEWEST  # the double may be that of a mode on the edge
         for digits in range(FEWEST, MOST):
             rounded = complex(*(float(f"{part:.{digits}g}") for part in (mode.real, mode.imag)))
@@ -335,7 +335,7 @@ def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
     found, among = [NONE], np.ix_(inside, inside)
     if not reaches_all(A[among], B[inside]):
         moved = A[among], B[inside]
-        found.append(_of_block(_beyond(rational(moved[0]), reachable(*moved)), limit, rounded))
+        found.append(_of_block(_beyond(rational(moved[0]), _reachable(*moved)), limit, rounded))
     for cycle in in_cycles(leads):
         if not inside[cycle].any():
             found.append(_of_block(rational(A[np.ix_(cycle, cycle)]), limit, rounded and int(cycle.sum()) > 1))
@@ -352,8 +352,8 @@ def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: boo
 
     They are the modes of A on the states modulo those that the input reaches and those that never show.
     """
-    F, hidden = rational(A), kernel(reachable(A.T, rows.T).transpose())
-    return _of_block(_beyond(F, within(F, basis(beside(rational(B), hidden)))), limit, rounded)
+    F, hidden = rational(A), kernel(_reachable(A.T, rows.T).transpose())
+    return _of_block(_beyond(F, _within(F, basis(beside(rational(B), hidden)))), limit, rounded)
 
 
 def _beyond(F: fmpq_mat, reached: fmpq_mat) -> fmpq_mat:
@@ -381,7 +381,7 @@ def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
     """Return for each mode whether a matrix within the rounding of A has it on the axis or the unit circle."""
     nearest = 1j * modes.imag if limit.continuous else modes / np.maximum(np.abs(modes), NO_VARIANCE)
     rounding = _ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
-    near = np.abs(modes - nearest) <= NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
+    near = np.abs(modes - nearest) <= _NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
     shifted = nearest[near][:, None, None] * np.eye(len(A)) - A
     near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= rounding
     return near
@@ -410,7 +410,7 @@ class _Root(NamedTuple):
     side: int
 
 
-def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[_Root]:
+def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = _BITS) -> list[_Root]:
     """Return the different roots of a polynomial, in at least the given precision."""
     on = None if limit.reaching else 0
     while True:

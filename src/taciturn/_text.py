@@ -10,12 +10,12 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 
 WIDTH = 80
-NAME = 14  # least width of the names
-SHORTEST = 8  # least width of a wrapped heading
-LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
-SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
-FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
-ROUNDED = 12  # digits of a number that are not affected by rounding errors
+_NAME = 14  # least width of the names
+_SHORTEST = 8  # least width of a wrapped heading
+_LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
+_SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
+_FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
+_ROUNDED = 12  # digits of a number that are not affected by rounding errors
 _PROVED = 8  # digits of a percentage that are not affected by the radius of a proved number
 _GAP = "  "
 _FIXED = "\N{NO-BREAK SPACE}"
@@ -24,7 +24,7 @@ Lines = list[tuple[str, str]]
 
 def pairs_text(lines: Lines) -> str:
     """Return names and values, one pair per line; long values are wrapped with a hanging indent."""
-    width = max([NAME, *(len(name) for name, _ in lines)])
+    width = max([_NAME, *(len(name) for name, _ in lines)])
     return "\n".join(line for name, text in lines for line in _hanging(f"{name:{width}s} ", text))
 
 
@@ -115,7 +115,7 @@ def number_text(value: float, digits: int = 6) -> str:
 def measured_text(value: float, error: float) -> str:
     """Return value ± error in one notation, rounded to two digits of the error, which is positive."""
     last = magnitude(error) - 1
-    if SMALL <= max(abs(value), error) < LARGE and last >= -ROUNDED:
+    if _SMALL <= max(abs(value), error) < LARGE and last >= -_ROUNDED:
         decimals = max(0, -last)
         return f"{value:z.{decimals}f} ± {error:.{decimals}f}"
     nearest = float(Decimal(value).quantize(Decimal(1).scaleb(last)))
@@ -125,7 +125,7 @@ def measured_text(value: float, error: float) -> str:
 
 def negligible(error: float, value: float) -> bool:
     """Return whether an error is only a rounding error of the value."""
-    return error <= FINE * abs(value)
+    return error <= _FINE * abs(value)
 
 
 def magnitude(value: float) -> int:
@@ -172,10 +172,10 @@ def _part(
 
 def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) -> list[Sequence[str]]:
     """Return the rows with additional lines for long names, so that the widest other column fits next to the names."""
-    widths = [max([len(row[i]) for row in rows] + [SHORTEST]) for i in range(len(header))]
+    widths = [max([len(row[i]) for row in rows] + [_SHORTEST]) for i in range(len(header))]
     room = WIDTH - len(_GAP) * names - max(widths[names:], default=0)
-    limits = [min(width, LONGEST_NAME) for width in widths[:names]]
-    while sum(limits) > room and max(limits) > SHORTEST:
+    limits = [min(width, _LONGEST_NAME) for width in widths[:names]]
+    while sum(limits) > room and max(limits) > _SHORTEST:
         limits[limits.index(max(limits))] -= 1
     found: list[Sequence[str]] = []
     for row in rows:
@@ -188,7 +188,7 @@ def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) ->
 
 def _wrapped(title: str, width: int) -> list[str]:
     """Return the lines of a heading that is wrapped to the width of its column."""
-    return textwrap.wrap(title, max(width, SHORTEST), break_long_words=False, break_on_hyphens=False) or [""]
+    return textwrap.wrap(title, max(width, _SHORTEST), break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def _hanging(first: str, text: str) -> list[str]:

@@ -47,20 +47,20 @@ from taciturn.lqg.quadratic import price
 from taciturn.lqg.riccati import regulate
 
 _SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
-TURNS = 200  # places that are tried on a path
+_TURNS = 200  # places that are tried on a path
 POLICIES = 8  # improvements of a gain at a place
-ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
-CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
-STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
-FASTER = 1.1  # first growth, relative to that without inputs
-SLOW = 0.99  # modulus above which a gain moves a mode that decays
-FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
+_ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
+_CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
+_STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
+_FASTER = 1.1  # first growth, relative to that without inputs
+_SLOW = 0.99  # modulus above which a gain moves a mode that decays
+_FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
 _NILPOTENT = 1e-6  # a growth below this counts as none
-SAME = 1e-7  # relative difference of losses that count as equal
+_SAME = 1e-7  # relative difference of losses that count as equal
 _POWERS = 100  # steps towards the pair of weights that grows fastest
-WIDE = 1e-6  # relative distance of the ends of a proof from which on both are named
-SHARP = 4 * UNIT  # radius of coordinates, with the rounding to doubles, relative to the largest
-MARGINS = (1e-9, 1e-7, 1e-5, 1e-3, 1e-2, 1e-1)  # distances of a loss from its critical value at which a proof is tried
+_WIDE = 1e-6  # relative distance of the ends of a proof from which on both are named
+_SHARP = 4 * UNIT  # radius of coordinates, with the rounding to doubles, relative to the largest
+_MARGINS = (1e-9, 1e-7, 1e-5, 1e-3, 1e-2, 1e-1)  # distances of a loss from its critical value at which a proof is tried
 Link: TypeAlias = Literal["actuator", "sensor"]
 
 
@@ -242,7 +242,7 @@ class Critical(NamedTuple):
 
     def __str__(self) -> str:
         """Return the limit of the losses as text."""
-        if self.lost - self.survived <= WIDE * self.lost:
+        if self.lost - self.survived <= _WIDE * self.lost:
             return f"below {self.survived:.6g}"
         return f"up to {self.survived:.6g} and below {self.lost:.6g} (more is not proved)"
 
@@ -289,7 +289,7 @@ class Lasting:
             # in the coordinates V x, the cost-to-go of the regulator is about the unit
             unit = np.sqrt(np.diag(best.K))
             sizes, turn = np.linalg.eigh(best.K / unit / unit[:, None])
-            scale = np.sqrt(np.maximum(sizes, FLAT))[:, None] * turn.T * unit
+            scale = np.sqrt(np.maximum(sizes, _FLAT))[:, None] * turn.T * unit
             W = V.T @ np.linalg.inv(scale)
             V = scale @ V
             self._known[key] = Rough(V @ self.A @ W, V @ self.B, V, W, best.L @ np.linalg.inv(scale))
@@ -302,18 +302,18 @@ class Lasting:
             start = self.reached(replace(channel, sensor_loss=0.0), "actuator", modes)
             if start is None or start.place < channel.actuator_loss:
                 return None
-            L, end = start.L, min(channel.sensor_loss, (1 - MARGINS[0] / 2) / self.size**2)
+            L, end = start.L, min(channel.sensor_loss, (1 - _MARGINS[0] / 2) / self.size**2)
             if channel.acknowledged:
                 return start._replace(place=end)
         elif channel.sensor_loss * self.size**2 < 1:
             end = channel.actuator_loss
         else:
             return None
-        return follow(lambda loss, L: _loop(A, B, L, channel.at(link, loss)), L, end)
+        return _follow(lambda loss, L: _loop(A, B, L, channel.at(link, loss)), L, end)
 
     def gain(self, channel: Channel) -> Array | None:
         """Return a gain of the states that keeps the mean square bounded; None if none was found."""
-        slow = [k for k, one in enumerate(self.roots) if abs(complex(one.root)) > SLOW and not one.root.imag < 0]
+        slow = [k for k, one in enumerate(self.roots) if abs(complex(one.root)) > _SLOW and not one.root.imag < 0]
         for modes in (slow, self.modes):  # also those that hardly decay, whose costs would be too large
             for path in (channel, channel.at("actuator", 1.0)):  # or a gain for larger losses
                 found = self.reached(path, "actuator", modes)
@@ -332,9 +332,9 @@ class Lasting:
         if not self.modes:
             return 0.0, self.of_states(np.zeros((self.B.shape[1], 0)))
         A, B, *_ = self.rough(self.modes)
-        first = FASTER * self.size**2
+        first = _FASTER * self.size**2
         last = max(_NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
-        found = follow(
+        found = _follow(
             lambda fall, L: _loop(A, B, L, channel, first * (1 - fall)), np.zeros(B.T.shape), 1 - last / first
         )
         assert found is not None, "without inputs, the mean square grows like the modes"
@@ -362,7 +362,7 @@ class Lasting:
     def _survived(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the largest loss of a link that is proved to be survived."""
         A, B, *_ = self.rough(self.modes)
-        for margin in MARGINS:
+        for margin in _MARGINS:
             there = channel.at(link, found.place * (1 - margin))
             if self._survives(A, B, found.L, there):
                 return found.place * (1 - margin)
@@ -373,8 +373,8 @@ class Lasting:
 
     def _lost(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the least loss of a link from which on it is proved that no linear gain survives it; 1 if none is."""
-        modes, found = self._smallest(channel, link, found.place * (1 + SAME), found)
-        for margin in MARGINS:
+        modes, found = self._smallest(channel, link, found.place * (1 + _SAME), found)
+        for margin in _MARGINS:
             there = channel.at(link, found.place * (1 + margin))
             if found.place * (1 + margin) < 1 and (self._doubts(there) or self._grows(modes, found, there)):
                 return found.place * (1 + margin)
@@ -446,7 +446,7 @@ class Lasting:
                             V = _without(V, A, root)
                 V = (V @ W).solve(V)
                 found = V @ A @ W, V @ Balls.exact(self.B)
-                if all((part.radius <= SHARP * np.abs(part.middle).max()).all() for part in found):
+                if all((part.radius <= _SHARP * np.abs(part.middle).max()).all() for part in found):
                     return found
         raise UnprovedError("the modes need more than 1,024 bits")
 
@@ -485,7 +485,7 @@ def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) ->
     return MeanSquare(A, B, L, channel.at("sensor", 0.0) if channel.acknowledged else channel, level)
 
 
-def follow(path: Path, L: Array, end: float) -> Reached | None:
+def _follow(path: Path, L: Array, end: float) -> Reached | None:
     """Return the farthest place at which some gain keeps the mean square bounded, in double precision; None if none.
 
     Near this place, the inverse of the weights of unit costs decreases to zero, and the secant method approaches it.
@@ -495,7 +495,7 @@ def follow(path: Path, L: Array, end: float) -> Reached | None:
     if found is None:
         return None
     step = end / 8
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         check_time()
         after = _improved(path, found.L, min(found.place + step, end))
         if after is None:
@@ -504,8 +504,8 @@ def follow(path: Path, L: Array, end: float) -> Reached | None:
             before, found = found, after
             fall = _margin(before) - _margin(found)
             left = _margin(found) * (found.place - before.place) / fall if fall > 0 else np.inf
-            step = min(STEP * left, 8 * step)
-        if found.place >= end or step <= CLOSE * max(found.place, CLOSE):
+            step = min(_STEP * left, 8 * step)
+        if found.place >= end or step <= _CLOSE * max(found.place, _CLOSE):
             break
     return found
 
@@ -520,7 +520,7 @@ def _improved(path: Path, L: Array, place: float) -> Reached | None:
     for _ in range(POLICIES):
         loop = path(place, L)
         weights = loop.weights()
-        if weights is None or (found is not None and np.trace(weights[0]) > (1 - ENOUGH) * np.trace(found.K)):
+        if weights is None or (found is not None and np.trace(weights[0]) > (1 - _ENOUGH) * np.trace(found.K)):
             break
         found = Reached(place, L, *weights)
         L = _best(loop.A, loop.B, *weights, loop.channel)

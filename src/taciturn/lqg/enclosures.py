@@ -24,7 +24,7 @@ from taciturn._arrays import Array, Bits, symmetrised
 PRECISIONS = (128, 256, 512, 1024)  # bits that are tried in turn
 UNIT = 2.0**-53  # largest relative error of one rounding
 _UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
-SMALL = 8  # most rows for which elimination in balls is faster than a factorisation in doubles with its conversions
+_SMALL = 8  # most rows for which elimination in balls is faster than a factorisation in doubles with its conversions
 
 Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
 
@@ -163,7 +163,7 @@ class Balls:
 
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
-        return (self._balls.nrows() > SMALL and _definite(self.middle, self.radius)) or self._has_positive_pivots()
+        return (self._balls.nrows() > _SMALL and _definite(self.middle, self.radius)) or self._has_positive_pivots()
 
     def _has_positive_pivots(self) -> bool:
         """Eliminate row by row: a symmetric matrix is definite if and only if all pivots are positive."""

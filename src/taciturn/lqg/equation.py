@@ -55,12 +55,12 @@ from taciturn.lqg.quadratic import Before, Free, Quadratic, Span, Worth, free_in
 
 FEW = 10  # most states for which balls are faster than doubles with bounds
 ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
-CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
-LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
-TURNS = 100  # doublings
-CORRECTIONS = 2  # steps of Newton's method
+_CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
+_LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
+_TURNS = 100  # doublings
+_CORRECTIONS = 2  # steps of Newton's method
 _FAST = 10.0  # growth within a step from which on it is named as a reason
-CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
+_CLEAR, _SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
@@ -171,7 +171,7 @@ def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
 def total(arithmetic: type[E], F: E, M: E) -> E:
     """Return about the sum of F'^k M F^k, without radii, by doubling the number of terms."""
     found, power = M.centre(), F.centre()
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         more = (power.T @ found @ power).symmetric()
         found = (found + more).centre()
         if not np.isfinite(found.middle).all():
@@ -400,7 +400,7 @@ class Problem(Displayed):
         if not np.isfinite(K).all():
             raise UnprovedError("the cost-to-go grows without bound")
         found, reason = arithmetic.exact(K), UnprovedError()
-        for _ in range(CORRECTIONS):
+        for _ in range(_CORRECTIONS):
             F, stage = given.under(_gain(given, found)[0])
             missed = (stage + F.T @ found @ F - found).symmetric().middle
             with np.errstate(all="ignore"):
@@ -417,7 +417,7 @@ class Problem(Displayed):
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
         L, weight, H = _gain(given, K)
-        size = sizes(given.A.middle, given.Q.middle, K.middle, arithmetic.unit() ** CRUMB)
+        size = sizes(given.A.middle, given.Q.middle, K.middle, arithmetic.unit() ** _CRUMB)
         X, slack, F = _proved_solution(arithmetic, given, K, L, weight, H, size)
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
@@ -508,7 +508,7 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
     F, G = (A + B @ L).centre(), (B @ pushed).symmetric().centre()
     K = (Q - last + A.T @ last @ A + off.T @ L).symmetric().centre()
     one, settled = Balls.exact(np.eye(n)), 2.0 ** (-bits / 2)
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         solved = (one + G @ K).solve(block([[F, G]])).centre()
         moved, spread = solved.part(slice(n), slice(n)), solved.part(slice(n), slice(n, None))
         more = (F.T @ K @ moved).symmetric()
@@ -548,10 +548,10 @@ def _slowest(F: E) -> float:
     It is the limit of the root of |F^k|; the norm of each power is divided by a power of two, which is counted.
     """
     found = radius(F.middle)
-    if found < CLEAR:
+    if found < _CLEAR:
         return found
     power, exponent, count = F.centre(), 0.0, 1
-    for _ in range(SQUARINGS):
+    for _ in range(_SQUARINGS):
         size = float(np.abs(power.middle).max(initial=0.0))
         if size == 0:
             return 0.0
@@ -577,7 +577,7 @@ def _slack(missed: E, off: E, H: E, size: Array) -> float:
 def _last(B: Array, Q: Array, R: Array) -> float:
     """Return a terminal weight that is small compared with the cost of moving a state."""
     worth, reached = float(np.trace(R) + np.sum(B * (Q @ B))), float(np.sum(B * B))
-    return LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
+    return _LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
 
 
 def _units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:

@@ -20,9 +20,9 @@ from taciturn.errors import UnstableError
 
 _EDGE = 1e-13  # distance to the unit circle within which a computed mode may lie on it
 _FREQUENCIES = 200  # tried between 0 and π
-AROUND = np.concatenate([-np.logspace(-4, 2, 100), np.zeros(1), np.logspace(-4, 2, 100)])  # each mode, in its widths
+_AROUND = np.concatenate([-np.logspace(-4, 2, 100), np.zeros(1), np.logspace(-4, 2, 100)])  # each mode, in its widths
 _EXCESSES = np.logspace(-8, 1, 19)  # relative amounts above the largest gain found that are tried
-SLACK = (1e-10, 1e-8, 1e-6)  # margins of the proof, relative to the weight of the output
+_SLACK = (1e-10, 1e-8, 1e-6)  # margins of the proof, relative to the weight of the output
 
 
 def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
@@ -49,7 +49,7 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
     least = max(direct, _largest(A, B, C, D))
     for excess in _EXCESSES:
         level = float(1 + excess) * least
-        if any(_exceeds(A, B, C, D, level, slack) for slack in SLACK):
+        if any(_exceeds(A, B, C, D, level, slack) for slack in _SLACK):
             return level
     raise UnstableError(
         f"no bound on the gain of the loop was found, which is at least {least:.6g}; expected modes that decay faster"
@@ -59,7 +59,7 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
 def _largest(A: Array, B: Array, C: Array, D: Array) -> float:
     """Return the largest gain at many frequencies, most of them near those of slow modes."""
     modes = np.linalg.eigvals(A)
-    near = np.angle(modes)[:, None] + np.maximum(1 - np.abs(modes), 1e-12)[:, None] * AROUND
+    near = np.angle(modes)[:, None] + np.maximum(1 - np.abs(modes), 1e-12)[:, None] * _AROUND
     angles = np.concatenate([np.linspace(0.0, np.pi, _FREQUENCIES), near.ravel()])
     shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
     responses = C @ np.linalg.solve(shifted, np.broadcast_to(B, (len(angles), *B.shape))) + D

@@ -50,12 +50,12 @@ __all__ = [
     "slowest_growth",
 ]
 
-TURNS = 100
-FEW = 10  # most states for which balls are faster than doubles with bounds
-ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
-NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
-CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
-CORRECTIONS = 5  # steps of Newton's method
+_TURNS = 100
+_FEW = 10  # most states for which balls are faster than doubles with bounds
+_ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
+_NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
+_CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
+_CORRECTIONS = 5  # steps of Newton's method
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
 
 
@@ -127,7 +127,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         L = gain * state / unit[:, None]
     K, T = _iterated(here, L, channel)
     reason = UnprovedError()
-    for bits in (0, *PRECISIONS) if len(A) > FEW else PRECISIONS:
+    for bits in (0, *PRECISIONS) if len(A) > _FEW else PRECISIONS:
         check_time()
         try:
             with precision(max(bits, PRECISIONS[0])), np.errstate(all="ignore"):
@@ -138,7 +138,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         K, P, Gamma, error = (frozen(found[i] / state / state[:, None]) for i in (0, 1, 3, 4))
         return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
     raise UnstableError(
-        f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
+        f"the gains over lossy links could not be proved to {_ASKED:.0e} of the cost-to-go of each state: {reason}; "
         "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
         "states that decay faster"
     )
@@ -147,7 +147,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
 def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
     """Return K and T = K + P by policy iteration in double precision, from a stabilising gain."""
     previous = np.inf
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         check_time()
         try:
             K, T = _cost_of(here, L, channel)
@@ -177,7 +177,7 @@ def _proved(
     exact, reason = arithmetic.exact, UnprovedError()
     A, B, Q, R = (exact(part) for part in here[:4])
     own, both = exact(K), exact(T)
-    for _ in range(CORRECTIONS):
+    for _ in range(_CORRECTIONS):
         price = (R + LossyStep(A, B, Q, R, R, channel).felt(own, both)).centre()  # it needs no gain
         L = solve(price, (B.T @ own @ A).centre()).times(-1.0).middle
         loop, step = MeanSquare(here.A, here.B, L, channel), LossyStep(A, B, Q, R, exact(L), channel)
@@ -187,7 +187,7 @@ def _proved(
                 (one + exact(more)).centre()
                 for one, more in zip((own, both), loop.solve(missed[0].middle, missed[1].middle), strict=True)
             )
-            scale = [sizes(here.A, here.Q, one.middle, CRUMB) for one in (own, both)]
+            scale = [sizes(here.A, here.Q, one.middle, _CRUMB) for one in (own, both)]
             X, Z = (exact(one) for one in loop.solve(*(np.diag(size) for size in scale)))
         except np.linalg.LinAlgError as error:
             raise UnprovedError("the cost of the gain is too large") from error
@@ -197,7 +197,7 @@ def _proved(
             reason = error
             continue
         errors = [slack * form.middle for form in (X, Z)]
-        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
+        if all((np.diag(error) <= _ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
             break
         reason = UnprovedError("the error of the cost-to-go is too large")
     else:
@@ -275,7 +275,7 @@ def _is_narrow(form: Array) -> bool:
     """Return whether a semidefinite form is much smaller in some direction than its diagonal is."""
     kept = np.diag(form) > NO_VARIANCE
     unit = np.sqrt(np.diag(form)[kept])
-    return bool(kept.any() and np.linalg.eigvalsh(form[np.ix_(kept, kept)] / unit / unit[:, None])[0] < NARROW)
+    return bool(kept.any() and np.linalg.eigvalsh(form[np.ix_(kept, kept)] / unit / unit[:, None])[0] < _NARROW)
 
 
 def _finite_in_balls(
@@ -291,7 +291,7 @@ def _finite_in_balls(
                 continue
         if before is not None:
             first, last = ([np.diag(part[0]) for part in forms[:2]] for forms in (before, found))
-            if all((np.abs(one - other) <= ASKED * other).all() for one, other in zip(first, last, strict=True)):
+            if all((np.abs(one - other) <= _ASKED * other).all() for one, other in zip(first, last, strict=True)):
                 return found
         before = found
     raise UnstableError(

@@ -42,10 +42,10 @@ from taciturn.model.network import Network
 
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
-CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
-SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
+_CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
+_SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
 LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
-MOST_STEPS = 20_000  # steps of the backward iteration
+_MOST_STEPS = 20_000  # steps of the backward iteration
 
 
 def lift(
@@ -145,7 +145,7 @@ class Held:
         with np.errstate(all="ignore"):
             spans = [Span.of(part.quadratic, last, price(part.B, last, part.R)[1]) for part in parts]
             stages = [Span(*(np.array(one)[chosen[:, k]] for one in zip(*spans, strict=True))) for k in many]
-            K = reduce(Span.then, stages).for_ever(last, CRUMB * sum(map(np.diag, sums))) - last
+            K = reduce(Span.then, stages).for_ever(last, _CRUMB * sum(map(np.diag, sums))) - last
             # backwards: the noise of an interval costs what the state at its end, the next send, costs from there on
             for k in reversed(many):
                 noise = noise + ((last + K) * np.array([part.W for part in parts])[chosen[:, k]]).sum(axis=(1, 2))
@@ -330,7 +330,7 @@ class MultirateControl(Displayed):
         steps = [self._step(timings, step) for step in range(cycle)]
         K, size = np.zeros(steps[0].A.shape), 1.0
         values, squares = [K] * cycle, [K] * cycle
-        for _ in range(max(2, MOST_STEPS // cycle)):
+        for _ in range(max(2, _MOST_STEPS // cycle)):
             before = K
             for step in reversed(range(cycle)):
                 values[step] = K[:n, :n]
@@ -339,7 +339,7 @@ class MultirateControl(Displayed):
             size = float(np.abs(K).max())
             if not np.isfinite(size) or size > LARGEST * max(1.0, float(np.abs(self.problem.Q).max())):
                 break
-            if float(np.abs(K - before).max()) <= SETTLED * size:
+            if float(np.abs(K - before).max()) <= _SETTLED * size:
                 return values, squares
         named = ", ".join(f"{link} every {one.period} steps" for link, one in zip(self._linked, timings, strict=True))
         raise UnstableError(f"the plant is not stabilised by packets {named}; expected shorter periods")

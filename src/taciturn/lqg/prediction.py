@@ -25,7 +25,7 @@ from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 from taciturn.lqg.sampling import Sampled, Step, integrated, sampled
 
 _GRID = 400  # intervals at which the cost is evaluated
-FINER, ROUNDS = 42, 3  # of them about the least ratio, in turn
+_FINER, _ROUNDS = 42, 3  # of them about the least ratio, in turn
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,8 +102,8 @@ class PredictionCost(Displayed):
         if np.isinf(longest) and ratios[-1] < ratios[-2]:
             return 0.0, longest
         least = int(np.argmin(ratios))
-        for _ in range(ROUNDS if 0 < least < len(lengths) - 1 else 0):
-            lengths = np.linspace(lengths[least - 1], lengths[least + 1], FINER)[1:-1].tolist()
+        for _ in range(_ROUNDS if 0 < least < len(lengths) - 1 else 0):
+            lengths = np.linspace(lengths[least - 1], lengths[least + 1], _FINER)[1:-1].tolist()
             ratios = [self._ratio(length) for length in lengths]
             least = min(max(int(np.argmin(ratios)), 1), len(lengths) - 2)
         return ratios[least], lengths[least]

@@ -46,9 +46,9 @@ from taciturn._rational import (
     right_inverse,
 )
 
-TURNS = 40  # 2^40 steps
-SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
-MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
+_TURNS = 40  # 2^40 steps
+_SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
+_MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
 class Quadratic(NamedTuple):
@@ -180,10 +180,10 @@ class Span(NamedTuple):
         """
         span, worth = self, np.diag(last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for _ in range(TURNS):
+            for _ in range(_TURNS):
                 K, solved = span._onto(span.K)
                 found, more = (np.diagonal(part, axis1=-2, axis2=-1) for part in (K, K - span.K))
-                if not (np.abs(more) > SETTLED * np.abs(worth + found) + crumb).any():
+                if not (np.abs(more) > _SETTLED * np.abs(worth + found) + crumb).any():
                     return symmetrised(last + K)  # also if entries are not finite
                 span = span._through(span, K, solved)
         return symmetrised(last + span.K)
@@ -255,7 +255,7 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
         return free_modes(A, Limit(continuous))
     modes = eigenvalues(A)
     outside = modes.real if continuous else np.abs(modes) - 1
-    margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
+    margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else _MARGIN, SCATTER)
     growing, decaying = outside > scatter, outside < -margin
     return Lost(modes[growing], modes[~growing & ~decaying], modes[decaying])
 

@@ -44,24 +44,24 @@ from taciturn.lqg.riccati import Repetition, kept
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 
-NEGLIGIBLE = 1e-14  # last term of a sum, relative to the sum
-ROUNDING = 1e-17  # relative size of a term below which it does not change a sum
-FORGOTTEN = 1e-12  # remaining fraction of an error that is negligible, as its square is below rounding
-MOST, NUMBERS = 100_000, 20_000_000  # most steps of a closed form, and most entries of all their matrices
-DENSE, NODES = 64, 24  # most steps of a block that are all summed, and steps of a longer block
-EXACT = 1e-13  # relative error of a block
+_NEGLIGIBLE = 1e-14  # last term of a sum, relative to the sum
+_ROUNDING = 1e-17  # relative size of a term below which it does not change a sum
+_FORGOTTEN = 1e-12  # remaining fraction of an error that is negligible, as its square is below rounding
+MOST, _NUMBERS = 100_000, 20_000_000  # most steps of a closed form, and most entries of all their matrices
+_DENSE, _NODES = 64, 24  # most steps of a block that are all summed, and steps of a longer block
+_EXACT = 1e-13  # relative error of a block
 _CONDITION = 1e6  # largest condition number of the inverted matrix, for nine accurate digits
-CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
-SAME = 1e-11  # relative difference of covariances that count as equal when a cycle is sought
-WEIGHTLESS = 1e-20  # share of the largest weighed variance of a state below which later steps do not count
-USUAL = 1000  # steps within which most covariances converge
+_CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
+_SAME = 1e-11  # relative difference of covariances that count as equal when a cycle is sought
+_WEIGHTLESS = 1e-20  # share of the largest weighed variance of a state below which later steps do not count
+_USUAL = 1000  # steps within which most covariances converge
 LONGEST = 100_000  # steps within which a schedule must repeat
-WORK = 6e10  # longest time for one schedule, approximate nanoseconds
+_WORK = 6e10  # longest time for one schedule, approximate nanoseconds
 # nanoseconds: for one value of a query, for a term of its sum, for a term that is computed step by step
-VALUE, TERM, STEP = 6e5, 2e3, 1.5e5
-SILENT = 1, 16, 256  # steps without a query before which the sum over few steps is checked
-CHUNK = 512  # steps whose matrices are computed together
-APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
+_VALUE, TERM, _STEP = 6e5, 2e3, 1.5e5
+_SILENT = 1, 16, 256  # steps without a query before which the sum over few steps is checked
+_CHUNK = 512  # steps whose matrices are computed together
+_APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
 Sensors = Mapping[str, Sequence[int]]  # the outputs of each sensor by its link; the other outputs are always measured
 
 
@@ -104,6 +104,173 @@ def _unknown_states(plant: Plant, initial: Array) -> Bits:
     uncertain = (plant.W.diagonal() > 0) | (initial.diagonal() > 0)
     found = closure(uncertain, np.asarray(plant.A != 0, dtype=np.bool_))
     return found if found.any() else ~found
+
+
+@kept
+def _scheduled(
+    A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
+) -> Schedule:
+    """Return the schedule of ``schedule_queries``; every trial of a search for another parameter needs it again."""
+    plant, weights = Plant(A, B, W, C, V), Weights(P, discount)
+    predictor, horizon = Predictor(plant), weights.horizon
+    worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
+    for tick in range(horizon or LONGEST):
+        check_time()
+        value.append(worth(covariance[-1], tick))
+        covariance.append(predictor.follow(covariance[-1], value[-1] > price))
+        cycle = None if horizon is not None else _cycle_of(predictor, covariance)
+        if cycle is not None:
+            return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
+    if horizon is None:
+        raise UnstableError(
+            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} steps; "
+            "expected another zeta, or a horizon"
+        )
+    return _schedule(plant, covariance[:-1], value, price, None, 1.0)
+
+
+def _schedule(
+    plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None, discount: float
+) -> Schedule:
+    values = frozen(np.array(value))
+    queries = values > price
+    queries.setflags(write=False)  # designs share a schedule
+    found = Schedule(queries, values, frozen(np.array(covariance)), price, start, discount)
+    _expect_queries(plant, found)
+    return found
+
+
+def _expect_queries(plant: Plant, schedule: Schedule) -> None:
+    """Raise an ``UnstableError`` if the plant is unstable and no query is in the repeating part of a schedule."""
+    moving, start = ~resting_states(plant), schedule.start
+    if start is not None and not schedule.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
+        raise UnstableError(
+            f"at the price or threshold {schedule.price:g} the sensor is never queried, and the plant is unstable, so "
+            "that the estimation error would grow; expected a smaller price or threshold, or noise W on the unstable "
+            "modes"
+        )
+
+
+def _cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
+    """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet.
+
+    The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that one
+    comparison per step suffices.
+    """
+    last = len(covariance) - 1
+    mark = (1 << last.bit_length() - 1) - 1
+    if last == 0 or predictor.change(covariance[mark], covariance[last]) > _SAME:
+        return None
+    period, start = last - mark, mark
+    while start > 0 and predictor.change(covariance[start - 1], covariance[start - 1 + period]) <= _SAME:
+        start -= 1
+    return start, start + period
+
+
+def follow_every_query(
+    plant: Plant, initial: Array, horizon: int | None, discount: float = 1.0
+) -> tuple[Array, int | None]:
+    """Return the error covariances with a sensor query at every step, and the step from which they repeat.
+
+    Args:
+        plant: plant with A, C, W and V.
+        initial: Σ_0, covariance of the initial prediction, (n, n).
+        horizon: number of steps; None: until the covariance has converged.
+        discount: α, by which the cost of a later step counts less: a covariance that has not converged within 1,000
+            steps stays as it is at the step from which on α^k leaves no variance a weight.
+
+    Returns:
+        The covariances, (steps, n, n), and the step from which they repeat, or None with a horizon.
+
+    Raises:
+        UnstableError: the covariance does not converge within 100,000 steps.
+
+    Source: khashooei2017
+    """
+    predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
+    weight, largest = 1.0, initial.diagonal()
+    for _ in range((horizon or LONGEST) - 1):
+        check_time()
+        covariance.append(predictor.follow(covariance[-1], True))
+        if horizon is None:
+            cycle = _cycle_of(predictor, covariance)
+            if cycle is not None:
+                return frozen(np.array(covariance[: cycle[1]])), cycle[0]
+            weight *= discount
+            weighed = weight * covariance[-1].diagonal()
+            largest = np.maximum(largest, weighed)
+            if len(covariance) > _USUAL and (weighed <= _WEIGHTLESS * (1 - discount) * largest).all():
+                return frozen(np.array(covariance)), len(covariance) - 1
+            continue
+        period = repetition.period(len(covariance), covariance[-1])
+        if period is not None:
+            repeated = covariance[-period:]
+            covariance += [repeated[k % period] for k in range(horizon - len(covariance))]
+            break
+    if horizon is None:
+        raise UnstableError(
+            f"the error covariance has not converged within {LONGEST} steps; "
+            "expected noise W on slow modes, a measurement of every mode that does not decay, or a horizon"
+        )
+    return frozen(np.array(covariance)), None
+
+
+def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Schedule:
+    """Return the periodic schedule of sensors that send if the variance of a predicted output exceeds a threshold.
+
+    Sensor l is queried if (CΣ_kC')_ii > threshold for one of its outputs i, where Σ_k is the covariance of the
+    prediction from the measurements of all sensors that were queried before.
+    """
+    every = Predictor(plant)
+    predictors = {tuple(range(plant.outputs)): every, (): every}
+    covariance, value = [steady_filter(plant.A, plant.C, plant.W, plant.V).prior], list[list[float]]()
+    for _ in range(LONGEST):
+        variances = np.diag(plant.C @ covariance[-1] @ plant.C.T)
+        value.append([float(variances[[*outputs]].max()) for outputs in sensors.values()])
+        read = tuple(np.flatnonzero(_measured(plant, np.array(value[-1]) > threshold, sensors)).tolist())
+        if read not in predictors:
+            predictors[read] = Predictor(plant, read)
+        covariance.append(predictors[read].follow(covariance[-1], len(read) > 0))
+        cycle = _cycle_of(every, covariance)
+        if cycle is not None:
+            return _repeating(plant, covariance[slice(*cycle)], value[slice(*cycle)], threshold, sensors)
+    raise UnstableError(
+        f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} steps; "
+        "expected another threshold"
+    )
+
+
+def _repeating(
+    plant: Plant, covariance: Sequence[Array], value: Sequence[Sequence[float]], threshold: float, sensors: Sensors
+) -> Schedule:
+    values = np.array(value)
+    values = frozen(values[:, 0] if len(sensors) == 1 else values)
+    found = Schedule(values > threshold, values, frozen(np.array(covariance)), threshold, 0, links=(*sensors,))
+    if sum(map(len, sensors.values())) == plant.outputs:
+        _expect_queries(plant, found)
+    return found
+
+
+def corrections_of(plant: Plant, schedule: Schedule, sensors: Sensors) -> Array:
+    """Return the gains ΣC'(CΣC' + V)^{-1} of the measured outputs in each step, 0 for all other outputs, (steps,
+    n, p).
+    """
+    measured = _measured(plant, schedule.queries.reshape(len(schedule.queries), -1), sensors)
+    found = Predictor(plant).correction(schedule.covariance) * measured[:, None, :]
+    for row in np.unique(measured, axis=0):
+        if row.any() and not row.all():
+            ticks, outputs = (measured == row).all(axis=1), np.flatnonzero(row).tolist()
+            gains = Predictor(plant, outputs).correction(schedule.covariance[ticks])
+            found[np.ix_(ticks, range(plant.states), outputs)] = gains
+    return found
+
+
+def _measured(plant: Plant, queries: npt.NDArray[np.bool_], sensors: Sensors) -> npt.NDArray[np.bool_]:
+    """Return whether each output is measured, (…, p), if the sensors are queried or not, (…, links)."""
+    measured = np.ones((*queries.shape[:-1], plant.outputs), dtype=np.bool_)
+    for column, outputs in enumerate(sensors.values()):
+        measured[..., [*outputs]] = queries[..., column, None]
+    return measured
 
 
 class Predictor:
@@ -188,6 +355,132 @@ class Predictor:
         return following
 
 
+class QueryValue:
+    """Value h(Σ) of a sensor query at error covariance Σ: the cost that it saves if all later steps query the sensor.
+
+    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). With a finite horizon, P is P_{k+1+s} at
+    step k, and the sum ends with the horizon. The differences D_s are computed without subtraction: D_0 = G(CΣC' + V)G'
+    with the gain G of Σ, and the others follow in closed form, whose parts that do not depend on Σ are computed once.
+    If V is singular, or Σ does not converge to the steady covariance, they are computed step by step:
+    D_{s+1} = F(X_s) D_s F(Y_s)' with F(X) = A − AXC'(CXC' + V)^{-1}C and the two covariances X_s and Y_s.
+
+    Args:
+        predictor: the filter.
+        weights: weights of the estimation error.
+
+    Source: khashooei2017
+    """
+
+    def __init__(self, predictor: Predictor, weights: Weights) -> None:
+        """Compute the parts that are common to all covariances."""
+        self._predictor, self._weights, self._done = predictor, weights, 0.0
+        self._flow = _riccati_flow(predictor.plant, weights.discount, weights.horizon)
+        if self._flow is not None and weights.horizon is None:
+            # a weight of a mode that does not decay, such as a set-point's, has no sum over all later steps
+            if np.sqrt(weights.discount) * radius(self._flow.step) >= 1 - _APART:
+                self._flow = None
+                return
+            if not (self._flow.steady.diagonal() > 0).all():
+                # Blocks are judged at covariances near the steady one. If that is 0, an error that is left from the
+                # start is far from all of them, so every step counts by itself.
+                self._weighed, self._observed = self._flow.weighed(weights.P, weights.discount), self._flow.observed
+                return
+            expected = [self._flow.steady, *self._starts(self._flow)]
+            self._weighed, self._observed = self._flow.thinned(weights.P, weights.discount, np.array(expected))
+
+    def _starts(self, flow: _Flow) -> Iterator[Array]:
+        """Yield covariances from which later queries begin: one that is known, and those after silence."""
+        found, after = np.zeros_like(flow.steady), 0
+        for steps in (0, *_SILENT):
+            with np.errstate(over="ignore", invalid="ignore"):
+                for _ in range(steps - after):
+                    found = self._predictor.silent(found if after else flow.steady)
+                    after += 1
+            if not np.isfinite(found).all():
+                return
+            if flow.attracts(found):
+                yield found
+
+    def __call__(self, Sigma: Array, tick: int = 0) -> float:
+        """Return h ≥ 0.
+
+        Args:
+            Sigma: covariance of the predicted estimate, (n, n).
+            tick: step k within a finite horizon.
+
+        Raises:
+            UnstableError: the sum does not converge, because later queries do not remove a difference.
+        """
+        plant, flow = self._predictor.plant, self._flow
+        gain = self._predictor.gain(Sigma)
+        X, Y = self._predictor.silent(Sigma), self._predictor.queried(Sigma, gain)
+        if flow is None or not flow.attracts(np.stack([X, Y])):
+            return self._follow(np.stack([X, Y]), symmetrised(gain @ plant.C @ Sigma @ plant.A.T), tick)
+        ahead = self._weights.horizon is not None
+        weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
+        observed = flow.observed[: len(weighed)] if ahead else self._observed
+        self._count(_VALUE + TERM * len(weighed), len(weighed))
+        S, total = plant.C @ Sigma @ plant.C.T + plant.V, 0.0
+        for begin in range(0, len(weighed), _CHUNK):
+            ticks = slice(begin, min(begin + _CHUNK, len(weighed)))
+            left, right = (flow.faded(part, gain, observed[ticks]) for part in (X, Y))
+            total += float((weighed[ticks] @ left @ S * right).sum())
+        return total
+
+    def _count(self, work: float, products: int) -> None:
+        """Add up the work, with a number of matrix products, and raise an error if a schedule takes too long."""
+        states = self._predictor.plant.states
+        self._done += work + products * 2 * states**3
+        if self._done > _WORK:
+            late, expected = "has not repeated", "a horizon"
+            if self._weights.horizon is not None:
+                late, expected = f"of {self._weights.horizon} steps has not ended", "a shorter horizon"
+            raise UnstableError(
+                f"the schedule of queries {late} within about a minute of computation for {states} states: errors "
+                f"decay too slowly; expected {expected}, fewer states, or noise W and V for which the filter error "
+                "decays faster"
+            )
+
+    def _follow(self, both: Array, D: Array, tick: int) -> float:
+        """Return h, computed step by step from X, Y and D = X − Y."""
+        predictor, alpha, horizon = self._predictor, self._weights.discount, self._weights.horizon
+        A, C = predictor.plant.A, predictor.plant.C
+        prices = self._weights.P[None] if horizon is None else self._weights.P[tick + 1 :]
+        largest = float(np.trace(prices, axis1=-2, axis2=-1).max(initial=0.0))
+        total, factor = 0.0, alpha
+        for s in range(LONGEST if horizon is None else len(prices)):
+            check_time()
+            if s % 64 == 0:
+                self._count(64 * _STEP, 10 * 64)
+            P = prices[0 if horizon is None else s]
+            total += factor * float((P * D).sum())
+            gains = predictor.gain(both)
+            F, G = A - gains @ C
+            D = symmetrised(F @ D @ G.T)
+            factor *= alpha
+            if factor * np.abs(D).max() * largest <= _NEGLIGIBLE * total:
+                return total
+            before, both = both, predictor.queried(both, gains)
+            if horizon is not None or s % 8 < 7:  # the convergence test takes as long as a term
+                continue
+            if max(float(predictor.change(*pair)) for pair in zip(before, both, strict=True)) > _CONVERGED:
+                continue
+            # of a state that is known, the difference is and remains 0, whether its mode decays or not
+            at = np.ix_(*2 * (closure(D.diagonal() > 0, np.asarray((F != 0) | (G != 0), dtype=np.bool_)),))
+            if np.abs(F - G).max() <= _CONVERGED * max(1.0, float(np.abs(F).max())):
+                shrinking = np.sqrt(alpha) * F[at]
+                if radius(shrinking) < 1:
+                    return total + factor * float((P[at] * summed(shrinking, D[at])).sum())
+            elif alpha * radius(F[at]) * radius(G[at]) >= 1 - _APART:  # the covariances have different limits
+                break
+        if horizon is not None:
+            return total
+        raise UnstableError(
+            "the value of a query is not finite, because later queries do not remove some error; expected a detectable "
+            "plant, noise W on every mode on or outside the unit circle and noise V on every output, or a discount"
+        )
+
+
 class _Flow(NamedTuple):
     """Closed form of the filter's Riccati recursion over s = 0, 1, … steps, relative to the steady covariance Σ̄."""
 
@@ -223,21 +516,21 @@ class _Flow(NamedTuple):
         weighed = self.weighed(P, discount)
         steps, unit = len(weighed), np.diag(self.unit)
         terms = np.zeros((len(covariances), steps))
-        if steps > DENSE:
+        if steps > _DENSE:
             for found, covariance in zip(terms, covariances, strict=True):
                 left = self.faded(covariance, unit, self.observed)
                 found[:] = (weighed @ left * left).sum(axis=(1, 2))
-        least = EXACT * np.abs(terms).sum(axis=1)
+        least = _EXACT * np.abs(terms).sum(axis=1)
         kept, factors = list[npt.NDArray[np.int64]](), list[Array]()
         open_blocks = [(0, steps - 1)]  # the last one is the sum over all later steps
         while open_blocks:
             begin, end = open_blocks.pop()
             places, shares = np.arange(begin, end, dtype=np.int64), np.ones(end - begin)
-            if end - begin > DENSE:
+            if end - begin > _DENSE:
                 some, weights = _few_places(end - begin)
                 off = np.abs(terms[:, begin + some] @ weights - terms[:, begin:end].sum(axis=1))
                 if not (off <= least).all():
-                    middle = begin + (end - begin) // 2 if begin else max(DENSE, end // 2)
+                    middle = begin + (end - begin) // 2 if begin else max(_DENSE, end // 2)
                     open_blocks += [(begin, middle), (middle, end)]
                     continue
                 places, shares = begin + some, weights
@@ -267,15 +560,15 @@ def _riccati_flow(plant: Plant, discount: float, horizon: int | None) -> _Flow |
     F = plant.A - plant.A @ steady.gain @ plant.C
     seen = symmetrised(plant.C.T @ np.linalg.solve(steady.innovation, plant.C))
     unit = np.sqrt(np.where(np.diag(steady.prior) > 0, np.diag(steady.prior), 1.0))
-    relative, most = unit[:, None] * unit, horizon or min(MOST, NUMBERS // len(F) ** 2)
+    relative, most = unit[:, None] * unit, horizon or min(MOST, _NUMBERS // len(F) ** 2)
     powers, observed = np.eye(len(F))[None], np.stack([np.zeros_like(F), symmetrised(seen)])
     while True:  # F̄^s and O_{s+1} of twice as many steps, by F̄^{r+s} = F̄^s F̄^r and O_{r+s} = O_r + F̄'^r O_s F̄^r
         steps = np.arange(len(powers))
         left = np.power(discount, steps / 2) * np.abs(powers @ F / unit[:, None] * unit).max(axis=(1, 2))
         added = np.abs(powers.swapaxes(1, 2) @ seen @ powers * relative).max(axis=(1, 2))
-        enough = left <= FORGOTTEN
+        enough = left <= _FORGOTTEN
         if horizon is None:
-            enough |= added <= ROUNDING * np.abs(observed[1:] * relative).max(axis=(1, 2))
+            enough |= added <= _ROUNDING * np.abs(observed[1:] * relative).max(axis=(1, 2))
         if enough.any() or len(powers) == most:
             break
         further = powers[-1] @ F
@@ -293,300 +586,7 @@ def _riccati_flow(plant: Plant, discount: float, horizon: int | None) -> _Flow |
 def _few_places(steps: int) -> tuple[npt.NDArray[np.int64], Array]:
     """Return some of the steps of a block, near those of Gauss and Legendre, whose sums of polynomials are exact."""
     legendre = np.polynomial.legendre
-    nodes = np.asarray(legendre.leggauss(NODES)[0], dtype=np.float64)
+    nodes = np.asarray(legendre.leggauss(_NODES)[0], dtype=np.float64)
     places = np.unique(np.rint((nodes + 1) / 2 * (steps - 1)).astype(np.int64))
     values = np.asarray(legendre.legvander(np.linspace(-1, 1, steps), len(places) - 1), dtype=np.float64)
     return places, np.asarray(np.linalg.solve(values[places].T, values.sum(axis=0)), dtype=np.float64)
-
-
-class QueryValue:
-    """Value h(Σ) of a sensor query at error covariance Σ: the cost that it saves if all later steps query the sensor.
-
-    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). With a finite horizon, P is P_{k+1+s} at
-    step k, and the sum ends with the horizon. The differences D_s are computed without subtraction: D_0 = G(CΣC' + V)G'
-    with the gain G of Σ, and the others follow in closed form, whose parts that do not depend on Σ are computed once.
-    If V is singular, or Σ does not converge to the steady covariance, they are computed step by step:
-    D_{s+1} = F(X_s) D_s F(Y_s)' with F(X) = A − AXC'(CXC' + V)^{-1}C and the two covariances X_s and Y_s.
-
-    Args:
-        predictor: the filter.
-        weights: weights of the estimation error.
-
-    Source: khashooei2017
-    """
-
-    def __init__(self, predictor: Predictor, weights: Weights) -> None:
-        """Compute the parts that are common to all covariances."""
-        self._predictor, self._weights, self._done = predictor, weights, 0.0
-        self._flow = _riccati_flow(predictor.plant, weights.discount, weights.horizon)
-        if self._flow is not None and weights.horizon is None:
-            # a weight of a mode that does not decay, such as a set-point's, has no sum over all later steps
-            if np.sqrt(weights.discount) * radius(self._flow.step) >= 1 - APART:
-                self._flow = None
-                return
-            if not (self._flow.steady.diagonal() > 0).all():
-                # Blocks are judged at covariances near the steady one. If that is 0, an error that is left from the
-                # start is far from all of them, so every step counts by itself.
-                self._weighed, self._observed = self._flow.weighed(weights.P, weights.discount), self._flow.observed
-                return
-            expected = [self._flow.steady, *self._starts(self._flow)]
-            self._weighed, self._observed = self._flow.thinned(weights.P, weights.discount, np.array(expected))
-
-    def _starts(self, flow: _Flow) -> Iterator[Array]:
-        """Yield covariances from which later queries begin: one that is known, and those after silence."""
-        found, after = np.zeros_like(flow.steady), 0
-        for steps in (0, *SILENT):
-            with np.errstate(over="ignore", invalid="ignore"):
-                for _ in range(steps - after):
-                    found = self._predictor.silent(found if after else flow.steady)
-                    after += 1
-            if not np.isfinite(found).all():
-                return
-            if flow.attracts(found):
-                yield found
-
-    def __call__(self, Sigma: Array, tick: int = 0) -> float:
-        """Return h ≥ 0.
-
-        Args:
-            Sigma: covariance of the predicted estimate, (n, n).
-            tick: step k within a finite horizon.
-
-        Raises:
-            UnstableError: the sum does not converge, because later queries do not remove a difference.
-        """
-        plant, flow = self._predictor.plant, self._flow
-        gain = self._predictor.gain(Sigma)
-        X, Y = self._predictor.silent(Sigma), self._predictor.queried(Sigma, gain)
-        if flow is None or not flow.attracts(np.stack([X, Y])):
-            return self._follow(np.stack([X, Y]), symmetrised(gain @ plant.C @ Sigma @ plant.A.T), tick)
-        ahead = self._weights.horizon is not None
-        weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
-        observed = flow.observed[: len(weighed)] if ahead else self._observed
-        self._count(VALUE + TERM * len(weighed), len(weighed))
-        S, total = plant.C @ Sigma @ plant.C.T + plant.V, 0.0
-        for begin in range(0, len(weighed), CHUNK):
-            ticks = slice(begin, min(begin + CHUNK, len(weighed)))
-            left, right = (flow.faded(part, gain, observed[ticks]) for part in (X, Y))
-            total += float((weighed[ticks] @ left @ S * right).sum())
-        return total
-
-    def _count(self, work: float, products: int) -> None:
-        """Add up the work, with a number of matrix products, and raise an error if a schedule takes too long."""
-        states = self._predictor.plant.states
-        self._done += work + products * 2 * states**3
-        if self._done > WORK:
-            late, expected = "has not repeated", "a horizon"
-            if self._weights.horizon is not None:
-                late, expected = f"of {self._weights.horizon} steps has not ended", "a shorter horizon"
-            raise UnstableError(
-                f"the schedule of queries {late} within about a minute of computation for {states} states: errors "
-                f"decay too slowly; expected {expected}, fewer states, or noise W and V for which the filter error "
-                "decays faster"
-            )
-
-    def _follow(self, both: Array, D: Array, tick: int) -> float:
-        """Return h, computed step by step from X, Y and D = X − Y."""
-        predictor, alpha, horizon = self._predictor, self._weights.discount, self._weights.horizon
-        A, C = predictor.plant.A, predictor.plant.C
-        prices = self._weights.P[None] if horizon is None else self._weights.P[tick + 1 :]
-        largest = float(np.trace(prices, axis1=-2, axis2=-1).max(initial=0.0))
-        total, factor = 0.0, alpha
-        for s in range(LONGEST if horizon is None else len(prices)):
-            check_time()
-            if s % 64 == 0:
-                self._count(64 * STEP, 10 * 64)
-            P = prices[0 if horizon is None else s]
-            total += factor * float((P * D).sum())
-            gains = predictor.gain(both)
-            F, G = A - gains @ C
-            D = symmetrised(F @ D @ G.T)
-            factor *= alpha
-            if factor * np.abs(D).max() * largest <= NEGLIGIBLE * total:
-                return total
-            before, both = both, predictor.queried(both, gains)
-            if horizon is not None or s % 8 < 7:  # the convergence test takes as long as a term
-                continue
-            if max(float(predictor.change(*pair)) for pair in zip(before, both, strict=True)) > CONVERGED:
-                continue
-            # of a state that is known, the difference is and remains 0, whether its mode decays or not
-            at = np.ix_(*2 * (closure(D.diagonal() > 0, np.asarray((F != 0) | (G != 0), dtype=np.bool_)),))
-            if np.abs(F - G).max() <= CONVERGED * max(1.0, float(np.abs(F).max())):
-                shrinking = np.sqrt(alpha) * F[at]
-                if radius(shrinking) < 1:
-                    return total + factor * float((P[at] * summed(shrinking, D[at])).sum())
-            elif alpha * radius(F[at]) * radius(G[at]) >= 1 - APART:  # the covariances have different limits
-                break
-        if horizon is not None:
-            return total
-        raise UnstableError(
-            "the value of a query is not finite, because later queries do not remove some error; expected a detectable "
-            "plant, noise W on every mode on or outside the unit circle and noise V on every output, or a discount"
-        )
-
-
-@kept
-def _scheduled(
-    A: Array, B: Array, W: Array, C: Array, V: Array, P: Array, discount: float, price: float, initial: Array
-) -> Schedule:
-    """Return the schedule of ``schedule_queries``; every trial of a search for another parameter needs it again."""
-    plant, weights = Plant(A, B, W, C, V), Weights(P, discount)
-    predictor, horizon = Predictor(plant), weights.horizon
-    worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
-    for tick in range(horizon or LONGEST):
-        check_time()
-        value.append(worth(covariance[-1], tick))
-        covariance.append(predictor.follow(covariance[-1], value[-1] > price))
-        cycle = None if horizon is not None else _cycle_of(predictor, covariance)
-        if cycle is not None:
-            return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
-    if horizon is None:
-        raise UnstableError(
-            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} steps; "
-            "expected another zeta, or a horizon"
-        )
-    return _schedule(plant, covariance[:-1], value, price, None, 1.0)
-
-
-def follow_every_query(
-    plant: Plant, initial: Array, horizon: int | None, discount: float = 1.0
-) -> tuple[Array, int | None]:
-    """Return the error covariances with a sensor query at every step, and the step from which they repeat.
-
-    Args:
-        plant: plant with A, C, W and V.
-        initial: Σ_0, covariance of the initial prediction, (n, n).
-        horizon: number of steps; None: until the covariance has converged.
-        discount: α, by which the cost of a later step counts less: a covariance that has not converged within 1,000
-            steps stays as it is at the step from which on α^k leaves no variance a weight.
-
-    Returns:
-        The covariances, (steps, n, n), and the step from which they repeat, or None with a horizon.
-
-    Raises:
-        UnstableError: the covariance does not converge within 100,000 steps.
-
-    Source: khashooei2017
-    """
-    predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
-    weight, largest = 1.0, initial.diagonal()
-    for _ in range((horizon or LONGEST) - 1):
-        check_time()
-        covariance.append(predictor.follow(covariance[-1], True))
-        if horizon is None:
-            cycle = _cycle_of(predictor, covariance)
-            if cycle is not None:
-                return frozen(np.array(covariance[: cycle[1]])), cycle[0]
-            weight *= discount
-            weighed = weight * covariance[-1].diagonal()
-            largest = np.maximum(largest, weighed)
-            if len(covariance) > USUAL and (weighed <= WEIGHTLESS * (1 - discount) * largest).all():
-                return frozen(np.array(covariance)), len(covariance) - 1
-            continue
-        period = repetition.period(len(covariance), covariance[-1])
-        if period is not None:
-            repeated = covariance[-period:]
-            covariance += [repeated[k % period] for k in range(horizon - len(covariance))]
-            break
-    if horizon is None:
-        raise UnstableError(
-            f"the error covariance has not converged within {LONGEST} steps; "
-            "expected noise W on slow modes, a measurement of every mode that does not decay, or a horizon"
-        )
-    return frozen(np.array(covariance)), None
-
-
-def _schedule(
-    plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None, discount: float
-) -> Schedule:
-    values = frozen(np.array(value))
-    queries = values > price
-    queries.setflags(write=False)  # designs share a schedule
-    found = Schedule(queries, values, frozen(np.array(covariance)), price, start, discount)
-    _expect_queries(plant, found)
-    return found
-
-
-def _expect_queries(plant: Plant, schedule: Schedule) -> None:
-    """Raise an ``UnstableError`` if the plant is unstable and no query is in the repeating part of a schedule."""
-    moving, start = ~resting_states(plant), schedule.start
-    if start is not None and not schedule.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
-        raise UnstableError(
-            f"at the price or threshold {schedule.price:g} the sensor is never queried, and the plant is unstable, so "
-            "that the estimation error would grow; expected a smaller price or threshold, or noise W on the unstable "
-            "modes"
-        )
-
-
-def _cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
-    """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet.
-
-    The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that one
-    comparison per step suffices.
-    """
-    last = len(covariance) - 1
-    mark = (1 << last.bit_length() - 1) - 1
-    if last == 0 or predictor.change(covariance[mark], covariance[last]) > SAME:
-        return None
-    period, start = last - mark, mark
-    while start > 0 and predictor.change(covariance[start - 1], covariance[start - 1 + period]) <= SAME:
-        start -= 1
-    return start, start + period
-
-
-def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Schedule:
-    """Return the periodic schedule of sensors that send if the variance of a predicted output exceeds a threshold.
-
-    Sensor l is queried if (CΣ_kC')_ii > threshold for one of its outputs i, where Σ_k is the covariance of the
-    prediction from the measurements of all sensors that were queried before.
-    """
-    every = Predictor(plant)
-    predictors = {tuple(range(plant.outputs)): every, (): every}
-    covariance, value = [steady_filter(plant.A, plant.C, plant.W, plant.V).prior], list[list[float]]()
-    for _ in range(LONGEST):
-        variances = np.diag(plant.C @ covariance[-1] @ plant.C.T)
-        value.append([float(variances[[*outputs]].max()) for outputs in sensors.values()])
-        read = tuple(np.flatnonzero(_measured(plant, np.array(value[-1]) > threshold, sensors)).tolist())
-        if read not in predictors:
-            predictors[read] = Predictor(plant, read)
-        covariance.append(predictors[read].follow(covariance[-1], len(read) > 0))
-        cycle = _cycle_of(every, covariance)
-        if cycle is not None:
-            return _repeating(plant, covariance[slice(*cycle)], value[slice(*cycle)], threshold, sensors)
-    raise UnstableError(
-        f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} steps; "
-        "expected another threshold"
-    )
-
-
-def corrections_of(plant: Plant, schedule: Schedule, sensors: Sensors) -> Array:
-    """Return the gains ΣC'(CΣC' + V)^{-1} of the measured outputs in each step, 0 for all other outputs, (steps,
-    n, p).
-    """
-    measured = _measured(plant, schedule.queries.reshape(len(schedule.queries), -1), sensors)
-    found = Predictor(plant).correction(schedule.covariance) * measured[:, None, :]
-    for row in np.unique(measured, axis=0):
-        if row.any() and not row.all():
-            ticks, outputs = (measured == row).all(axis=1), np.flatnonzero(row).tolist()
-            gains = Predictor(plant, outputs).correction(schedule.covariance[ticks])
-            found[np.ix_(ticks, range(plant.states), outputs)] = gains
-    return found
-
-
-def _repeating(
-    plant: Plant, covariance: Sequence[Array], value: Sequence[Sequence[float]], threshold: float, sensors: Sensors
-) -> Schedule:
-    values = np.array(value)
-    values = frozen(values[:, 0] if len(sensors) == 1 else values)
-    found = Schedule(values > threshold, values, frozen(np.array(covariance)), threshold, 0, links=(*sensors,))
-    if sum(map(len, sensors.values())) == plant.outputs:
-        _expect_queries(plant, found)
-    return found
-
-
-def _measured(plant: Plant, queries: npt.NDArray[np.bool_], sensors: Sensors) -> npt.NDArray[np.bool_]:
-    """Return whether each output is measured, (…, p), if the sensors are queried or not, (…, links)."""
-    measured = np.ones((*queries.shape[:-1], plant.outputs), dtype=np.bool_)
-    for column, outputs in enumerate(sensors.values()):
-        measured[..., [*outputs]] = queries[..., column, None]
-    return measured

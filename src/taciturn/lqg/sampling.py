@@ -36,8 +36,8 @@ from taciturn.lqg.equation import FEW, Equation
 from taciturn.lqg.quadratic import Quadratic
 
 _DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
-SMALL = 0.5  # norm of F over the interval of the series
-LATER = 8  # terms after the last one that are bounded entry by entry
+_SMALL = 0.5  # norm of F over the interval of the series
+_LATER = 8  # terms after the last one that are bounded entry by entry
 MOST = 1000  # doublings
 __all__ = ["Sampled", "sample", "sample_prediction"]
 
@@ -332,7 +332,7 @@ def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Arra
     to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
     F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
     size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
-    doublings = max(0, ceil(log2(max(size, 1e-300) / SMALL))) if np.isfinite(size) else MOST + 1
+    doublings = max(0, ceil(log2(max(size, 1e-300) / _SMALL))) if np.isfinite(size) else MOST + 1
     if doublings > MOST:
         raise _overflowing(period, size)
     found = _series(arithmetic, F, M, G, period / 2.0**doublings)
@@ -414,7 +414,7 @@ def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
 def _tail(term: Array, k: int, following: Callable[[Array], Array]) -> Array:
     """Return a bound on the sum of the terms after the k-th one, of which each is at most half of the one before."""
     found = np.zeros_like(term)
-    for later in range(k + 1, k + LATER + 1):
+    for later in range(k + 1, k + _LATER + 1):
         term = following(term) / later
         found += term
     return 1.01 * (found + 2 * float(term.sum()))

@@ -58,12 +58,12 @@ from taciturn.lqg.riccati import Regulator
 from taciturn.lqg.sampling import Step
 from taciturn.model.controller import Controller
 
-SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
+_SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
 MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
-MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
-TRIALS = 40  # doublings of a bound until it is proved
-SQUARINGS = 2  # of a matrix whose norm is sought
-ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
+_MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
+_TRIALS = 40  # doublings of a bound until it is proved
+_SQUARINGS = 2  # of a matrix whose norm is sought
+_ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class Proved(NamedTuple):
@@ -133,7 +133,7 @@ class Stored(Displayed):
 
     def attempts(self, patient: bool = False) -> list[tuple[int, bool]]:
         """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
-        doubles = [(PRECISIONS[0], True)] if self.states > SMALL else []
+        doubles = [(PRECISIONS[0], True)] if self.states > _SMALL else []
         return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
@@ -308,9 +308,9 @@ class Allowance(NamedTuple):
     def raised(self, base: float, silence: float) -> tuple[float, float]:
         """Return a base and a factor of the cost of silence that allow for the rounding."""
         s = sqrt(silence)
-        added = (self.fixed + self.slope * s) * MORE
-        factor = (1 + self.excess) * (1 + added / s) * MORE if s > 0 else 1.0
-        return (base + added * (added + s)) * MORE, factor
+        added = (self.fixed + self.slope * s) * _MORE
+        factor = (1 + self.excess) * (1 + added / s) * _MORE if s > 0 else 1.0
+        return (base + added * (added + s)) * _MORE, factor
 
     def relative(self, base: Proved, theta: float) -> float | None:
         """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None.
@@ -323,12 +323,12 @@ class Allowance(NamedTuple):
             return None
         turn = sqrt(1 - share * stage.share) - sqrt(share) * stage.slope
         along = sqrt(1 + self.excess) + self.slope
-        k = along * sqrt(share) / turn * MORE if turn > 0 else 1.0
+        k = along * sqrt(share) / turn * _MORE if turn > 0 else 1.0
         if not k < 1:
             return None
-        h = (k * (stage.fixed + stage.rest / sqrt(2 * base.lower)) + self.fixed) * MORE
-        free = (1 - k * k) / MORE
-        return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * MORE
+        h = (k * (stage.fixed + stage.rest / sqrt(2 * base.lower)) + self.fixed) * _MORE
+        free = (1 - k * k) / _MORE
+        return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * _MORE
 
 
 def allowance(
@@ -343,7 +343,7 @@ def allowance(
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
             found = _allowance(Doubles, *given) if doubles else _allowance(Balls, *given)
-            if not doubles or found.within(ENOUGH, cost):  # what balls leave is the rounding of the gains
+            if not doubles or found.within(_ENOUGH, cost):  # what balls leave is the rounding of the gains
                 break
     return found if found is not None and found.within(COST_ERROR, cost) else None
 
@@ -439,13 +439,13 @@ def _allowance(
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
-    stage = _StageError(float(d[0]) * MORE, float(d[1]) * MORE, float(rest) * MORE, float(squares) * MORE)
-    excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * MORE, float(a[1] + b[1]) * MORE
+    stage = _StageError(float(d[0]) * _MORE, float(d[1]) * _MORE, float(rest) * _MORE, float(squares) * _MORE)
+    excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * _MORE, float(a[1] + b[1]) * _MORE
     if apart is not None and not plant.full_state:
         # e + LΔ in place of e: s' ≤ (s + l₀)/(1 − l₁)
         first, more = _of_contributions(arithmetic, problem, regulator, steady, apart, norm, (fixed, slope))
         along = (sqrt(1 + excess) + rise) / (1 - more)
-        root, rise = (root + along * first) * MORE, (along - sqrt(1 + excess)) * MORE + ROUNDOFF * 8
+        root, rise = (root + along * first) * _MORE, (along - sqrt(1 + excess)) * _MORE + ROUNDOFF * 8
     return Allowance(excess, root, rise, stage)
 
 
@@ -466,7 +466,7 @@ def _of_contributions(
     turn = left @ A
     wrong, product = exact(apart.rest) - left, exact(moved) - turn
     errors = _norm(  # it contracts along Ω and along the exact product
-        arithmetic, turn.widened(np.abs(moved - turn.middle) * MORE), np.diag(steady.prior), L.most
+        arithmetic, turn.widened(np.abs(moved - turn.middle) * _MORE), np.diag(steady.prior), L.most
     )
     parts = np.zeros(2)
     for outputs in apart.outputs:
@@ -483,7 +483,7 @@ def _of_contributions(
     kept = 1 - errors.driven(errors.of(wrong @ A, errors.X))
     if not kept > 0.5:
         raise UnprovedError("the contributions of sensors are not proved to be accurate")
-    first, more = (errors.of(L, H) * errors.driven(part) / kept * MORE for part in pushed.tolist())
+    first, more = (errors.of(L, H) * errors.driven(part) / kept * _MORE for part in pushed.tolist())
     if not more < 0.5:
         raise UnprovedError("the contributions of sensors are not proved to be accurate")
     return first, more
@@ -495,14 +495,14 @@ def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
     if problem.exact is None:
         return exact(np.zeros((size, size)))
     stored = block([[exact(problem.Q), exact(problem.N)], [exact(problem.N.T), exact(problem.R)]])
-    return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * MORE))
+    return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * _MORE))
 
 
 def _between(left: E, solution: tuple[E, E], right: E) -> E:
     """Return left'·X·right for all X between K − error and K + error: |x'ΔKy|² ≤ x'(error)x · y'(error)y."""
     K, error = solution
     sizes = [np.sqrt(np.diag(_squared(part, error).most)) for part in (left, right)]
-    return (left.T @ K @ right).widened(np.outer(*sizes) * MORE)
+    return (left.T @ K @ right).widened(np.outer(*sizes) * _MORE)
 
 
 def _squared(T: E, norm: E) -> E:
@@ -534,11 +534,11 @@ def _ratio(M: E, D: E) -> float:
         raise UnprovedError("a weight is not definite") from error
     size = float(np.linalg.norm(power)) + NO_VARIANCE
     power = power / size
-    for _ in range(SQUARINGS):
+    for _ in range(_SQUARINGS):
         power = power @ power
     trace = max(float(np.vdot(power.T, power)), 0.0)
-    ratio = 1.001 * size * trace**2.0 ** -(SQUARINGS + 1) + 1e-200
-    for _ in range(TRIALS):
+    ratio = 1.001 * size * trace**2.0 ** -(_SQUARINGS + 1) + 1e-200
+    for _ in range(_TRIALS):
         if (D.times(ratio) - M).definite():
             return ratio
         ratio *= 2

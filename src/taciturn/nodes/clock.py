@@ -7,7 +7,7 @@ has no effect.
 
 from __future__ import annotations
 
-DRIFT = 1e-3  # largest relative difference in speed of two wall clocks
+_DRIFT = 1e-3  # largest relative difference in speed of two wall clocks
 JUMPED = 16.0  # offset in steps beyond which a wall clock has jumped
 AGREED = 8  # consecutive packets that must show a jump before it is accepted
 LATE = 0.25  # offset in steps beyond which a packet is later than the drift of the clocks explains
@@ -58,7 +58,7 @@ class Phase:
         if off < 0:
             self.zero = found
         else:
-            self.zero += min(off, DRIFT * self.tick * max(tick - self._last, 0))
+            self.zero += min(off, _DRIFT * self.tick * max(tick - self._last, 0))
         self._last = max(self._last, tick)
         self._follow(off)
         return True

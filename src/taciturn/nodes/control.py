@@ -1,6 +1,8 @@
-"""Typed interface to python-control, an optional dependency; no other module imports it.
+"""Conversion of plants, policies and loops to systems of python-control, and of systems to plants.
 
-Conversion of plants, policies and loops to systems of python-control, and of systems to plants.
+No other module imports python-control, an optional dependency. A linear plant becomes a ``StateSpace``. A policy or a
+loop becomes a ``NonlinearIOSystem`` whose state holds the memories of its program and the number of the step, and whose
+functions run one step of the program (``together.StepFunction``): the numbers are those of the nodes, bit for bit.
 """
 
 from __future__ import annotations
@@ -29,44 +31,8 @@ from taciturn.program.ops import Entry, Sent
 
 Function: TypeAlias = Callable[[float, Array, Array, object], Array]
 """Function from time, state, input and parameters to the next state, or to the output."""
-NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
+_NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
 _CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
-
-
-def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
-    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None."""
-    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
-
-
-def _nonlinear_system(
-    update: Function,
-    output: Function,
-    states: Sequence[str],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    dt: float | bool,
-    name: str,
-) -> Any:
-    """Return the `control.NonlinearIOSystem` of two functions."""
-    return _control().NonlinearIOSystem(
-        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
-    )
-
-
-def _is_linear(system: object) -> bool:
-    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
-    control = _control()
-    return isinstance(system, (control.StateSpace, control.TransferFunction))
-
-
-def _control() -> Any:
-    try:
-        return import_module("control")
-    except ImportError:
-        raise ProblemError(
-            "python-control is not installed, but to_control and from_control require it: "
-            "pip install 'taciturn[control]'"
-        ) from None
 
 
 def to_control(
@@ -128,13 +94,13 @@ def to_control(
     if isinstance(thing, Plant | ContinuousPlant):
         _CONVERTED.check(thing)
     if isinstance(thing, ContinuousPlant):
-        return state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
+        return _state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
     if isinstance(thing, Plant) and thing.D is not None:
         thing = registered(thing, thing)
     if isinstance(thing, Plant) and thing.function is not None:
         return _moving(thing, thing.function)
     if isinstance(thing, Plant):
-        return state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
+        return _state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
         taken = {"y": plant.sensed, REFERENCE: plant.set_points}
@@ -247,4 +213,40 @@ def _step(plant: Plant) -> float | bool:
 
 def _labels(signals: Mapping[str, int]) -> list[str]:
     """Return the names of the entries of signals in python-control, such as ``y[0]``."""
-    return [f"{NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]
+    return [f"{_NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]
+
+
+def _state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
+    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None."""
+    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
+
+
+def _nonlinear_system(
+    update: Function,
+    output: Function,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float | bool,
+    name: str,
+) -> Any:
+    """Return the `control.NonlinearIOSystem` of two functions."""
+    return _control().NonlinearIOSystem(
+        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
+    )
+
+
+def _is_linear(system: object) -> bool:
+    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
+    control = _control()
+    return isinstance(system, (control.StateSpace, control.TransferFunction))
+
+
+def _control() -> Any:
+    try:
+        return import_module("control")
+    except ImportError:
+        raise ProblemError(
+            "python-control is not installed, but to_control and from_control require it: "
+            "pip install 'taciturn[control]'"
+        ) from None

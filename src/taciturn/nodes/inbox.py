@@ -11,9 +11,8 @@
 | is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
 | is a mark: its sender is running and has finished a step | `marks` |
 
-The counter `received` is the sum of all other counters and the number of waiting packets.
-
-Detection of new packets of a sender by a window over their sequence numbers, as in IPsec [rfc4303].
+The counter `received` is the sum of all other counters and the number of waiting packets. Whether a packet is new is
+decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
 """  # noqa: E501  # the rows of a table
 
 from __future__ import annotations

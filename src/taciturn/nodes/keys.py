@@ -17,9 +17,9 @@ from pathlib import Path
 from taciturn._files import read_text, why_unreadable
 from taciturn.errors import ProblemError
 
-KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
+KEY, _LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
 LARGEST = 2**20  # bytes of a key file
-LOOKED = 1.0  # seconds between checks whether a key file has changed
+_LOOKED = 1.0  # seconds between checks whether a key file has changed
 _EVERY = ""  # name under which a key for all links is stored
 
 
@@ -45,9 +45,9 @@ class Keys:
         self._links = {link: tuple(keys) for link, keys in links.items()}
         self._source, self._used = source, dict[str, tuple[str, ...]]()
         for key in (key for keys in self._links.values() for key in keys):
-            if not LEAST_KEY <= len(key) <= MOST_KEY:
+            if not _LEAST_KEY <= len(key) <= MOST_KEY:
                 raise ProblemError(
-                    f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
+                    f"{source} holds {len(key)} bytes; expected {_LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
                 )
 
     @staticmethod
@@ -139,7 +139,7 @@ class RenewedKeys(Keys, ABC):
 
     def renew(self) -> str | None:
         """Read the keys again if the source has changed; keep the former keys if it is not valid."""
-        if 0.0 <= self._clock() - self._looked < LOOKED:
+        if 0.0 <= self._clock() - self._looked < _LOOKED:
             return None
         self._looked = self._clock()
         stamp = self._stamped()
@@ -205,7 +205,7 @@ def read_keys(path: str | Path | None = None, hosts: Iterable[str] = ()) -> Keys
     if not text and KEY in os.environ and other is not None:
         raise ProblemError(
             f"{source} is empty, so packets from and to {other} would not be authenticated; expected "
-            f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
+            f"{2 * _LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
             "variable to run without a key"
         )
     return Keys.parse(text, source) if text else None
@@ -217,7 +217,7 @@ def _key(digits: str, source: str) -> bytes:
         return bytes.fromhex(digits)
     except ValueError:
         raise ProblemError(
-            f"{source} contains other characters than hexadecimal digits; expected {2 * LEAST_KEY} to "
+            f"{source} contains other characters than hexadecimal digits; expected {2 * _LEAST_KEY} to "
             f"{2 * MOST_KEY} digits"
         ) from None
 

@@ -24,44 +24,6 @@ _INFIX: Mapping[str, tuple[str, str]] = {  # operator, and type of the result; a
 _WIDTHS = {"uint64_t": 64, "uint32_t": 32}
 _DIGITS: Mapping[Precision, int] = {"float64": 17, "float32": 9}
 _SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
-_ROOT = """/* The square root, rounded to nearest, without a library: one binary digit per iteration. */
-static {real} {name}({real} x)
-{{
-  const {word} leading = {one} << {mantissa};
-  {word} bits, rest, half, root = 0, found = 0;
-  int32_t exponent;
-  if (!(x > 0) || x + x == x) {{
-    return x < 0 ? (x - x) / (x - x) : x;
-  }}
-  memcpy(&bits, &x, sizeof bits);
-  exponent = (int32_t)(bits >> {mantissa});
-  rest = bits & (leading - 1u);
-  if (exponent == 0) {{
-    for (exponent = 1; rest < leading; --exponent) {{
-      rest <<= 1;
-    }}
-  }}
-  rest |= leading;
-  exponent -= {bias};
-  if (exponent % 2 != 0) {{
-    rest <<= 1;
-    --exponent;
-  }}
-  rest <<= 1;
-  for (half = leading << 1; half != 0; half >>= 1) {{
-    if (found + half <= rest) {{
-      rest -= found + half;
-      found += half << 1;
-      root += half;
-    }}
-    rest <<= 1;
-  }}
-  root = ((root + (root & 1u)) >> 1) - leading;
-  bits = (({word})(exponent / 2 + {bias}) << {mantissa}) + root;
-  memcpy(&x, &bits, sizeof x);
-  return x;
-}}
-"""
 
 
 def print_c(program: Program, name: str, places: Sequence[int], constants: list[float]) -> str:
@@ -249,3 +211,43 @@ class _Printer:
             ]
             before += rows * (end - begin)
         return lines
+
+
+_ROOT = """/* The square root, rounded to nearest, without a library: one binary digit per iteration. */
+static {real} {name}({real} x)
+{{
+  const {word} leading = {one} << {mantissa};
+  {word} bits, rest, half, root = 0, found = 0;
+  int32_t exponent;
+  if (!(x > 0) || x + x == x) {{
+    return x < 0 ? (x - x) / (x - x) : x;
+  }}
+  memcpy(&bits, &x, sizeof bits);
+  exponent = (int32_t)(bits >> {mantissa});
+  rest = bits & (leading - 1u);
+  if (exponent == 0) {{
+    for (exponent = 1; rest < leading; --exponent) {{
+      rest <<= 1;
+    }}
+  }}
+  rest |= leading;
+  exponent -= {bias};
+  if (exponent % 2 != 0) {{
+    rest <<= 1;
+    --exponent;
+  }}
+  rest <<= 1;
+  for (half = leading << 1; half != 0; half >>= 1) {{
+    if (found + half <= rest) {{
+      rest -= found + half;
+      found += half << 1;
+      root += half;
+    }}
+    rest <<= 1;
+  }}
+  root = ((root + (root & 1u)) >> 1) - leading;
+  bits = (({word})(exponent / 2 + {bias}) << {mantissa}) + root;
+  memcpy(&x, &bits, sizeof x);
+  return x;
+}}
+"""

@@ -1,4 +1,13 @@
-"""Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs."""
+"""Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs.
+
+``lower_policy`` walks through the policy steps of all nodes in order. The program reads the measurement and uniform
+numbers, and gives the input of the plant, the nodes' copies of it, and whether a packet is sent and arrives on each
+link. ``taciturn.loop`` walks through the same steps between its own of the plant (``begin_time_step``, ``measure``,
+``gather_input``).
+
+A program for real plants is informed of more (``Informed``): which outputs are not measured and are to be predicted,
+which input was really applied, and what becomes of a packet. ``lower_command`` stops at the command of the controller.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +29,7 @@ from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads,
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision, named
 
-FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
+_FILTER, _REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
 MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is known"
@@ -60,7 +69,9 @@ def copies_of_inputs(policy: Policy) -> tuple[_CopiedInput, ...]:
     }
     found = list[_CopiedInput]()
     for step in (step for step in policy.steps if isinstance(step, Assign) and step.on is None):
-        told = step.signal == FILTER or (step.signal in REGISTERS and step.at in policy.site(policy.network.controller))
+        told = step.signal == _FILTER or (
+            step.signal in _REGISTERS and step.at in policy.site(policy.network.controller)
+        )
         for held in (name for name in step.branches[0] if told and name in names):
             effect = step.branches[0][held]
             if isinstance(effect, np.ndarray):

@@ -1,25 +1,26 @@
-"""Elementary NumPy functions as operations of a program; arguments are constants or indices of operations.
+"""Elementary functions as operations of a program, bit-identical in every back end, without a mathematical library.
 
-Constant expressions are evaluated in advance; additions of zero and multiplications by one are removed. ``floor``,
-``ceil`` and ``_round_off`` are exact. The error of ``remainder`` is the rounding error of y·floor(x/y). ``minimum`` and
-``maximum`` of NaN are NaN, as in NumPy.
+``NUMBERS``, ``COMPARISONS`` and ``LOGIC`` list them by the names of NumPy's functions. Arguments are constants or
+indices of operations. Constant expressions are evaluated in advance; additions of zero and multiplications by one are
+removed. Numbers of IEEE 754 are taken apart and put together by their bits (``_FloatFormat``).
 
-Operations on the bits of floating-point numbers: signs, magnitudes, rounding to integers and powers of two.
+**Exponentials and logarithms.** e^x = 2^k e^r with integer k and |r| ≤ ½ log 2, where r = x − k log 2 is computed in
+two parts (Cody and Waite); log x = k log 2 + log(1 + f) for x = 2^k (1 + f), 1 + f in [√½, √2).
 
-Exponentials and logarithms as operations of a program, bit-identical in every back end, without a library.
+**Circular functions.** An angle is reduced to |x| − k·π/2 in the same way: π/2 is a sum of parts. The first parts have
+so few bits that their products with k < 2^25 (2^16 in single precision) and the differences are exact. The last parts
+are rounded, and the rounding error is stored in a second number.
 
-Largest errors in units in the last place: e^x 1.5, log x 1, e^x − 1 2.25, tanh x 2.75. The fast build, which fuses
-some products with sums, has the same bounds.
+| function | largest error in units in the last place |
+|---|---|
+| e^x, log x, e^x − 1, tanh x | 1.5, 1, 2.25, 2.75 |
+| sine and cosine, tangent, inverses, for abs(x) ≤ 5e7 (1e5 in single precision) | 1, 2.75, 2 |
+| ``floor``, ``ceil``, rounding to integers | exact |
+| ``remainder`` | the rounding of y·floor(x/y) |
 
-Sine, cosine, tangent and their inverses as operations of a program, bit-identical in every back end.
-
-An angle is reduced to |x| − k·π/2 by the method of Cody and Waite: π/2 is a sum of parts. The first parts have so few
-bits that their products with k < 2^25 (2^16 in single precision) and the differences are exact. The last parts are
-rounded, and the rounding error is stored in a second number.
-
-Largest errors in units in the last place, for |x| ≤ 5e7 (1e5 in single precision): sine and cosine 1, tangent 2.75,
-inverses 2. Within 1e-9 (1e-5) of a multiple of π/2 the error is absolute, at most 1e-25 (1e-12). For a larger |x| the
-reduction would be inaccurate, so that the result is NaN.
+Within 1e-9 (1e-5) of a multiple of π/2 the error is absolute, at most 1e-25 (1e-12). For a larger angle the reduction
+would be inaccurate, so that the result is NaN. ``minimum`` and ``maximum`` of NaN are NaN, as in NumPy. The fast build,
+which fuses some products with sums, has the same bounds.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.program.ir import Builder, Coefficient, Truth
+from taciturn.program.ir import Builder, Coefficient, Truth, equals
 from taciturn.program.ops import Precision
 
 _HALF_TURN = (3.141592653589793, 1.2246467991473532e-16)  # π as a double and the remainder
@@ -434,28 +435,28 @@ def _clipped(b: Builder, x: int, most: float) -> int:
 
 def add(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x + y."""
-    if _is(x, 0.0) or _is(y, 0.0):
-        return y if _is(x, 0.0) else x
+    if equals(x, 0.0) or equals(y, 0.0):
+        return y if equals(x, 0.0) else x
     return b.emit("add", b.value(x), b.value(y))
 
 
 def subtract(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x − y."""
-    if _is(x, 0.0) or _is(y, 0.0):
-        return x if _is(y, 0.0) else _negate(b, y)
+    if equals(x, 0.0) or equals(y, 0.0):
+        return x if equals(y, 0.0) else _negate(b, y)
     return b.emit("sub", b.value(x), b.value(y))
 
 
 def multiply(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x·y."""
-    if _is(x, 0.0) or _is(y, 0.0):
+    if equals(x, 0.0) or equals(y, 0.0):
         return 0.0
     return b.scale(y, x) if isinstance(x, int) and isinstance(y, float) else b.scale(x, b.value(y))
 
 
 def divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x/y; a division by a power of two is an exact multiplication."""
-    if _is(x, 0.0) or _is(y, 1.0):
+    if equals(x, 0.0) or equals(y, 1.0):
         return x
     if isinstance(y, float) and y.hex().lstrip("-").startswith("0x1.0000000000000p") and 2**-1000 < abs(y) < 2**1000:
         return multiply(b, 1 / y, x)
@@ -632,10 +633,6 @@ def _other_side(b: Builder, x: Coefficient) -> int:
     """Return √(1 − x²) as √((1 − x)(1 + x)), which is accurate near |x| = 1."""
     value, one = b.value(x), b.constant(1.0)
     return b.emit("sqrt", b.emit("mul", b.emit("sub", one, value), b.emit("add", one, value)))
-
-
-def _is(coefficient: Coefficient, number: float) -> bool:
-    return isinstance(coefficient, float) and coefficient == number
 
 
 def _of(rule: Callable[..., int]) -> Callable[..., Coefficient]:

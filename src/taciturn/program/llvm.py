@@ -8,37 +8,29 @@ The generated function runs blocks of ``lanes`` paths for any number of steps:
 The arrays are state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, steps, inputs, lanes) and
 outputs (blocks, steps, outputs, lanes). They contain doubles for both precisions of the program; only constants that
 all lanes share have the precision of the program. The sums of a window of steps are added to the sums in memory at its
-end. Constants and tables are read from memory, so that programs of equal structure share machine code.
+end. Constants, tables and matrices are one array in memory, so that programs of equal structure share machine code.
 
-Software pipelining: random numbers, and operations that depend only on them, are computed one time step ahead.
+``_CodeLines`` emits single instructions, access to memory and table lookups; ``_Body`` maps every operation of a time
+step to one or a few of them, selects fused operations, and writes large matrix products as loops; ``_Printer`` adds the
+loops over blocks, windows of steps, and steps. This module, not the compiler, selects the fused operations, so that
+the result does not depend on the processor; the bit-exact build fuses none.
 
-A time step is one long chain of dependent operations: a random word, a logarithm and a root, which give a normal
-number, the next state, and the decision that depends on it. A processor reorders instructions within a window of some
-250 to 500 instructions, which is less than two steps, so that it would mostly wait for this chain. Random numbers
-depend only on the words of the generator. They are computed one step ahead, while the previous step computes its state.
+**One step ahead.** A time step is one long chain of dependent operations: a random word, a logarithm and a root, which
+give a normal number, the next state, and the decision that depends on it. A processor reorders instructions within a
+window of some 250 to 500 instructions, which is less than two steps, so that it would mostly wait for this chain.
+Random numbers depend only on the words of the generator. They are computed one step ahead, while the previous step
+computes its state.
 
-Target processor of a program in LLVM IR, with its vector features.
-
-Any program can be translated with any number of lanes for any processor. Only the instruction for lookups in small
-tables depends on the processor. LLVM terminates the process if a function uses an instruction that the features do not
-include. Therefore the text contains the features, and is compiled for exactly these.
-
-Generation of LLVM IR for vectors: single instructions, access to memory, and table lookups.
-
-``_CodeLines`` collects lines of LLVM IR. Each value is a vector with one lane per path. Constants, tables and matrices
-are in one array in memory, so that programs that differ only in their numbers share machine code.
-
-Translation of the operations of one time step to LLVM IR, on vectors with one lane per simulated path.
-
-``Body`` maps every operation of a program to one or a few instructions. ``Body`` also selects fused operations,
-records which values are words and halves, and writes large matrix products as loops. ``llvm`` adds the loops over paths
-and steps.
+**Processors.** Any program can be translated with any number of lanes for any processor (``Target``). Only the
+instruction for lookups in small tables depends on the processor. LLVM terminates the process if a function uses an
+instruction that the features do not include. Therefore the text contains the features, and is compiled for exactly
+these.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -67,53 +59,6 @@ SMALL = 256
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
 _SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
-
-
-@dataclass(frozen=True)
-class _Ahead:
-    """The operations of a time step that are computed one step ahead."""
-
-    operations: tuple[int, ...] = ()  # the operations in the order of the program
-    carried: tuple[int, ...] = ()  # operations whose values the step itself reads
-
-
-def _find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int], summed: Set[int]) -> _Ahead:
-    """Return the operations of a program that can run one step ahead.
-
-    They depend only on words of the random generator. The result is empty if the step itself also reads these words.
-    """
-    # an operation runs ahead if each operand is a constant, a word in memory, or an operation that runs ahead
-    found, words = set[int](), set[int]()
-    reads = {index: _reads(program, index, fused) for index in printed}
-    for index in printed:
-        op = program.ops[index]
-        if op.name == "state" and program.states[op.arguments[0]].word:
-            words.add(index)
-        elif op.name not in (*_FREE_OPERATIONS, "state", "input", "product", "entry"):
-            computed = [i for i in reads[index] if program.ops[i].name not in _FREE_OPERATIONS]
-            if computed and found.union(words).issuperset(computed):
-                found.add(index)
-    # values that the step itself reads: for next states, outputs, sums, and operations that do not run ahead
-    numbers = [i for i, state in zip(program.following, program.states, strict=True) if not state.word]
-    totals = {total.op for total in program.totals.values()}
-    read = {*numbers, *program.outputs.values(), *totals - summed}
-    read.update(i for product in totals & summed for i in program.ops[product].reads)
-    read.update(i for index in printed if index not in found for i in reads[index])
-    # The words must be advanced together with the random numbers. This is impossible if the step itself reads a word,
-    # or if the next value of a word does not run ahead.
-    moved = {i for i, state in zip(program.following, program.states, strict=True) if state.word}
-    carried = tuple(sorted(found & read))
-    if not carried or words & read or not moved <= found | words:
-        return _Ahead()
-    return _Ahead(tuple(sorted(found)), carried)
-
-
-def _reads(program: Program, index: int, fused: Mapping[int, int]) -> tuple[int, ...]:
-    """Return the operations that an operation reads, with the operands of a fused product instead of the product."""
-    reads, product = program.ops[index].reads, fused.get(index)
-    if product is None:
-        return reads
-    return (*program.ops[product].reads, *(i for i in reads if i != product))
 
 
 @dataclass(frozen=True)
@@ -172,6 +117,11 @@ class Target:
         return f"+{feature}" in flags and not any(f"-{name}" in flags for name in below[: below.index(feature) + 1])
 
 
+def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
+    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths."""
+    return _Printer(program, target, lanes, build, own).text()
+
+
 def constants_of(program: Program) -> list[float]:
     """Return all constants of a program in the order in which the machine code reads them.
 
@@ -180,16 +130,6 @@ def constants_of(program: Program) -> list[float]:
     tables = (value for table in program.tables for value in table)
     matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in _tile_columns(matrix, tile))
     return [*program.constants, *tables, *matrices]
-
-
-def _tile_columns(matrix: MatrixRows, tile: Tile) -> list[float]:
-    """Return the coefficients of a tile (block) of a matrix, column by column."""
-    return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
-
-
-def _filled_lanes(kind: str, literal: object, lanes: int) -> str:
-    """Return an LLVM vector constant with the same number in every lane."""
-    return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"
 
 
 class _CodeLines:
@@ -325,31 +265,7 @@ class _CodeLines:
         return parts[0]
 
 
-def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
-    """Return the fused products of the fast build: by sum or difference, and the set of those summed over steps.
-
-    A product is fused only if no other operation reads it; otherwise it would be computed twice. This module, not the
-    compiler, selects the fused operations, so that the result does not depend on the processor.
-    """
-    uses = Counter([*(i for index in live for i in program.ops[index].reads), *_roots(program)])
-    found: dict[int, int] = {}
-    for index in sorted(live):
-        op = program.ops[index]
-        if op.name in ("add", "sub"):
-            # of two products the later operand is fused, so that a chain a + b·c + d·e fuses each with the sum so far
-            alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
-            found |= {index: alone[0]} if alone else {}
-    totals = {total.op for total in program.totals.values()}
-    return found, {index for index in totals if program.ops[index].name == "mul" and uses[index] == 1}
-
-
-def _roots(program: Program) -> list[int]:
-    """Return the operations whose values a step stores: next states, outputs and sums."""
-    totals = (total.op for total in program.totals.values())
-    return [*program.following, *program.outputs.values(), *totals]
-
-
-class Body(_CodeLines):
+class _Body(_CodeLines):
     """Writer of the LLVM IR of one time step, which records the name of each operation's value."""
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
@@ -555,12 +471,7 @@ class Body(_CodeLines):
         return self._gathered(self._table(table), integers, offsets)
 
 
-def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
-    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths."""
-    return _Printer(program, target, lanes, build, own).text()
-
-
-class _Printer(Body):
+class _Printer(_Body):
     """Writes a time step inside the loops over blocks, windows of steps, and steps."""
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
@@ -640,8 +551,7 @@ class _Printer(Body):
             ]
         )
 
-    def _section(self, write: object) -> list[str]:
-        assert callable(write)
+    def _section(self, write: Callable[[], None]) -> list[str]:
         self.lines = []
         write()
         return self.lines
@@ -729,3 +639,78 @@ class _Printer(Body):
             self.lines.append(f"  store {self.doubles} {self._widen(self.names[index])}, ptr {address}, align 8")
         for i, total in enumerate(program.totals.values()):
             self.lines.append(f"  %next_sum{i} = {self.added_up(total.op, f'%sum{i}')}")
+
+
+def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
+    """Return the fused products of the fast build: by sum or difference, and the set of those summed over steps."""
+    # a product is fused only if no other operation reads it; otherwise it would be computed twice
+    uses = Counter([*(i for index in live for i in program.ops[index].reads), *_roots(program)])
+    found: dict[int, int] = {}
+    for index in sorted(live):
+        op = program.ops[index]
+        if op.name in ("add", "sub"):
+            # of two products the later operand is fused, so that a chain a + b·c + d·e fuses each with the sum so far
+            alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
+            found |= {index: alone[0]} if alone else {}
+    totals = {total.op for total in program.totals.values()}
+    return found, {index for index in totals if program.ops[index].name == "mul" and uses[index] == 1}
+
+
+def _roots(program: Program) -> list[int]:
+    """Return the operations whose values a step stores: next states, outputs and sums."""
+    totals = (total.op for total in program.totals.values())
+    return [*program.following, *program.outputs.values(), *totals]
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """The operations of a time step that are computed one step ahead."""
+
+    operations: tuple[int, ...] = ()  # the operations in the order of the program
+    carried: tuple[int, ...] = ()  # operations whose values the step itself reads
+
+
+def _find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int], summed: Set[int]) -> _Ahead:
+    """Return the operations that can run one step ahead: those that depend only on words of the random generator."""
+    # an operation runs ahead if each operand is a constant, a word in memory, or an operation that runs ahead
+    found, words = set[int](), set[int]()
+    reads = {index: _reads(program, index, fused) for index in printed}
+    for index in printed:
+        op = program.ops[index]
+        if op.name == "state" and program.states[op.arguments[0]].word:
+            words.add(index)
+        elif op.name not in (*_FREE_OPERATIONS, "state", "input", "product", "entry"):
+            computed = [i for i in reads[index] if program.ops[i].name not in _FREE_OPERATIONS]
+            if computed and found.union(words).issuperset(computed):
+                found.add(index)
+    # values that the step itself reads: for next states, outputs, sums, and operations that do not run ahead
+    numbers = [i for i, state in zip(program.following, program.states, strict=True) if not state.word]
+    totals = {total.op for total in program.totals.values()}
+    read = {*numbers, *program.outputs.values(), *totals - summed}
+    read.update(i for product in totals & summed for i in program.ops[product].reads)
+    read.update(i for index in printed if index not in found for i in reads[index])
+    # The words must be advanced together with the random numbers. This is impossible if the step itself reads a word,
+    # or if the next value of a word does not run ahead.
+    moved = {i for i, state in zip(program.following, program.states, strict=True) if state.word}
+    carried = tuple(sorted(found & read))
+    if not carried or words & read or not moved <= found | words:
+        return _Ahead()
+    return _Ahead(tuple(sorted(found)), carried)
+
+
+def _reads(program: Program, index: int, fused: Mapping[int, int]) -> tuple[int, ...]:
+    """Return the operations that an operation reads, with the operands of a fused product instead of the product."""
+    reads, product = program.ops[index].reads, fused.get(index)
+    if product is None:
+        return reads
+    return (*program.ops[product].reads, *(i for i in reads if i != product))
+
+
+def _tile_columns(matrix: MatrixRows, tile: Tile) -> list[float]:
+    """Return the coefficients of a tile (block) of a matrix, column by column."""
+    return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
+
+
+def _filled_lanes(kind: str, literal: object, lanes: int) -> str:
+    """Return an LLVM vector constant with the same number in every lane."""
+    return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"

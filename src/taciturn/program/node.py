@@ -2,9 +2,16 @@
 
 A time step has one or two parts. The first part ends with the last output of the node, a packet or the input of the
 plant. Later policy steps that read a packet or an acknowledgement form the second part. This part runs when the next
-time step begins, so that a packet has a whole sampling period to arrive.
+time step begins, so that a packet has a whole sampling period to arrive. Both parts have the same states; the outcome
+of a decision in the first part is a state that the second part reads.
 
-Positions of all inputs and outputs in the time step of a node, for the back ends that run nodes.
+Nodes can be separated if each packet holds what its Send found: no signal of the packet changes before it is read, all
+steps read a packet before it is sent or all after it, and no two places wait for each other within a step.
+
+``lay_out`` gives the positions of all inputs and outputs in the time step of a node, for the back ends that run nodes:
+
+    inputs:  measurement | step counters | for each link: arrived, payload | acknowledgements | set-points | draws
+    outputs: for each link: sent, payload | input of the plant | values of the options of triggers
 """
 
 from __future__ import annotations
@@ -27,8 +34,8 @@ from taciturn.program.lower import APPLIED, Operands, Payloads, TimeStep, encode
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
 
 NODES = Coverage(LOOPS, "nodes do not carry out")
-FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
-NEVER = 1 << 62
+_FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
+_NEVER = 1 << 62
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,109 +65,6 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
     _check_separable(policy)
     _expect_order(policy)
     return _Lowering(policy, site, network, precision).result()
-
-
-def _check_separable(policy: Policy) -> None:
-    """Raise an error if the nodes of a policy cannot run separately."""
-    places: dict[str, int] = {}
-    for place, step in enumerate(policy.steps):
-        if not isinstance(step, Send):
-            continue
-        if policy.network.receiver(step.link) in policy.site(step.at):
-            raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
-                "site; expected different sites at its two ends, or no packets on this link"
-            )
-        places[step.link] = place
-    for place, step in enumerate(policy.steps):
-        if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):
-            continue
-        on = step.on
-        if on.link not in places:
-            raise ProblemError(
-                f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
-            )
-        sent, count = places[on.link], len(policy.steps)
-        between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
-        for name in told_by(policy, on.link):
-            if any(name in assigned(policy.steps[i]) for i in between):
-                raise ProblemError(
-                    f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
-                    f"that computes {step.signal} from the packet; expected the Send after the change"
-                )
-
-
-def _expect_order(policy: Policy) -> None:
-    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other."""
-    sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
-    waits: dict[frozenset[str], set[frozenset[str]]] = {}
-    for i, step in enumerate(policy.steps):
-        on, here = _condition(step), policy.site(step.at)
-        if isinstance(on, Received) and sent.get(on.link, i) < i and _needed_for_output(policy, here, i):
-            waits.setdefault(here, set()).add(policy.site(policy.steps[sent[on.link]].at))
-    left = dict(waits)
-    while ready := [place for place, others in left.items() if not others & left.keys()]:
-        for place in ready:
-            del left[place]
-    if left:
-        names = " and ".join(sorted("+".join(sorted(place)) for place in left))
-        raise ProblemError(
-            f"the nodes of {policy.kind} cannot be separated: within a step, {names} wait for packets of each other; "
-            "expected nodes at different places"
-        )
-
-
-def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool:
-    """Return whether a place has an output in a step after an operation, which then cannot wait for the next step."""
-    applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
-    later = (step for step in policy.steps[place:] if step.at in site)
-    return any(isinstance(step, Send) or not applied.isdisjoint(assigned(step)) for step in later)
-
-
-class _Part(TimeStep):
-    """A part of the time step of one site: measurements, packets and step counters are inputs."""
-
-    def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
-        counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
-        counts |= {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
-        start = first_input(policy, policy.model)
-        initial = {_applied(signal): start[[*inputs]] for signal, (_, inputs) in policy.applied.items()}
-        initial |= policy.initial
-        super().__init__(Builder(precision), {**policy.sizes, **counts}, initial, policy.locations, payloads)
-        self.drawn = drawn
-        self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
-        self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
-        self._link, self._measured = "", policy.measured
-
-    def take(self, step: Step) -> None:
-        on = _condition(step)
-        self._link = on.link if isinstance(on, Received) else ""
-        super().take(step)
-        if isinstance(step, Send):
-            parts = [self.rounded(self.recall(name), how) for name, how in self.payloads[step.link].items()]
-            self.payload[step.link] = [value for part in parts for value in part]
-
-    def hear(self, name: str) -> Operands:
-        return self.supplied(name, self.sizes[name], link=self._link)
-
-    def recall(self, name: str) -> Operands:
-        if name in self._measured and name not in self.signals:
-            self.signals[name] = self.supplied(name, self.sizes[name])
-        return super().recall(name)
-
-    def happened(self, condition: Condition) -> list[Truth]:
-        if isinstance(condition, str):
-            if condition not in self.outcomes:  # decided in the first part
-                self.outcomes[condition] = [self._true(flag) for flag in self.recall(_flags(condition))]
-            return self.outcomes[condition]
-        return [self.builder.emit("not", self._true(self.builder.input(condition)))]
-
-    def place(self, name: str) -> int:
-        own = self.locations[name].on is not None
-        return super().place(name) if own else self.builder.input(StepCounter(name))
-
-    def _true(self, flag: int) -> int:
-        return self.builder.emit("greater", flag, self.builder.constant(0.0))
 
 
 class _Lowering:
@@ -280,6 +184,109 @@ class _Lowering:
         return outputs | tick.option_values()
 
 
+class _Part(TimeStep):
+    """A part of the time step of one site: measurements, packets and step counters are inputs."""
+
+    def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
+        counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
+        counts |= {_applied(signal): len(inputs) for signal, (_, inputs) in policy.applied.items()}
+        start = first_input(policy, policy.model)
+        initial = {_applied(signal): start[[*inputs]] for signal, (_, inputs) in policy.applied.items()}
+        initial |= policy.initial
+        super().__init__(Builder(precision), {**policy.sizes, **counts}, initial, policy.locations, payloads)
+        self.drawn = drawn
+        self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
+        self.payload: dict[str, Operands] = {}  # of the packet of each link, rounded by its encoding
+        self._link, self._measured = "", policy.measured
+
+    def take(self, step: Step) -> None:
+        on = _condition(step)
+        self._link = on.link if isinstance(on, Received) else ""
+        super().take(step)
+        if isinstance(step, Send):
+            parts = [self.rounded(self.recall(name), how) for name, how in self.payloads[step.link].items()]
+            self.payload[step.link] = [value for part in parts for value in part]
+
+    def hear(self, name: str) -> Operands:
+        return self.supplied(name, self.sizes[name], link=self._link)
+
+    def recall(self, name: str) -> Operands:
+        if name in self._measured and name not in self.signals:
+            self.signals[name] = self.supplied(name, self.sizes[name])
+        return super().recall(name)
+
+    def happened(self, condition: Condition) -> list[Truth]:
+        if isinstance(condition, str):
+            if condition not in self.outcomes:  # decided in the first part
+                self.outcomes[condition] = [self._true(flag) for flag in self.recall(_flags(condition))]
+            return self.outcomes[condition]
+        return [self.builder.emit("not", self._true(self.builder.input(condition)))]
+
+    def place(self, name: str) -> int:
+        own = self.locations[name].on is not None
+        return super().place(name) if own else self.builder.input(StepCounter(name))
+
+    def _true(self, flag: int) -> int:
+        return self.builder.emit("greater", flag, self.builder.constant(0.0))
+
+
+def _check_separable(policy: Policy) -> None:
+    """Raise an error if the nodes of a policy cannot run separately."""
+    places: dict[str, int] = {}
+    for place, step in enumerate(policy.steps):
+        if not isinstance(step, Send):
+            continue
+        if policy.network.receiver(step.link) in policy.site(step.at):
+            raise ProblemError(
+                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
+                "site; expected different sites at its two ends, or no packets on this link"
+            )
+        places[step.link] = place
+    for place, step in enumerate(policy.steps):
+        if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):
+            continue
+        on = step.on
+        if on.link not in places:
+            raise ProblemError(
+                f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
+            )
+        sent, count = places[on.link], len(policy.steps)
+        between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
+        for name in told_by(policy, on.link):
+            if any(name in assigned(policy.steps[i]) for i in between):
+                raise ProblemError(
+                    f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
+                    f"that computes {step.signal} from the packet; expected the Send after the change"
+                )
+
+
+def _expect_order(policy: Policy) -> None:
+    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other."""
+    sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
+    waits: dict[frozenset[str], set[frozenset[str]]] = {}
+    for i, step in enumerate(policy.steps):
+        on, here = _condition(step), policy.site(step.at)
+        if isinstance(on, Received) and sent.get(on.link, i) < i and _needed_for_output(policy, here, i):
+            waits.setdefault(here, set()).add(policy.site(policy.steps[sent[on.link]].at))
+    left = dict(waits)
+    while ready := [place for place, others in left.items() if not others & left.keys()]:
+        for place in ready:
+            del left[place]
+    if left:
+        names = " and ".join(sorted("+".join(sorted(place)) for place in left))
+        raise ProblemError(
+            f"the nodes of {policy.kind} cannot be separated: within a step, {names} wait for packets of each other; "
+            "expected nodes at different places"
+        )
+
+
+def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool:
+    """Return whether a place has an output in a step after an operation, which then cannot wait for the next step."""
+    applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
+    later = (step for step in policy.steps[place:] if step.at in site)
+    return any(isinstance(step, Send) or not applied.isdisjoint(assigned(step)) for step in later)
+
+
 def _condition(step: Step) -> Condition | None:
     return step.on if isinstance(step, Assign | Evaluate) else None
 
@@ -390,4 +397,4 @@ def first_inputs(policy: Policy, layout: Layout) -> list[float]:
 def steps_of_a_fault(policy: Policy) -> int:
     """Return the number of steps after which the effect of a fault, which the theory excludes, is negligible."""
     horizon = None if policy.cost is None else policy.cost.horizon
-    return ceil(FORGOTTEN * policy.theory.recovers) or horizon or NEVER
+    return ceil(_FORGOTTEN * policy.theory.recovers) or horizon or _NEVER

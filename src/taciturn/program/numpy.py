@@ -1,6 +1,7 @@
 """Execution of a program over many paths with NumPy: the reference implementation, also used without llvmlite.
 
-Each operation rounds once, in the order of the program. The bit-exact builds are bit-identical to it.
+Each operation rounds once, in the order of the program. The bit-exact builds are bit-identical to it. The sums of
+``WINDOW`` steps have the precision of the program, and the sums of windows are added as doubles.
 """
 
 from __future__ import annotations
@@ -19,6 +20,88 @@ from taciturn.program.ops import EIGHT, WINDOW, Name, Op, Tile, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
 _GIVEN = ("const", "word", "half", "state", "input")  # operations without a computation
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The result of a run."""
+
+    states: Array  # states after the last step, as doubles; words are reinterpreted as doubles, (states, paths)
+    sums: Mapping[Name, Array]  # sums over the steps by name, (paths,) each
+    outputs: Mapping[Name, Array]  # outputs at each step by name, (steps, paths) each
+
+
+@np.errstate(all="ignore")  # branches that a selection discards may divide by zero
+def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
+    """Run ``ticks`` steps of a program on every simulated path, with NumPy."""
+    assert inputs is not None or not program.inputs, "the program has inputs, and none are supplied"
+    paths = states.shape[1]
+    kind = np.dtype(program.precision)
+    fixed = _fixed(program, paths)
+    read = [(index, op) for index, op in enumerate(program.ops) if op.name in ("state", "input")]
+    rules = [(i, _rule(op, program), op.reads) for i, op in enumerate(program.ops) if op.name not in _GIVEN]
+    memory: list[Value] = [
+        row.view(np.uint64) if state.word else row.astype(kind)
+        for state, row in zip(program.states, states, strict=True)
+    ]
+    totals = program.totals
+    added = {name: np.zeros(paths) for name in totals}
+    window = {name: np.zeros(paths, dtype=kind) for name in totals}
+    records = {name: np.empty((ticks, paths)) for name in program.outputs}
+    for tick in range(ticks):
+        values = fixed.copy()
+        supplied = None if inputs is None else inputs[tick].astype(kind)
+        for index, (name, (place,)) in read:
+            values[index] = memory[place] if supplied is None or name == "state" else supplied[place]
+        for index, rule, reads in rules:
+            values[index] = rule(*[values[i] for i in reads])
+        for name, total in totals.items():
+            window[name] = window[name] + values[total.op]
+            if (tick + 1) % WINDOW == 0 or tick + 1 == ticks:
+                added[name] += window[name]
+                window[name] = np.zeros(paths, dtype=kind)
+        for name, index in program.outputs.items():
+            records[name][tick] = values[index]
+        memory = [values[index] for index in program.following]
+    final = np.empty((len(memory), paths))
+    for row, value in zip(final, memory, strict=True):
+        row[:] = value.view(np.float64) if value.dtype == np.uint64 else value  # floats are converted to doubles
+    return Run(final, {name: total.of(added[name], ticks) for name, total in totals.items()}, records)
+
+
+def _fixed(program: Program, paths: int) -> list[Value]:
+    """Return the values of all operations, by index: constants, and empty arrays for the others."""
+    fixed: list[Value] = [np.empty(0)] * len(program.ops)
+    for index, (name, rest) in enumerate(program.ops):
+        if name == "const":
+            fixed[index] = np.full(paths, program.constants[rest[0]], dtype=program.precision)
+        elif name in ("word", "half"):
+            fixed[index] = np.full(paths, rest[0], dtype=np.uint64 if name == "word" else np.uint32)
+    return fixed
+
+
+def _rule(op: Op, program: Program) -> Callable[..., Value]:
+    """Return the function that computes an operation's value from the values that it reads."""
+    name, rest = op
+    if name == "product":
+        matrix = program.matrices[rest[0]]
+        return partial(_product, np.array(matrix, dtype=program.precision), tiles(matrix))
+    if name in ("lookup", "pick"):
+        return partial(_RULES[name], np.array(program.tables[rest[0]], dtype=program.precision))
+    if name in ("entry", "shift_left", "shift_right", "rotate_left"):
+        return partial(_RULES[name], k=rest[1])
+    return _RULES[name]
+
+
+def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
+    """Return the matrix times the values, (rows, paths)."""
+    # tile by tile and column by column from 0, as in every back end, so that the sums are bit-identical
+    result = np.zeros((len(matrix), len(values[0])), dtype=matrix.dtype)
+    for tile in parts:
+        rows = slice(tile.first, tile.first + tile.rows)
+        for j in range(tile.begin, tile.end):
+            result[rows] += matrix[rows, j, None] * values[j]
+    return result
 
 
 def _lookup(table: Value, x: Value) -> Value:
@@ -102,85 +185,3 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "count": _count,
     "any_bit": _any_bit,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """The result of a run."""
-
-    states: Array  # states after the last step, as doubles; words are reinterpreted as doubles, (states, paths)
-    sums: Mapping[Name, Array]  # sums over the steps by name, (paths,) each
-    outputs: Mapping[Name, Array]  # outputs at each step by name, (steps, paths) each
-
-
-@np.errstate(all="ignore")  # branches that a selection discards may divide by zero
-def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
-    """Run ``ticks`` steps of a program on every simulated path, with NumPy."""
-    assert inputs is not None or not program.inputs, "the program has inputs, and none are supplied"
-    paths = states.shape[1]
-    kind = np.dtype(program.precision)
-    fixed = _fixed(program, paths)
-    read = [(index, op) for index, op in enumerate(program.ops) if op.name in ("state", "input")]
-    rules = [(i, _rule(op, program), op.reads) for i, op in enumerate(program.ops) if op.name not in _GIVEN]
-    memory: list[Value] = [
-        row.view(np.uint64) if state.word else row.astype(kind)
-        for state, row in zip(program.states, states, strict=True)
-    ]
-    totals = program.totals
-    added = {name: np.zeros(paths) for name in totals}
-    window = {name: np.zeros(paths, dtype=kind) for name in totals}
-    records = {name: np.empty((ticks, paths)) for name in program.outputs}
-    for tick in range(ticks):
-        values = fixed.copy()
-        supplied = None if inputs is None else inputs[tick].astype(kind)
-        for index, (name, (place,)) in read:
-            values[index] = memory[place] if supplied is None or name == "state" else supplied[place]
-        for index, rule, reads in rules:
-            values[index] = rule(*[values[i] for i in reads])
-        for name, total in totals.items():
-            window[name] = window[name] + values[total.op]
-            if (tick + 1) % WINDOW == 0 or tick + 1 == ticks:
-                added[name] += window[name]
-                window[name] = np.zeros(paths, dtype=kind)
-        for name, index in program.outputs.items():
-            records[name][tick] = values[index]
-        memory = [values[index] for index in program.following]
-    final = np.empty((len(memory), paths))
-    for row, value in zip(final, memory, strict=True):
-        row[:] = value.view(np.float64) if value.dtype == np.uint64 else value  # floats are converted to doubles
-    return Run(final, {name: total.of(added[name], ticks) for name, total in totals.items()}, records)
-
-
-def _fixed(program: Program, paths: int) -> list[Value]:
-    """Return the values of all operations, by index: constants, and empty arrays for the others."""
-    fixed: list[Value] = [np.empty(0)] * len(program.ops)
-    for index, (name, rest) in enumerate(program.ops):
-        if name == "const":
-            fixed[index] = np.full(paths, program.constants[rest[0]], dtype=program.precision)
-        elif name in ("word", "half"):
-            fixed[index] = np.full(paths, rest[0], dtype=np.uint64 if name == "word" else np.uint32)
-    return fixed
-
-
-def _rule(op: Op, program: Program) -> Callable[..., Value]:
-    """Return the function that computes an operation's value from the values that it reads."""
-    name, rest = op
-    if name == "product":
-        matrix = program.matrices[rest[0]]
-        return partial(_product, np.array(matrix, dtype=program.precision), tiles(matrix))
-    if name in ("lookup", "pick"):
-        return partial(_RULES[name], np.array(program.tables[rest[0]], dtype=program.precision))
-    if name in ("entry", "shift_left", "shift_right", "rotate_left"):
-        return partial(_RULES[name], k=rest[1])
-    return _RULES[name]
-
-
-def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
-    """Return the matrix times the values, (rows, paths)."""
-    # tile by tile and column by column from 0, as in every back end, so that the sums are bit-identical
-    result = np.zeros((len(matrix), len(values[0])), dtype=matrix.dtype)
-    for tile in parts:
-        rows = slice(tile.first, tile.first + tile.rows)
-        for j in range(tile.begin, tile.end):
-            result[rows] += matrix[rows, j, None] * values[j]
-    return result

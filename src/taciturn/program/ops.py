@@ -1,4 +1,4 @@
-"""The operations of a program.
+"""The operations of a program, and the names of the values that go into and come out of it.
 
 An operation is a name with the indices of earlier operations, or with literals where the table below says so.
 Values are numbers (doubles, or floats in single precision), truth values, 64-bit words, or half words of 32 bits.
@@ -24,8 +24,6 @@ Programs have no vectors of paths and no loops; the back ends add them.
 | `narrow` | number | number: the nearest one of single precision |
 | `bits` / `number` | number / word (double), half (single precision) | the same bits as a word or half / as a number |
 | `any_bit` | word or half | truth value: not zero |
-
-Names of the values that go into and come out of a program, as keys with typed parts.
 """
 
 from __future__ import annotations

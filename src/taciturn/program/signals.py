@@ -1,10 +1,16 @@
-"""Effect of Poisson jumps within a time step on the state at its end, as operations of a program.
+"""Process noise that is not Gaussian, as operations of a program: Poisson jumps, and set-points that change.
 
-Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ. At the end τ of the step its contribution is
+**Jumps.** Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a jump,
+and ξ has independent entries of mean 0 and variance 1. At the end τ of the step its contribution is
 
-    e^{A(τ − t)} G ξ,   where GG' is the covariance of a jump, and ξ has independent entries of mean 0 and variance 1.
+    e^{A(τ − t)} G ξ = e^{Aτ/2} e^{A(τ/2 − t)} G ξ.
 
-Process noise of a plant whose last states are set-points that change, as operations of a program.
+|τ/2 − t| ≤ τ/2 halves the argument of the power series, and e^{Aτ/2} is applied once, to the sum of all jumps. A
+program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step has
+more jumps than this number with a probability below 1e-14.
+
+**Set-points** are the last states of a plant. They move by a normal step with a certain probability in each time step,
+or by the next row of a timetable, which a step counter selects.
 """
 
 from __future__ import annotations
@@ -25,18 +31,12 @@ from taciturn.program.ops import Entry
 
 _MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
 MOST = 100  # most jumps drawn per step
-ROUNDING = 1e-16  # size below which a term of the power series has no effect
+_ROUNDING = 1e-16  # size below which a term of the power series has no effect
 TIMETABLE = "timetable"  # step counter of set-points that change at known times
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
-    """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end.
-
-    GG' is the covariance of a jump.
-
-    A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step
-    has more jumps than this number with a probability below 1e-14.
-    """
+    """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end."""
     b, n = tick.builder, len(noise.A)
     half, spread = noise.period / 2, noise.jumps.spread
     law = noise.jumps.distribution
@@ -48,8 +48,6 @@ def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
         inside = b.emit("greater", end, time)
         size = [jump_size(b, law, _draw(tick, law)) for _ in range(spread.shape[1])]
         jump = [tick.value(b.combine([float(g) for g in row], size)) for row in spread]
-        # e^{A(τ−t)} = e^{Aτ/2} e^{A(τ/2−t)}: |τ/2 − t| ≤ τ/2 halves the argument of the series, and e^{Aτ/2} is applied
-        # once, to the sum of all jumps
         moved = _flow(b, noise.A, half, jump, b.emit("sub", b.constant(half), time))
         total = [b.emit("add", old, tick.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
     middle = _scipy.matrix_exponential(noise.A * half)
@@ -76,7 +74,7 @@ def _terms(A: Array, reach: float) -> int:
     power, k = np.abs(A) * reach, 1
     term = power
     # continue while a term is not negligible, or while terms may still grow
-    while term.any() and (term.max() > ROUNDING or k < term.max()):
+    while term.any() and (term.max() > _ROUNDING or k < term.max()):
         k += 1
         term = term @ power / k
     return k - 1 if not term.any() else k
@@ -122,9 +120,7 @@ def draw_noise(tick: TimeStep, spread: Array) -> Operands:
 
 
 def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges) -> Operands:
-    """Return the process noise: Gaussian noise of all other states, and the changes of the last states, the set-
-    points.
-    """
+    """Return the process noise: Gaussian noise of most states, and the changes of the last ones, the set-points."""
     b, others = tick.builder, W[: -changes.size, : -changes.size]
     noise = draw_noise(tick, factor(others)) if others.any() else [b.constant(0.0)] * len(others)
     if isinstance(changes, SampledChanges):

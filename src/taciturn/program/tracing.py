@@ -1,16 +1,16 @@
 """Tracing of user functions: a NumPy function is called once with symbols, and its operations are recorded.
 
-Symbols that represent unknown numbers while a NumPy function is traced, and the recorder of its operations.
+An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Three kinds
+of functions are recorded:
 
-An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Computations
-on entries are recorded by the rules in ``elementary``, and functions of whole arrays by the rules in ``FUNCTIONS``.
+* Functions of single entries, and their reductions, by the rules in ``functions`` (``__array_ufunc__``).
+* Functions of whole arrays, such as ``np.linalg.solve``, by the rules at the end of this file; rearrangements are done
+  by NumPy (``__array_function__``).
+* Constructors such as ``np.zeros(3)``. It returns an array of floats, which cannot contain a symbol, and has no symbol
+  as argument that could redirect the call. Therefore a copy of the user's function is traced, in which names such as
+  ``np`` refer to replacements; functions that it calls are copied as well.
 
-NumPy functions for arrays that contain traced symbols: rearrangement, selection, products, linear systems.
-
-Copies of user functions in which NumPy's array constructors are replaced, so that arrays can contain symbols.
-
-``np.zeros(3)`` returns an array of floats, which cannot contain a symbol, and has no symbol as argument that could
-redirect the call. Therefore a copy of a function is traced, in which names such as ``np`` refer to replacements.
+The values of symbols are unknown while a function is traced: where a function needs one, an error names the remedy.
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS, choose
 from taciturn.program.ir import Builder, Coefficient
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
-FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # rules for functions of whole arrays, filled by ``arrays``
 _UNKNOWN = "but numbers are unknown while the function is traced"
 _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
 _PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
@@ -44,6 +43,62 @@ _PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, 
     np.transpose, np.vstack, np.zeros_like,
 )  # fmt: skip
 _OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
+
+
+def trace(
+    builder: Builder,
+    function: Callable[..., object],
+    arguments: Mapping[str, Sequence[int]],
+    results: Mapping[str, int],
+) -> dict[str, list[int]]:
+    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results.
+
+    The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
+    traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
+    during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
+    ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
+    """
+    name = getattr(function, "__name__", type(function).__name__)
+    recorder = _Recorder(builder, name)
+    vectors = [recorder.symbols(values) for values in arguments.values()]
+    try:
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
+            returned = _rebind(function, _STAND_INS)(*vectors)
+    except ProblemError:
+        raise
+    except Exception as error:
+        if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
+            raise recorder.lost() from error
+        raise ProblemError(
+            f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
+            f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
+        ) from error
+    if returned is None:
+        raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
+    if len(results) == 1:
+        returned = (returned,)
+    elif not _is_list(returned) or len(returned) != len(results):
+        got = f"{len(returned)} values" if _is_list(returned) else "one vector"
+        raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
+    pairs = zip(results.items(), returned, strict=True)
+    return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
+
+
+def _result(recorder: _Recorder, name: str, size: int, value: object) -> list[int]:
+    found = objects(value)
+    if found.shape != (size,) and not (size == 1 and found.shape == ()):
+        raise ProblemError(
+            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
+        )
+    return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
+
+
+def _number(recorder: _Recorder, name: str, place: int, entry: object) -> Coefficient:
+    if isinstance(entry, float) and not math.isfinite(entry):
+        raise ProblemError(
+            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
+        )
+    return recorder.number(entry)
 
 
 class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
@@ -76,9 +131,11 @@ class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         if not _symbols_in(given):
             named = {name: _as_floats(value) for name, value in kwargs.items()}
             return held(function(*map(_as_floats, args), **named))
-        if function not in FUNCTIONS:
+        if function in _PLAIN:
+            return seen(function(*map(_plain, args), **{name: _plain(one) for name, one in kwargs.items()}))
+        if function not in _RULES:
             raise _recorder_of(given).refused(function.__name__)
-        return FUNCTIONS[function](args, kwargs)
+        return _RULES[function](*args, **kwargs)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return the method, such as ``sqrt``, that NumPy calls on entries of plain arrays of objects."""
@@ -118,7 +175,7 @@ class Number(_Symbol):
     """Placeholder of a number whose value is known only when the program runs."""
 
 
-class _SymbolicTruth(_Symbol):
+class SymbolicTruth(_Symbol):
     """Placeholder of a truth value that is known only when the program runs."""
 
 
@@ -150,7 +207,7 @@ class _Recorder:
         """Return an array entry as a constant if it is a number, else as the operation that computes it."""
         if isinstance(value, Number):
             return value.index
-        if isinstance(value, _SymbolicTruth):
+        if isinstance(value, SymbolicTruth):
             return choose(self.builder, value.index, 1.0, 0.0)
         try:
             found = float(value)  # type: ignore[arg-type]
@@ -164,7 +221,7 @@ class _Recorder:
 
     def truth(self, value: object) -> int | bool:
         """Return an array entry as a truth value if it is known, or else as the operation that computes it."""
-        if isinstance(value, _SymbolicTruth):
+        if isinstance(value, SymbolicTruth):
             return value.index
         if isinstance(value, Number):
             return COMPARISONS["not_equal"](self.builder, value.index, 0.0)
@@ -183,9 +240,9 @@ class _Recorder:
             return self.symbol(NUMBERS[name](self.builder, *(self.number(value) for value in values)))
         raise self.refused(name)
 
-    def condition(self, truth: int | bool) -> bool | _SymbolicTruth:
+    def condition(self, truth: int | bool) -> bool | SymbolicTruth:
         """Return a known truth value unchanged, or the symbol that represents an operation."""
-        return truth if isinstance(truth, bool) else _SymbolicTruth(self, truth)
+        return truth if isinstance(truth, bool) else SymbolicTruth(self, truth)
 
     def either(self, condition: object, yes: object, no: object) -> object:
         """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
@@ -412,29 +469,12 @@ _RULES: Mapping[Callable[..., Any], Callable[..., Any]] = {
 }  # fmt: skip
 
 
-def _called(rule: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
-    return lambda args, kwargs: rule(*args, **kwargs)
-
-
-def _plainly(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
-    """Return the rule that calls the NumPy function itself with plain arrays of objects."""
-    return lambda args, kwargs: seen(
-        function(*map(_plain, args), **{name: _plain(one) for name, one in kwargs.items()})
-    )
-
-
 def _plain(value: Any) -> Any:
     """Return an argument with every ``_SymbolicArray`` replaced by a plain array of objects."""
     if _is_list(value):
         listed = [_plain(one) for one in value]
         return tuple(listed) if isinstance(value, tuple) else listed
     return objects(value) if isinstance(value, _SymbolicArray | _Symbol) else value
-
-
-FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
-
-
-FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
 
 
 def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
@@ -585,59 +625,3 @@ def _names(code: CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _names(constant)
-
-
-def trace(
-    builder: Builder,
-    function: Callable[..., object],
-    arguments: Mapping[str, Sequence[int]],
-    results: Mapping[str, int],
-) -> dict[str, list[int]]:
-    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results.
-
-    The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
-    traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
-    during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
-    ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
-    """
-    name = getattr(function, "__name__", type(function).__name__)
-    recorder = _Recorder(builder, name)
-    vectors = [recorder.symbols(values) for values in arguments.values()]
-    try:
-        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
-            returned = _rebind(function, _STAND_INS)(*vectors)
-    except ProblemError:
-        raise
-    except Exception as error:
-        if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
-            raise recorder.lost() from error
-        raise ProblemError(
-            f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
-            f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
-        ) from error
-    if returned is None:
-        raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
-    if len(results) == 1:
-        returned = (returned,)
-    elif not _is_list(returned) or len(returned) != len(results):
-        got = f"{len(returned)} values" if _is_list(returned) else "one vector"
-        raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
-    pairs = zip(results.items(), returned, strict=True)
-    return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
-
-
-def _result(recorder: _Recorder, name: str, size: int, value: object) -> list[int]:
-    found = objects(value)
-    if found.shape != (size,) and not (size == 1 and found.shape == ()):
-        raise ProblemError(
-            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
-        )
-    return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
-
-
-def _number(recorder: _Recorder, name: str, place: int, entry: object) -> Coefficient:
-    if isinstance(entry, float) and not math.isfinite(entry):
-        raise ProblemError(
-            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
-        )
-    return recorder.number(entry)

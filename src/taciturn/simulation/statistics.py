@@ -1,4 +1,13 @@
-"""Means with standard errors, from independent paths or from one correlated record."""
+"""Means with standard errors, from independent paths or from one correlated record.
+
+Independent values: the standard error of their mean, merged in batches (``Moments``), reduced by control variates of
+mean 0 (the intercept of a least-squares fit), and doubted if the largest values follow a power law (Hill's estimate).
+
+One record: means of long batches, which are nearly independent, or cycles between renewals, which are independent, so
+that the mean is a ratio of means, with the standard error of a ratio.
+
+Source: law2015
+"""
 
 from __future__ import annotations
 

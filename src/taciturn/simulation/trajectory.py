@@ -1,6 +1,7 @@
-"""Simulation of one path of a closed loop, with all signals at every step.
+"""One path of a closed loop with all signals at every step, and the mean course of cost and sends over many paths.
 
-Stage cost and sends of a loop at each step, averaged over independent simulated paths.
+A path is run with the bit-exact build, so that nodes that get its measurements compute the same inputs bit for bit. The
+course averages independent paths of the fast build step by step, from the initial distribution of the state.
 """
 
 from __future__ import annotations
