@@ -339,7 +339,7 @@ def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
     for cycle in in_cycles(leads):
         if not inside[cycle].any():
             found.append(_of_block(rational(A[np.ix_(cycle, cycle)]), limit, rounded and int(cycle.sum()) > 1))
-    return _joined(found)
+    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*found, strict=True)))
 
 
 def free_modes(A: Array, limit: Limit) -> Lost:
@@ -387,19 +387,11 @@ def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
     return near
 
 
-def _joined(parts: list[Lost]) -> Lost:
-    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*parts, strict=True)))
-
-
 def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
     """Return all modes of a matrix of rational numbers."""
-    return _split(A.charpoly(), limit)
-
-
-def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
-    """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
-    found = roots_of(polynomial, limit)
-    return Lost(*(_values(found, side) for side in (1, 0, -1)))
+    found = roots_of(A.charpoly(), limit)
+    sides = ([complex(one.root) for one in found if one.side == side for _ in range(one.many)] for side in (1, 0, -1))
+    return Lost(*(_sorted(np.array(modes, dtype=np.complex128)) for modes in sides))
 
 
 class _Root(NamedTuple):
@@ -438,11 +430,6 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
             return None
         count += near[0] == k
     return count
-
-
-def _values(found: list[_Root], side: int) -> Modes:
-    chosen = [complex(one.root) for one in found if one.side == side for _ in range(one.many)]
-    return _sorted(np.array(chosen, dtype=np.complex128))
 
 
 def _sorted(modes: Modes) -> Modes:

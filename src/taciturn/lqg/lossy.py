@@ -47,7 +47,6 @@ __all__ = [
     "no_gain_survives",
     "regulate_lossy",
     "regulate_lossy_finite",
-    "slowest_growth",
 ]
 
 _TURNS = 100
@@ -150,7 +149,8 @@ def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array
     for _ in range(_TURNS):
         check_time()
         try:
-            K, T = _cost_of(here, L, channel)
+            stage = here.Q + (1 - channel.actuator_loss) * L.T @ here.R @ L
+            K, T = MeanSquare(here.A, here.B, L, channel).solve(stage, here.Q)
         except np.linalg.LinAlgError:  # the mean square grows, or hardly decays
             break
         following = lossy_step(here.A, here.B, here.Q, here.R, K, T - K, channel)
@@ -162,12 +162,6 @@ def _iterated(here: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array
         "the gains over lossy links could not be computed: the cost of a gain is too large; expected losses further "
         "from their critical values"
     )
-
-
-def _cost_of(given: Quadratic, L: Array, channel: Channel) -> tuple[Array, Array]:
-    """Return K and T = K + P of a gain: the sum of the stage costs."""
-    stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
-    return MeanSquare(given.A, given.B, L, channel).solve(stage, given.Q)
 
 
 def _proved(
@@ -369,16 +363,6 @@ def no_gain_survives(A: Array, B: Array, channel: Channel) -> bool:
         return False
     plant = Lasting(A, B)
     return plant.grows and plant.count <= MOST_MODES and plant.exceeded(channel)
-
-
-def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
-    """Return the least mean-square growth per step over all linear gains, and a gain with this growth.
-
-    Only modes on or outside the unit circle matter. For these, the growth under a gain is the spectral radius of a
-    positive linear map on pairs of weights. The growth is lowered until no gain with this growth is found, in double
-    precision.
-    """
-    return Lasting(A, B).slowest(channel)
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:

@@ -49,7 +49,6 @@ __all__ = [
     "regulate_continuous",
     "regulate_finite",
     "states_with_cost",
-    "uncontrollable_modes",
 ]
 
 
@@ -214,17 +213,6 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
 
 
-def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
-    """Return the eigenvalues of A that the input through B cannot influence.
-
-    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0, computed in rational numbers: the answer is exact for the
-    given doubles, in any units and for repeated eigenvalues. By duality, ``uncontrollable_modes(A.T, C.T)`` are the
-    unobservable modes of the output y = Cx.
-    """
-    A = _arrays.square("A", A, "states × states")
-    return np.concatenate(unmoved(A, _arrays.array("B", B, (len(A), None), "states × inputs"), Limit(False)))
-
-
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
     """Return, for each state, whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
     return worth_of(Quadratic(A, B, Q, R, N)).states
@@ -313,7 +301,9 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
         with np.errstate(over="ignore", invalid="ignore"):  # a number out of range ends the proof
             found = problem.solve()
     except UnprovedError as error:
-        _refuse(problem, given, limit)
+        seen = given.among(problem.worth.states)
+        _refuse_unmoved(seen, limit)
+        _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
         what = "the Riccati equation of the regulator"
         found = f"the stabilising solution of {what}" if is_definite(given.R) else f"{what} has no solution that"
         raise UnstableError(
@@ -326,13 +316,6 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
         raise not_held("regulator", problem.given.A / np.sqrt(limit.discount), found.lacking)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
     return Regulator(K, L, H, error, found.slowest)
-
-
-def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
-    """Raise an error if a mode is the reason why there is no stabilising solution."""
-    seen = given.among(problem.worth.states)
-    _refuse_unmoved(seen, limit)
-    _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
 
 
 def _refuse_unmoved(seen: Quadratic, limit: Limit) -> None:

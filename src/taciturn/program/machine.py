@@ -69,7 +69,7 @@ class Kernel:
         assert self.own == (constants is not None), (
             "constants per path are supplied to a kernel with shared constants, or are missing"
         )
-        return _shared_constants(program) if constants is None else constants
+        return np.array(constants_of(program), dtype=program.precision) if constants is None else constants
 
     def run(
         self,
@@ -96,7 +96,9 @@ class Kernel:
             )
         state = _into_blocks(states, lanes)
         sums = np.zeros((blocks, len(program.sums), lanes))
-        supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
+        supplied = np.zeros(1)
+        if inputs is not None and program.inputs:  # (steps, inputs, paths) as (blocks, steps, inputs, lanes)
+            supplied = _into_blocks(inputs.reshape(ticks * len(program.inputs), paths), lanes)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
         arrays = (state, sums, self.known(program, constants), supplied, outputs)
 
@@ -202,11 +204,6 @@ def host() -> Target:
     return whole.limited(os.environ.get(VECTORS, ""))
 
 
-def _shared_constants(program: Program) -> Array:
-    """Return the constants of a program that all paths share, as an array in memory layout."""
-    return np.array(constants_of(program), dtype=program.precision)
-
-
 @dataclass(frozen=True)
 class _Printable:
     """A program as a cache key: all programs of equal structure compare equal."""
@@ -291,12 +288,6 @@ def _from_blocks(blocks: Array, paths: int) -> Array:
     """Return (blocks, rows, lanes) as (rows, paths)."""
     count, rows, lanes = blocks.shape
     return blocks.transpose(1, 0, 2).reshape(rows, count * lanes)[:, :paths]
-
-
-def _ticks_into_blocks(inputs: Array, lanes: int) -> Array:
-    """Return (steps, inputs, paths) as (blocks, steps, inputs, lanes)."""
-    ticks, count, paths = inputs.shape
-    return _into_blocks(inputs.reshape(ticks * count, paths), lanes)
 
 
 def cache_folder() -> Path | None:

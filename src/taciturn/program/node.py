@@ -16,7 +16,7 @@ steps read a packet before it is sent or all after it, and no two places wait fo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Literal, NamedTuple
@@ -81,7 +81,7 @@ class _Lowering:
                 f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node"
             )
         # the cut: the first policy step after the last output that waits for a packet or an acknowledgement
-        leaves = [i for i, step in enumerate(self.steps) if self._leaves(step)]
+        leaves = [i for i, step in enumerate(self.steps) if _is_output(step, self.applied.keys())]
         behind = range(leaves[-1] + 1 if leaves else len(self.steps), len(self.steps))
         waits = [i for i in behind if isinstance(_condition(self.steps[i]), Received | Acknowledged)]
         cut = waits[0] if waits else len(self.steps)
@@ -98,18 +98,23 @@ class _Lowering:
         """Return the programs of the site, one for each part of its time step, with equal states."""
         walked: list[_Part] = []
         for part in self.parts:
-            walked.append(self._walk(part, walked[0].drawn if walked else 0))
-        self._apply(walked[0])
+            walked.append(_Part(self.policy, self.payloads, walked[0].drawn if walked else 0, self.precision))
+            for step in part:
+                walked[-1].take(step)
+        limits, first = self.policy.model.saturation, walked[0]
+        for signal, inputs in self.applied.items():
+            own = None if limits is None else limits.of(inputs)
+            first.limited(first.recall(signal), own, _applied(signal))
         for place in self.places:
             walked[-1].move(place)
         states = list(dict.fromkeys(state for tick in walked for state in tick.builder.states))
         programs = tuple(self._program(i, tick, states) for i, tick in enumerate(walked))
-        inputs = [set(program.inputs) for program in programs]
-        read = {name for names in inputs for name in names}
+        inputs_of = [set(program.inputs) for program in programs]
+        read = {name for names in inputs_of for name in names}
         hears: dict[str, tuple[str, ...]] = {
             link: self._order(link) for link in self.payloads if Received(link) in read
         }
-        late = frozenset[str](link for link in hears if Received(link) not in inputs[0])
+        late = frozenset[str](link for link in hears if Received(link) not in inputs_of[0])
         return NodeProgram(
             site=self.site,
             parts=programs,
@@ -121,10 +126,6 @@ class _Lowering:
             acknowledged=tuple(link for link in self.payloads if Acknowledged(link) in read),
             sends={step.link: step.payload for step in self.steps if isinstance(step, Send)},
         )
-
-    def _leaves(self, step: Step) -> bool:
-        """Return whether a policy step produces an output of the node."""
-        return isinstance(step, Send) or not self.applied.keys().isdisjoint(assigned(step))
 
     def _order(self, link: str) -> tuple[str, ...]:
         return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
@@ -141,18 +142,6 @@ class _Lowering:
                 "both before and after it is sent; expected that all steps read it before the send, or all after it"
             )
         return int(read[0] < sent)
-
-    def _walk(self, steps: Sequence[Step], drawn: int) -> _Part:
-        tick = _Part(self.policy, self.payloads, drawn, self.precision)
-        for step in steps:
-            tick.take(step)
-        return tick
-
-    def _apply(self, tick: _Part) -> None:
-        """Bring the inputs that the site applies within the limits of the plant."""
-        limits = self.policy.model.saturation
-        for signal, inputs in self.applied.items():
-            tick.limited(tick.recall(signal), None if limits is None else limits.of(inputs), _applied(signal))
 
     def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
         """Return a part as a program over the states of all parts."""
@@ -284,7 +273,12 @@ def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool
     """Return whether a place has an output in a step after an operation, which then cannot wait for the next step."""
     applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
     later = (step for step in policy.steps[place:] if step.at in site)
-    return any(isinstance(step, Send) or not applied.isdisjoint(assigned(step)) for step in later)
+    return any(_is_output(step, applied) for step in later)
+
+
+def _is_output(step: Step, applied: Set[str]) -> bool:
+    """Return whether a policy step sends a packet, or computes an input that the node applies."""
+    return isinstance(step, Send) or not applied.isdisjoint(assigned(step))
 
 
 def _condition(step: Step) -> Condition | None:

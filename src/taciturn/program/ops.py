@@ -41,19 +41,9 @@ WINDOW = 256  # steps that are summed in the precision of the program; the sums 
 EIGHT = 8  # entries of a ``pick`` table, as many as the widest vector (AVX-512) has
 
 LITERAL: Mapping[str, int] = {  # position (from 0) of the argument that is a literal, not an operation
-    "const": 0,
-    "state": 0,
-    "input": 0,
-    "word": 0,
-    "half": 0,
-    "lookup": 0,
-    "pick": 0,
-    "product": 0,
-    "entry": 1,
-    "shift_left": 1,
-    "shift_right": 1,
-    "rotate_left": 1,
-}
+    "const": 0, "state": 0, "input": 0, "word": 0, "half": 0, "lookup": 0, "pick": 0, "product": 0,
+    "entry": 1, "shift_left": 1, "shift_right": 1, "rotate_left": 1,
+}  # fmt: skip
 MatrixRows = tuple[tuple[float, ...], ...]
 
 

@@ -24,25 +24,19 @@ _INFIX: Mapping[str, str] = {
 }  # fmt: skip
 
 
-def _print_python(program: Program) -> str:
-    """Return the Python source of a program as a function ``tick(s, u)`` of states s and inputs u."""
-    assert program.precision == "float64", "nodes compute in double precision"
-    roots = [*program.following, *program.outputs.values()]
-    live = needed(program.ops, roots)
-    lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]
-    states = "".join(f"v{i}, " for i in program.following)
-    outputs = "".join(f"v{i}, " for i in program.outputs.values())
-    return "\n    ".join(["def tick(s, u):", *lines, f"return ({states}), ({outputs})"]) + "\n"
-
-
 def compile_python(program: Program) -> CompiledStep:
     """Return a program as a Python function of its states and inputs."""
+    assert program.precision == "float64", "nodes compute in double precision"
+    live = needed(program.ops, [*program.following, *program.outputs.values()])
+    lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]
+    states, outputs = ("".join(f"v{i}, " for i in part) for part in (program.following, program.outputs.values()))
+    text = "\n    ".join(["def tick(s, u):", *lines, f"return ({states}), ({outputs})"]) + "\n"
     names: dict[str, Any] = {
         "_divide": _divide, "_sqrt": _sqrt, "_bits": _bits, "_number": _number, "_narrow": _narrow,
         "_rotate": _rotate, "inf": math.inf, "nan": math.nan,
     }  # fmt: skip
     names |= {f"table{i}": table for i, table in enumerate(program.tables)}
-    exec(compile(_print_python(program), "<a step of a node>", "exec"), names)
+    exec(compile(text, "<a step of a node>", "exec"), names)
     return names["tick"]
 
 
