@@ -72,11 +72,9 @@ def mode_text(mode: complex, digits: int = 6) -> str:
 
 
 def least_eigenvalue(matrix: Array) -> float:
-    """Return the least eigenvalue of a definite matrix, accurate in any units; at most 0 for any other matrix.
-
-    Definiteness is decided by the eigenvalues after scaling to a unit diagonal. The least eigenvalue is then computed
-    as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
-    """
+    """Return the least eigenvalue of a definite matrix, accurate in any units; at most 0 for any other matrix."""
+    # Definiteness is decided by the eigenvalues after scaling to a unit diagonal. The least eigenvalue is then computed
+    # as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
     diagonal = np.diag(matrix)
     if not (diagonal > NO_VARIANCE).all():
         return min(float(np.linalg.eigvalsh(matrix)[0]), 0.0)
@@ -90,10 +88,8 @@ def least_eigenvalue(matrix: Array) -> float:
 
 
 def balancing(A: Array) -> Array:
-    """Return the powers of two d for which D^{-1}AD has rows and columns of similar norm, (n,).
-
-    Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
-    """
+    """Return the powers of two d for which D^{-1}AD has rows and columns of similar norm, (n,)."""
+    # Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
     balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), NO_VARIANCE), np.ones(len(A))
     while _may_gain(balanced):
         gains = False
@@ -120,11 +116,9 @@ def _may_gain(A: Array) -> bool:
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:
-    """Return units of the states and inputs in which each input of 1 changes every state that it affects by about 1.
-
-    The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
-    with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
-    """
+    """Return units of the states and inputs in which each input of 1 changes every state that it affects by about 1."""
+    # The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
+    # with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
     balanced = balancing(A)
     off = np.abs(A - np.diag(np.diag(A)))
     largest = largest_cycle(off) or 1.0  # so that no cycle increases a unit
@@ -145,11 +139,9 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
 
 
 def largest_cycle(A: Array) -> float:
-    """Return the largest geometric mean of the entries of a nonnegative matrix along a cycle; 0 without a cycle.
-
-    No change of units of the states changes it. If W_k(i) is the largest product of entries along k steps to i, it is
-    the largest over i of the least (W_n(i) / W_k(i))^(1/(n − k)) over k < n (Karp's theorem).
-    """
+    """Return the largest geometric mean of the entries of a nonnegative matrix along a cycle; 0 without a cycle."""
+    # No change of units of the states changes it. If W_k(i) is the largest product of entries along k steps to i, it is
+    # the largest over i of the least (W_n(i) / W_k(i))^(1/(n − k)) over k < n (Karp's theorem).
     n = len(A)
     with np.errstate(divide="ignore"):
         steps = np.log(A)
@@ -213,11 +205,9 @@ def factor(covariance: Array) -> Array:
 
 
 def symmetric_factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance, D S with the deviations D and the symmetric root S of the correlation matrix.
-
-    Unlike a Cholesky factor, it does not depend on the order of the states or on their units: states in another order
-    have the rows and columns of G in this order. A covariance of rank one has the only column that it can have.
-    """
+    """Return G with G G' = covariance, D S with the deviations D and the symmetric root S of the correlation matrix."""
+    # Unlike a Cholesky factor, it does not depend on the order of the states or on their units: states in another order
+    # have the rows and columns of G in this order. A covariance of rank one has the only column that it can have.
     if (found := root(covariance)).shape[1] == 1:
         return found
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -271,11 +261,9 @@ def _added(columns: Array, basis: Array) -> Array:
 
 
 def growth(move: Callable[[Array], Array], moments: Array) -> float:
-    """Return the asymptotic growth factor per step of moments that a linear map moves.
-
-    The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
-    these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
-    """
+    """Return the asymptotic growth factor per step of moments that a linear map moves."""
+    # The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
+    # these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
     size, earlier, paces = 0.0, 0.0, [math.inf, math.inf]  # logarithms
     for step in range(STEPS + 1):
         if step in _FROM and (found := _largest(move, moments)) is not None:
@@ -333,10 +321,8 @@ def _eigenvalue(H: Array, rest: float) -> float | None:
 
 
 def normal_moments(size: int, order: int) -> Array:
-    """Return all moments of an even order of a vector of independent standard normal variables.
-
-    The result has one index per factor: the moment of order 2 is the unit matrix.
-    """
+    """Return all moments of an even order of a vector of independent standard normal variables."""
+    # The result has one index per factor: the moment of order 2 is the unit matrix.
     if order == 0:
         return np.ones(())
     first = np.multiply.outer(np.eye(size), normal_moments(size, order - 2))  # the first factor paired with the second

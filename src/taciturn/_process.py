@@ -102,11 +102,9 @@ class Ending:
 
 @contextmanager
 def ends_on_signals() -> Generator[Ending]:
-    """End this process on a signal while the block runs: one line on standard error, and exit code 128 + signal.
-
-    An inner block uses the outer one. A signal that the process ignored before, as SIGHUP under ``nohup``, stays
-    ignored.
-    """
+    """End this process on a signal while the block runs: one line on standard error, and exit code 128 + signal."""
+    # An inner block uses the outer one. A signal that the process ignored before, as SIGHUP under ``nohup``, stays
+    # ignored.
     global _present
     if _present is not None or threading.current_thread() is not threading.main_thread():
         yield _present or Ending()

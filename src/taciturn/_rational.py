@@ -49,19 +49,15 @@ _NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 def reaches_all(A: Array, B: Array) -> bool:
-    """Return whether the input through B reaches all states: whether B, AB, A²B, … have full rank.
-
-    True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that the
-    prime divides all minors.
-    """
+    """Return whether the input through B reaches all states: whether B, AB, A²B, … have full rank."""
+    # True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that
+    # the prime divides all minors.
     return _reached(A, B) == len(A)
 
 
 def _reached(A: Array, B: Array) -> int:
-    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers.
-
-    It is known once it is full, or equal for twice as many powers of A.
-    """
+    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers."""
+    # It is known once it is full, or equal for twice as many powers of A.
     (n, m), before, most = B.shape, 0, len(B)
     moves, block, columns = _modular(A), _modular(B), list[nmod]()
     while n and m:
@@ -348,10 +344,8 @@ def free_modes(A: Array, limit: Limit) -> Lost:
 
 
 def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: bool = False) -> Lost:
-    """Return the modes of A that the input through B does not move and on which combinations of states depend.
-
-    They are the modes of A on the states modulo those that the input reaches and those that never show.
-    """
+    """Return the modes of A that the input through B does not move and on which combinations of states depend."""
+    # They are the modes of A on the states modulo those that the input reaches and those that never show.
     F, hidden = rational(A), kernel(_reachable(A.T, rows.T).transpose())
     return _of_block(_beyond(F, _within(F, basis(beside(rational(B), hidden)))), limit, rounded)
 

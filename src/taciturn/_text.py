@@ -139,9 +139,7 @@ def ending_text(path: Path) -> str:
 
 
 def backslash_text(path: str, error: str = "") -> str:
-    """Return what an error message adds if backslashes of a path were escapes in TOML, as in ``"C:\\new.csv"``, or
-    "".
-    """
+    """Return what an error message adds if backslashes of a path were escapes in TOML, or an empty text."""
     if path.isprintable() and not any(word in error for word in ("Unescaped", "hex value", "Escaped")):
         return ""
     return (
@@ -192,10 +190,8 @@ def _wrapped(title: str, width: int) -> list[str]:
 
 
 def _hanging(first: str, text: str) -> list[str]:
-    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken.
-
-    A number, its standard error and its percent sign stay on one line.
-    """
+    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken."""
+    # A number, its standard error and its percent sign stay on one line.
     indent = " " * len(first)
     text = re.sub("(?<=[0-9]) (?=[%±])|(?<=±) (?=[0-9])", _FIXED, text)
     return [

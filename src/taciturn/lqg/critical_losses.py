@@ -121,10 +121,8 @@ class MeanSquare:
         return growth(lambda pair: np.stack(self.step(*pair)), np.stack([np.eye(len(self.A))] * 2))
 
     def weights(self) -> tuple[Array, Array] | None:
-        """Return K and T of unit costs; None if the mean square does not grow by less than the level.
-
-        It does if and only if both are definite, and each step leaves the unit of both.
-        """
+        """Return K and T of unit costs; None if the mean square does not grow by less than the level."""
+        # It does if and only if both are definite, and each step leaves the unit of both.
         one = np.eye(len(self.A))
         try:
             with np.errstate(all="ignore"):
@@ -136,10 +134,8 @@ class MeanSquare:
         return pair if min(least) > 1e-3 else None
 
     def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Solve the coupled Lyapunov equations of the loop for the weights K and T.
-
-        K and T are the sums over all steps of terms that are added in each step.
-        """
+        """Solve the coupled Lyapunov equations of the loop for the weights K and T."""
+        # K and T are the sums over all steps of terms that are added in each step.
         K, T = self._apart(first, second)
         if self.spread:  # solved without coupling; then for the coupling Y = Y_0 + turn·Y
             upper = np.triu_indices(len(self.L))
@@ -233,9 +229,7 @@ class LossyStep(NamedTuple, Generic[E]):
 
 
 class Critical(NamedTuple):
-    """Loss probabilities of a link with a proof: losses up to one are survived, losses from the other one on are
-    not.
-    """
+    """Two loss probabilities of a link, with a proof: losses up to the first are survived, from the second on not."""
 
     survived: float  # some linear gain keeps the mean square bounded at this loss, and at smaller ones
     lost: float  # no linear gain does at this loss, and at larger ones
@@ -486,11 +480,9 @@ def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) ->
 
 
 def _follow(path: Path, L: Array, end: float) -> Reached | None:
-    """Return the farthest place at which some gain keeps the mean square bounded, in double precision; None if none.
-
-    Near this place, the inverse of the weights of unit costs decreases to zero, and the secant method approaches it.
-    The best gain of one place keeps the mean square bounded at the next one, if this is near enough.
-    """
+    """Return the farthest place at which some gain keeps the mean square bounded, in double precision; None if none."""
+    # Near this place, the inverse of the weights of unit costs decreases to zero, and the secant method approaches it.
+    # The best gain of one place keeps the mean square bounded at the next one, if this is near enough.
     found, before = _improved(path, L, 0.0), None
     if found is None:
         return None

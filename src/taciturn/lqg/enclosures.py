@@ -285,11 +285,9 @@ class Doubles:
         return type(self)(self.middle[rows][:, columns], self.radius[rows][:, columns])
 
     def solve(self, right: Self) -> Self:
-        """Enclose the solution X of S X = R from an approximate inverse Z: X = X̃ + (ZS)⁻¹Z(R − S X̃).
-
-        With |I − ZS| ≤ G, whose row sums are at most q < 1, the correction of each column is at most
-        |Z(R − S X̃)| plus q/(1 − q) times its largest entry.
-        """
+        """Enclose the solution X of S X = R from an approximate inverse Z: X = X̃ + (ZS)⁻¹Z(R − S X̃)."""
+        # With |I − ZS| ≤ G, whose row sums are at most q < 1, the correction of each column is at most
+        # |Z(R − S X̃)| plus q/(1 − q) times its largest entry.
         try:
             inverse = type(self).exact(np.asarray(np.linalg.inv(self.middle), dtype=np.float64))
         except np.linalg.LinAlgError as error:
@@ -348,11 +346,9 @@ def inner(one: E, other: E) -> E:
 
 
 def _split(matrix: Array, size: Array, bits: int) -> tuple[Array, Array, Array]:
-    """Return the leading bits of the entries of each row, the rest, and twice a bound on the rest of each row.
-
-    The leading parts of a row are multiples of one power of two, and at most 2^bits of it. So sums of products of such
-    parts are whole numbers below 2^53, which are exact. ``size`` are the moduli of the entries.
-    """
+    """Return the leading bits of the entries of each row, the rest, and twice a bound on the rest of each row."""
+    # The leading parts of a row are multiples of one power of two, and at most 2^bits of it. So sums of products of
+    # such parts are whole numbers below 2^53, which are exact. ``size`` are the moduli of the entries.
     unit = np.exp2(np.ceil(np.log2(np.maximum(size.max(axis=1, initial=0.0), 1e-280))) - bits)
     shift = (1.5 * 2.0**52 * unit)[:, None]
     high = matrix + shift
@@ -361,12 +357,10 @@ def _split(matrix: Array, size: Array, bits: int) -> tuple[Array, Array, Array]:
 
 
 def _definite(middle: Array, radius: Array) -> bool:
-    """Return whether a symmetric enclosure is proved to be positive definite, by a Cholesky factorisation.
-
-    In units in which the diagonal is about 1, the factors of a completed factorisation reproduce the matrix up to
-    (n + 1) units of roundoff times its trace. So a matrix from whose diagonal twice this and the radii have been
-    subtracted is only factorised if the exact matrix is definite.
-    """
+    """Return whether a symmetric enclosure is proved to be positive definite, by a Cholesky factorisation."""
+    # In units in which the diagonal is about 1, the factors of a completed factorisation reproduce the matrix up to
+    # (n + 1) units of roundoff times its trace. So a matrix from whose diagonal twice this and the radii have been
+    # subtracted is only factorised if the exact matrix is definite.
     n, diagonal = len(middle), middle.diagonal()
     if not (diagonal > 0).all():
         return n == 0

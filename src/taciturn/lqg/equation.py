@@ -64,10 +64,8 @@ _CLEAR, _SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from p
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
-    """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W.
-
-    Repeated squaring: X ← X + F X F', F ← F². The error of each variance is proved to be at most 1e-6.
-    """
+    """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W."""
+    # Repeated squaring: X ← X + F X F', F ← F². The error of each variance is proved to be at most 1e-6.
     F = _arrays.square("F", F)
     W = _arrays.symmetric("W", W, F.shape[0])
     if radius(F) >= 1:
@@ -150,9 +148,7 @@ def relative(form: E, size: Array) -> float:
 
 
 def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of
-    sizes.
-    """
+    """Return X and X − F'XF, both proved definite; X is about the sum of F'^k D F^k for the diagonal D of sizes."""
     with np.errstate(all="ignore"):
         rough = summed(F.middle.T, np.diag(size))
     if np.isfinite(rough).all():
@@ -529,10 +525,8 @@ def _expect_stable(arithmetic: type[E], F: E, X: E, size: Array) -> None:
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
-    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F.
-
-    It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
-    """
+    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F."""
+    # It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
     if not off.most.any():
         return np.zeros(X.shape)
     spent, falls = (off.T @ H @ off).symmetric(), (X - F.T @ X @ F).symmetric()

@@ -105,18 +105,14 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
 
 
 def resting_states(plant: Plant) -> Bits:
-    """Return a mask of the states with an unobservable mode on the unit circle that no noise excites, (n,).
-
-    The estimation error of these states remains that of the start.
-    """
+    """Return a mask of the states with an unobservable mode on the unit circle that no noise excites, (n,)."""
+    # The estimation error of these states remains that of the start.
     return worth_of(_dual(plant.A, plant.C, plant.W, plant.V)).resting
 
 
 def forgets_the_start(plant: Plant, exact: Exact | None) -> bool:
-    """Return whether the filter from any start tends to the steady one.
-
-    It does if noise reaches all modes that do not decay, except those of the resting states.
-    """
+    """Return whether the filter from any start tends to the steady one."""
+    # It does if noise reaches all modes that do not decay, except those of the resting states.
     if plant.full_state or is_definite(plant.W):
         return True
     source = None if exact is None else exact.source
@@ -140,12 +136,9 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
 def forgetting(
     plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str = "take more measurements"
 ) -> float:
-    """Return the time constant, in steps, of a Kalman filter together with a regulator.
-
-    The filter is steady, or its gains repeat along a schedule.
-
-    The result is 1/(1 − |slowest mode per step|), without the modes of ``resting_states``.
-    """
+    """Return the time constant, in steps, of a Kalman filter together with a regulator."""
+    # 1/(1 − |slowest mode per step|) of a steady filter, or of one whose gains repeat along a schedule, without the
+    # modes of ``resting_states``
     moving = ~resting_states(plant)
     turn = np.eye(int(moving.sum()))
     for step in filtered:

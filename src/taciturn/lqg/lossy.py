@@ -236,11 +236,9 @@ def lossy_step(
 def regulate_lossy_finite(
     A: Array, B: Array, Q: Array, R: Array, terminal: Array, horizon: int, channel: Channel
 ) -> LossyRegulator:
-    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over links that drop packets.
-
-    The recursion starts with K_N = Q_N and P_N = 0. If a cost-to-go is so much smaller than another one that rounding
-    could hide it, the recursion is computed with more digits than doubles have, until these change nothing.
-    """
+    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over links that drop packets."""
+    # The recursion starts with K_N = Q_N and P_N = 0. If a cost-to-go is so much smaller than another one that rounding
+    # could hide it, the recursion is computed with more digits than doubles have, until these change nothing.
     n, m = B.shape
     K, P = np.zeros((horizon + 1, n, n)), np.zeros((horizon + 1, n, n))
     L, Gamma = np.zeros((horizon, m, n)), np.zeros((horizon, n, n))
@@ -355,10 +353,8 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
 
 
 def no_gain_survives(A: Array, B: Array, channel: Channel) -> bool:
-    """Return whether no linear gain keeps the mean square of a growing plant bounded, as is proved.
-
-    Only modes that inputs move, and at most twelve that do not decay, are examined.
-    """
+    """Return whether no linear gain keeps the mean square of a growing plant bounded, as is proved."""
+    # Only modes that inputs move, and at most twelve that do not decay, are examined.
     if radius(A) <= 1 or unmoved(A, B, Limit(False)).lasting.size:
         return False
     plant = Lasting(A, B)

@@ -51,11 +51,8 @@ _MOST_STEPS = 20_000  # steps of the backward iteration
 def lift(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int, factor: float = 1.0
 ) -> Sampled:
-    """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step.
-
-    A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
-    and M = [[Q, N], [N', R]], and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set.
-    """
+    """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step."""
+    # W_k = Σ_{j<k} A^jWA'^j, and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
@@ -93,11 +90,10 @@ class Pattern(Displayed):
 
 
 class Held:
-    """Optimal control of a plant whose input is held from one send to the next, for given intervals between sends.
+    """Optimal control of a plant whose input is held from one send to the next, for given intervals between sends."""
 
-    The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
-    independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
-    """
+    # The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
+    # independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
 
     def __init__(
         self,
@@ -114,11 +110,9 @@ class Held:
 
     @cached_property
     def _last(self) -> Array | None:
-        """Cost-to-go with a send at every step; None if no input stabilises the plant.
-
-        As the weight of the final state of a screened cycle, it does not count where a disturbance or a set-point keeps
-        the state away from zero: another weight would be paid for ever, and most by cycles of many sends.
-        """
+        """Cost-to-go with a send at every step; None if no input stabilises the plant."""
+        # As the weight of the final state of a screened cycle, it does not count where a disturbance or a set-point
+        # keeps the state away from zero: another weight would be paid for ever, and most by cycles of many sends.
         try:
             return _at_the_start([self.lifted(1)])
         except TaciturnError:
@@ -213,10 +207,8 @@ def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Yield all cycles of ``sends`` intervals with the sum ``length``, but only one rotation of each cycle.
-
-    The lexicographically largest rotation of each cycle is given.
-    """
+    """Yield all cycles of ``sends`` intervals with the sum ``length``, but only one rotation of each cycle."""
+    # The lexicographically largest rotation of each cycle is given.
     return _extended((), length, sends, range(1, length + 1))
 
 

@@ -115,11 +115,9 @@ def placed(states: int, place: int, more: int) -> tuple[Array, Array]:
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
-    """Return the input weight H = R + B'KB and its inverse, or a pseudo-inverse if H is singular.
-
-    A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
-    are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
-    """
+    """Return the input weight H = R + B'KB and its inverse, or a pseudo-inverse if H is singular."""
+    # A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
+    # are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
     H = symmetrised(R + B.T @ K @ B)
     diagonal = H.diagonal()
     products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(R.diagonal())
@@ -137,11 +135,10 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 class Span(NamedTuple):
-    """Some steps of a problem with optimal inputs: how they change a cost-to-go X + Δ, X being a terminal weight.
+    """Some steps of a problem with optimal inputs: how they change a cost-to-go X + Δ, X being a terminal weight."""
 
-    The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite even
-    if R is not. A stack of problems has stacks of matrices.
-    """
+    # The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite
+    # even if R is not. A stack of problems has stacks of matrices.
 
     F: Array  # the states after the steps, for Δ = 0
     G: Array  # how a later Δ changes these states
@@ -174,10 +171,8 @@ class Span(NamedTuple):
         return Span(later.F @ solved[..., :n], later.G + later.F @ solved[..., n:] @ later.F.mT, K)
 
     def for_ever(self, last: Array, crumb: Array | float = 0.0) -> Array:
-        """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none.
-
-        Each iteration doubles the number of steps, and leaves the square of the error before.
-        """
+        """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none."""
+        # Each iteration doubles the number of steps, and leaves the square of the error before.
         span, worth = self, np.diag(last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for _ in range(_TURNS):
@@ -217,12 +212,10 @@ Before: TypeAlias = tuple[Quadratic, Limit]  # a problem before sampling and dis
 
 
 def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, before: Before | None = None) -> Worth:
-    """Return the states with a nonzero cost-to-go, and the modes of the other states.
-
-    A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
-    weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
-    sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
-    """
+    """Return the states with a nonzero cost-to-go, and the modes of the other states."""
+    # A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
+    # weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
+    # sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
     nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
     needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
@@ -268,11 +261,10 @@ def _sampled(given: Quadratic, limit: Limit, cycle: Bits) -> Lost:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Free(Displayed):
-    """Inputs that cost nothing, and the subspace in which they move the state.
+    """Inputs that cost nothing, and the subspace in which they move the state."""
 
-    A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
-    u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
-    """
+    # A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
+    # u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
 
     inside: fmpq_mat  # a basis of the subspace, the identity at ``places``, (n, r)
     places: Bits  # mask of the states that are coordinates of the subspace, (n,)
@@ -282,12 +274,10 @@ class Free(Displayed):
 
 
 def unpaid(given: Quadratic, limit: Limit) -> Lost:
-    """Return the modes along which inputs can keep the state moving at no cost; none are known with free inputs.
-
-    They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
-    invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an optimal
-    gain has them, mirrored into the region of decay. So none of them may lie on its edge.
-    """
+    """Return the modes along which inputs can keep the state moving at no cost; none are known with free inputs."""
+    # They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
+    # invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an
+    # optimal gain has them, mirrored into the region of decay. So none of them may lie on its edge.
     definite, weight = is_definite(given.R), np.block([[given.Q, given.N], [given.N.T, given.R]])
     if limit.continuous and not definite:
         return NONE  # free inputs move the state at once, but not an input that is held

@@ -84,12 +84,10 @@ class Weights(Displayed):
 
 
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
-    """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ.
-
-    It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever, such
-    as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state would
-    not decay.
-    """
+    """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ."""
+    # It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever,
+    # such as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state
+    # would not decay.
     unknown = _unknown_states(plant, initial)
     block = np.ix_(unknown, unknown)
     A, W, C, first = plant.A[block], plant.W[block], plant.C[:, unknown], initial[block]
@@ -152,11 +150,9 @@ def _expect_queries(plant: Plant, schedule: Schedule) -> None:
 
 
 def _cycle_of(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
-    """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet.
-
-    The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that one
-    comparison per step suffices.
-    """
+    """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet."""
+    # The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that
+    # one comparison per step suffices.
     last = len(covariance) - 1
     mark = (1 << last.bit_length() - 1) - 1
     if last == 0 or predictor.change(covariance[mark], covariance[last]) > _SAME:
@@ -216,11 +212,9 @@ def follow_every_query(
 
 
 def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Schedule:
-    """Return the periodic schedule of sensors that send if the variance of a predicted output exceeds a threshold.
-
-    Sensor l is queried if (CΣ_kC')_ii > threshold for one of its outputs i, where Σ_k is the covariance of the
-    prediction from the measurements of all sensors that were queried before.
-    """
+    """Return the periodic schedule of sensors that send if the variance of a predicted output exceeds a threshold."""
+    # Sensor l is queried if (CΣ_kC')_ii > threshold for one of its outputs i, where Σ_k is the covariance of the
+    # prediction from the measurements of all sensors that were queried before.
     every = Predictor(plant)
     predictors = {tuple(range(plant.outputs)): every, (): every}
     covariance, value = [steady_filter(plant.A, plant.C, plant.W, plant.V).prior], list[list[float]]()
@@ -252,9 +246,7 @@ def _repeating(
 
 
 def corrections_of(plant: Plant, schedule: Schedule, sensors: Sensors) -> Array:
-    """Return the gains ΣC'(CΣC' + V)^{-1} of the measured outputs in each step, 0 for all other outputs, (steps,
-    n, p).
-    """
+    """Return the gains ΣC'(CΣC' + V)⁻¹ of the measured outputs in each step, 0 for the others, (steps, n, p)."""
     measured = _measured(plant, schedule.queries.reshape(len(schedule.queries), -1), sensors)
     found = Predictor(plant).correction(schedule.covariance) * measured[:, None, :]
     for row in np.unique(measured, axis=0):
@@ -507,12 +499,11 @@ class _Flow(NamedTuple):
         return np.concatenate([each, factors[-1:] * rest])
 
     def thinned(self, P: Array, discount: float, covariances: Array) -> tuple[Array, Array]:
-        """Return weights and O_s of fewer steps, with which a sum over all steps is accurate.
-
-        Over a block of many steps, the terms of a slow filter are smooth. So the sum over a block is that over a few of
-        its steps, with the weights for which sums of polynomials are exact. It replaces the block if it agrees with the
-        sum over all steps of the block, for terms with covariances that are to be expected; otherwise it is halved.
-        """
+        """Return weights and O_s of fewer steps, with which a sum over all steps is accurate."""
+        # Over a block of many steps, the terms of a slow filter are smooth. So the sum over a block is that over a few
+        # of its steps, with the weights for which sums of polynomials are exact. It replaces the block if it agrees
+        # with the sum over all steps of the block, for terms with covariances that are to be expected; otherwise it is
+        # halved.
         weighed = self.weighed(P, discount)
         steps, unit = len(weighed), np.diag(self.unit)
         terms = np.zeros((len(covariances), steps))
@@ -547,10 +538,8 @@ class _Flow(NamedTuple):
 
 
 def _riccati_flow(plant: Plant, discount: float, horizon: int | None) -> _Flow | None:
-    """Return the closed form of the filter's recursion, up to the step after which its terms are negligible.
-
-    It is None if V is singular, if no steady filter exists, or if its errors decay too slowly.
-    """
+    """Return the closed form of the filter's recursion, up to the step after which its terms are negligible."""
+    # It is None if V is singular, if no steady filter exists, or if its errors decay too slowly.
     if not is_definite(plant.V):
         return None
     try:

@@ -275,9 +275,7 @@ def regulate_deviations(change: Followed) -> Regulator:
 def regulate_for(
     given: Quadratic, recipe: Recipe, discount: float = 1.0, sampled: bool = False, source: Source | None = None
 ) -> Regulator:
-    """Return the regulator of a problem that is known to any precision, or raise an error that says why there is
-    none.
-    """
+    """Return the regulator of a problem that is known to any precision, or say why there is none."""
     check_time()
     root = float(np.sqrt(discount))
     scaled = given._replace(A=root * given.A, B=root * given.B)

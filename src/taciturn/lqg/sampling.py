@@ -43,10 +43,9 @@ __all__ = ["Sampled", "sample", "sample_prediction"]
 
 
 class Step(NamedTuple, Generic[E]):
-    """Enclosures of a linear-quadratic problem of one step, with noise.
+    """Enclosures of a linear-quadratic problem of one step, with noise."""
 
-    x⁺ = Ax + Bu + w, w of covariance W, and the mean cost x'Qx + u'Ru + 2x'Nu + c, where c is (1, 1).
-    """
+    # x⁺ = Ax + Bu + w, w of covariance W, and the mean cost x'Qx + u'Ru + 2x'Nu + c, where c is (1, 1).
 
     A: E
     B: E
@@ -58,10 +57,9 @@ class Step(NamedTuple, Generic[E]):
 
 
 class Source(NamedTuple):
-    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly.
+    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly."""
 
-    dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
-    """
+    # dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
 
     given: Quadratic
     W: Array
@@ -238,12 +236,10 @@ def sample_prediction(
     period: float,
     dynamics: ArrayLike | None = None,
 ) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time problem with an actuator that predicts the state.
-
-    Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
-    x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of :func:`sample`, with
-    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]. If the actuator has another model, F contains that model.
-    """
+    """Return the discrete-time LQ problem of a continuous-time problem with an actuator that predicts the state."""
+    # Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
+    # x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of ``sample``, with
+    # F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]; F contains another model if the actuator has one
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
@@ -294,10 +290,8 @@ class _Predicted(Displayed):
 
 
 def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
-    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.
-
-    For many states, it is eleven digits, or thirteen of the entries next to it.
-    """
+    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it."""
+    # For many states, it is eleven digits, or thirteen of the entries next to it.
     exact = Exact(build, source)
     step: Step[Doubles] | Step[Balls] | None = None
     if size > FEW:

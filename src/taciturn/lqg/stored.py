@@ -162,11 +162,9 @@ class Stored(Displayed):
 
 
 def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stored:
-    """Return the loop of u = L x̂ + e with the gains of a regulator and a steady filter.
-
-    The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
-    from the exact one by rounding.
-    """
+    """Return the loop of u = L x̂ + e with the gains of a regulator and a steady filter."""
+    # The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
+    # from the exact one by rounding.
     plant = problem.plant
 
     def close(step: Step[E], arithmetic: type[E]) -> Closed[E]:
@@ -188,10 +186,8 @@ def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stor
 
 
 def controller_loop(problem: Discrete, controller: Controller) -> Stored:
-    """Return the loop of a linear controller, with every sample.
-
-    The loop has the state ζ = (x, z) with z⁺ = A z + B y + E u, u = C z + D y of the controller.
-    """
+    """Return the loop of a linear controller, with every sample."""
+    # The loop has the state ζ = (x, z) with z⁺ = A z + B y + E u, u = C z + D y of the controller.
     plant, c = problem.plant, controller
 
     def close(step: Step[E], arithmetic: type[E]) -> Closed[E]:
@@ -260,11 +256,9 @@ def _value(arithmetic: type[E], F: E, M: E, near: Near | None) -> tuple[E, E, E,
 
 
 def _guess(F: Array, M: Array, near: Near | None) -> Array:
-    """Return about the sum of F'^k M F^k.
-
-    If u = L x̂ with the best gain L, and F = [F₁ G; 0 F₂], the sum is that of K for x and of F₂'^k(M₂ + G'KG)F₂^k for
-    the error, without a cross term.
-    """
+    """Return about the sum of F'^k M F^k."""
+    # If u = L x̂ with the best gain L, and F = [F₁ G; 0 F₂], the sum is that of K for x and of F₂'^k(M₂ + G'KG)F₂^k for
+    # the error, without a cross term.
     if near is None:
         return summed(F.T, M)
     n, K = len(near.K), near.K
@@ -281,10 +275,9 @@ class Apart(NamedTuple):
 
 
 class _StageError(NamedTuple):
-    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one.
+    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one."""
 
-    If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
-    """
+    # If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
 
     fixed: float
     slope: float
@@ -313,11 +306,9 @@ class Allowance(NamedTuple):
         return (base + added * (added + s)) * _MORE, factor
 
     def relative(self, base: Proved, theta: float) -> float | None:
-        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None.
-
-        With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
-        at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
-        """
+        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None."""
+        # With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
+        # at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
         stage, share = self.stage, theta / (1 + theta)
         if not base.lower > 0 or share * stage.share >= 1:
             return None
@@ -520,10 +511,8 @@ def _spread(T: E, norm: E, covariance: E) -> float:
 
 
 def _ratio(M: E, D: E) -> float:
-    """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
-
-    It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
-    """
+    """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative."""
+    # It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
     if not M.most.any():
         return 0.0
     unit = 1 / np.sqrt(np.maximum(np.diag(D.middle), NO_VARIANCE))

@@ -14,13 +14,12 @@ LATE = 0.25  # offset in steps beyond which a packet is later than the drift of 
 
 
 class Phase:
-    """An estimate of the time at which step 0 began, from the arrival times of packets.
+    """An estimate of the time at which step 0 began, from the arrival times of packets."""
 
-    A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
-    the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows the
-    earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive packets
-    agree. Until then, a packet of a step that cannot have begun is ignored.
-    """
+    # A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
+    # the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows
+    # the earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive
+    # packets agree. Until then, a packet of a step that cannot have begun is ignored.
 
     def __init__(self, tick: float) -> None:
         """Start without packets."""

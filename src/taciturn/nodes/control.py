@@ -167,10 +167,8 @@ def _system(
     name: str,
     given: int = 0,
 ) -> Any:
-    """Return the system of a program, with input and output signals of the given sizes.
-
-    The first ``given`` states are taken from the initial state; the others begin with their start values.
-    """
+    """Return the system of a program, with input and output signals of the given sizes."""
+    # The first ``given`` states are taken from the initial state; the others begin with their start values.
     places = [turns.outputs[Entry(signal, i)] for signal, size in shown.items() for i in range(size)]
     places += [turns.outputs[Sent(link)] for link in links]
 

@@ -105,10 +105,8 @@ def _start(state: State) -> float | str:
 
 
 def _steps(program: Program) -> dict[str, Any]:
-    """Return the operations of a program, and which of them give the next memories and the outputs.
-
-    An unused operation is null. Constants, tables and rows of matrices are part of the operation that reads them.
-    """
+    """Return the operations of a program, and which of them give the next memories and the outputs."""
+    # An unused operation is null. Constants, tables and rows of matrices are part of the operation that reads them.
     roots = [*program.following, *program.outputs.values()]
     live = needed(program.ops, roots)
     operations: list[list[object] | None] = []

@@ -36,11 +36,10 @@ USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the pac
 
 
 class Window:
-    """A window over the received sequence numbers of one sender.
+    """A window over the received sequence numbers of one sender."""
 
-    The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
-    behind the newest packet by the width of the window or more.
-    """
+    # The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
+    # behind the newest packet by the width of the window or more.
 
     def __init__(self) -> None:
         """Start with an empty window."""
@@ -168,10 +167,8 @@ class Inbox:
         return self.marked[link] >= tick or tick in self.streams["data", link].waiting
 
     def finished(self, link: str, tick: int) -> bool:
-        """Return whether the sender has finished a step, and every mark up to its newest one has arrived.
-
-        In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
-        """
+        """Return whether the sender has finished a step, and every mark up to its newest one has arrived."""
+        # In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
         return tick < 0 or (self.marked[link] >= tick and not self.marks[link].missing)
 
     def given(self, tick: int) -> bool:

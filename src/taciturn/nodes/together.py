@@ -373,10 +373,8 @@ def _prior(policy: Policy) -> str:
 
 
 def _constants(policy: Policy) -> list[int]:
-    """Return the indices of the states that are unknown constants, as neither inputs nor other states move them.
-
-    A state that moves another state of this kind is no constant disturbance, but for example the slope of a ramp.
-    """
+    """Return the indices of the states that are unknown constants, as neither inputs nor other states move them."""
+    # A state that moves another state of this kind is no constant disturbance, but for example the slope of a ramp.
     A, B, W = policy.model.A, policy.model.B, policy.model.W
     apart = ~B.any(axis=1)
     while (moved := apart & A[:, ~apart].any(axis=1)).any():  # by a state that inputs move
@@ -396,10 +394,8 @@ def _shifted(policy: Policy, prior: str, moved: Array) -> Policy:
 
 
 def _command(policy: Policy, network: Network, measured: bool = False) -> Array | None:
-    """Return the first command if all outputs are as predicted or are measured as 0, or None if this is not known.
-
-    Packets arrive, and the draws of the policy do not matter to a command.
-    """
+    """Return the first command if all outputs are as predicted or are measured as 0, or None if this is not known."""
+    # Packets arrive, and the draws of the policy do not matter to a command.
     program = None if predicted_outputs(policy) is None else lower_command(policy, network)
     if program is None:
         return None

@@ -27,10 +27,8 @@ _SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
 
 
 def print_c(program: Program, name: str, places: Sequence[int], constants: list[float]) -> str:
-    """Return the source of the function ``static void name(constants, inputs, memory, outputs)``.
-
-    The function updates its memory in place. It reads all numbers but 0 and 1 from the array ``constants``.
-    """
+    """Return the source of the function ``static void name(constants, inputs, memory, outputs)``."""
+    # The function updates its memory in place. It reads all numbers but 0 and 1 from the array ``constants``.
     return _Printer(program, name, places, constants).text()
 
 

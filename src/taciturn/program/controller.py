@@ -36,11 +36,7 @@ MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
 def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
-    """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
-
-    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, within the limits of the model's
-    inputs, the nodes' copies of it, and whether a packet is sent and received on each link.
-    """
+    """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input."""
     policy = policy.in_units
     tick = _measured(policy, network, begin)
     for step in policy.steps:
@@ -97,13 +93,13 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
 
 
 class Informed(TimeStep):
-    """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets.
+    """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets."""
 
-    Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter predicts
-    the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn;
-    ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy
-    enters its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
-    """
+    # Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter
+    # predicts the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is
+    # drawn; ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into
+    # which a copy enters its ``change_of``. These are inputs, because a memory may be merged with another one or be
+    # left out.
 
     def correct(self, signals: Iterable[str]) -> None:
         """Add the change to memories into which copies of inputs have entered, if the applied input is known."""
@@ -160,10 +156,7 @@ def predicted_outputs(policy: Policy) -> Terms | None:
 
 
 def lower_command(policy: Policy, network: Network) -> Program | None:
-    """Return the program that computes the command of the controller in a step; None if no signal is a command.
-
-    Its inputs and outputs are those of ``lower_policy``, apart from packets, with the command in place of ``applied``.
-    """
+    """Return the program that computes the command of the controller in a step; None if no signal is a command."""
     names = {index: (name, i) for name, rows in _commands(policy).items() for i, index in enumerate(rows)}
     tick = _measured(policy, network, Informed)
     for step in policy.steps:
@@ -208,10 +201,8 @@ def begin_time_step(
     precision: Precision = "float64",
     begin: Begin = TimeStep,
 ) -> TimeStep:
-    """Return a new time step of all nodes of a policy, before its first policy step is translated.
-
-    ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
-    """
+    """Return a new time step of all nodes of a policy, before its first policy step is translated."""
+    # ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
     held = [link_state(link) for link in network.links]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}

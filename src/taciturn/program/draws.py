@@ -167,11 +167,8 @@ def minus_two_log(b: Builder, u: int) -> int:
 
 
 def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
-    """Return the initial state of each path's random generator: four words, stored as the bits of doubles.
-
-    They are computed by SplitMix64 [steele2014] from the seed and the number of the path. So path i of a seed does not
-    depend on which other paths are run.
-    """
+    """Return the initial state of each path's random generator: four words, stored as the bits of doubles."""
+    # from the seed and the number of the path alone, so path i does not depend on which other paths are run
     # the increment 2^64/φ of SplitMix64, and an odd multiplier that separates the counters of the paths
     key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
     index = np.arange(first, first + paths, dtype=np.uint64)
@@ -191,10 +188,8 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 
 def with_controls(program: Program) -> Program:
-    """Return a simulation program with control variates as additional sums.
-
-    If there were more than MOST of them, the program is returned unchanged.
-    """
+    """Return a simulation program with control variates as additional sums."""
+    # If there were more than MOST of them, the program is returned unchanged.
     ops, sums = list(program.ops), dict(program.sums)
     normals = [
         i for i, op in enumerate(ops) if op.name == "input" and is_entry(program.inputs[op.arguments[0]], NORMAL)
@@ -218,10 +213,8 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``.
-
-    Its states are those of ``lean``, entry by entry, so that a run may go on with it.
-    """
+    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``."""
+    # Its states are those of ``lean``, entry by entry, so that a run may go on with it.
     remembered = {Entry(state.name, state.index) for state in lean.states}
     controls = [name for name in program.sums if isinstance(name, Control)]
     fit = {name for name in controls if isinstance(name.other, int) or name.other in remembered}

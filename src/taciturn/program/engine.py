@@ -56,11 +56,10 @@ class Stepper:
 
 
 class StepwiseRunner:
-    """Runner for simulated paths of programs that advances step by step, with new inputs at each step.
+    """Runner for simulated paths of programs that advances step by step, with new inputs at each step."""
 
-    Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
-    with constants shared by its paths. The results do not depend on this.
-    """
+    # Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
+    # with constants shared by its paths. The results do not depend on this.
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
         """Group the programs and compile each group."""

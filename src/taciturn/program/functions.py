@@ -54,10 +54,8 @@ class _FloatFormat(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """Constant whose addition rounds a number to an integer, because the sum has no fraction bits.
-
-        The last bits of the sum are those of the integer.
-        """
+        """Constant whose addition rounds a number to an integer, because the sum has no fraction bits."""
+        # The last bits of the sum are those of the integer.
         return 1.5 * 2.0**self.mantissa
 
     @property
@@ -193,11 +191,8 @@ def hyperbolic_tangent(b: Builder, x: int) -> int:
 
 
 def logarithm(b: Builder, x: int) -> int:
-    """Return log x, which is −∞ for 0 and NaN for negative x.
-
-    For x = 2^k (1 + f) with 1 + f in [√½, √2), log x = k log 2 + log(1 + f), and log(1 + f) = 2 artanh s with
-    s = f/(2 + f).
-    """
+    """Return log x, which is −∞ for 0 and NaN for negative x."""
+    # with the f of the header, log(1 + f) = 2 artanh s, s = f/(2 + f)
     f, layout, zero = _EXPONENTIALS[b.precision], LAYOUTS[b.precision], b.constant(0.0)
     # a subnormal x has fewer bits: it is multiplied by 2^lift, and lift is subtracted from k below
     lift = float(layout.mantissa + 2)
@@ -377,14 +372,12 @@ def _cosine(b: Builder, r: int, rest: int) -> int:
 
 
 def _angle(b: Builder, y: int, x: int) -> int:
-    """Return the angle of a point with x, y ≥ 0.
-
-    Let a ≤ d be the two coordinates and α = arctan(a/d). A knot c reduces the argument of the series:
-
-        tan(α − arctan c) = (a − cd)/(d + ca).
-
-    c is a power of two, so that cd is exact; the difference a − cd is exact where it is small.
-    """
+    """Return the angle of a point with x, y ≥ 0."""
+    # Let a ≤ d be the two coordinates and α = arctan(a/d). A knot c reduces the argument of the series:
+    #
+    #     tan(α − arctan c) = (a − cd)/(d + ca).
+    #
+    # c is a power of two, so that cd is exact; the difference a − cd is exact where it is small.
     f = _CIRCULAR[b.precision]
     steep = b.emit("greater", y, x)
     a, d = (_clipped(b, b.emit("select", steep, *sides), f.largest) for sides in ((x, y), (y, x)))

@@ -123,10 +123,8 @@ def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: 
 
 
 def constants_of(program: Program) -> list[float]:
-    """Return all constants of a program in the order in which the machine code reads them.
-
-    These are the constants, the tables, and the tiles of the matrices column by column.
-    """
+    """Return all constants of a program in the order in which the machine code reads them."""
+    # These are the constants, the tables, and the tiles of the matrices column by column.
     tables = (value for table in program.tables for value in table)
     matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in _tile_columns(matrix, tile))
     return [*program.constants, *tables, *matrices]

@@ -86,10 +86,8 @@ class _Truths:
         return truths
 
     def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
-        """Return for each value but the last whether it is the first allowed value that is at most the limit.
-
-        If there is none, it is the last allowed value.
-        """
+        """Return for each value but the last whether it is the first allowed value that is at most the limit."""
+        # If there is none, it is the last allowed value.
         within = [self.builder.emit("less_equal", value, self.builder.constant(limit)) for value in values[:-1]]
         truths: list[Truth] = []
         for i, low in enumerate(within):
@@ -131,10 +129,7 @@ def first_input(policy: Policy, plant: Plant) -> Array:
 
 
 class TimeStep(_Truths):
-    """Translation of one time step: the operations that give the value of each signal after each policy step.
-
-    A signal that is read before it is assigned becomes a memory, which is a state of the program.
-    """
+    """Translation of one time step: the operations that give the value of each signal after each policy step."""
 
     def __init__(
         self,

@@ -40,12 +40,11 @@ _NEVER = 1 << 62
 
 @dataclass(frozen=True, eq=False)
 class NodeProgram:
-    """Programs of one time step of the nodes at one site of a policy.
+    """Programs of one time step of the nodes at one site of a policy."""
 
-    Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a link,
-    the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a link, its
-    payload (entries named by the link), the plant's ``input``, and the values of the triggers' options.
-    """
+    # Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a
+    # link, the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a
+    # link, its payload (entries named by the link), the plant's ``input``, and the values of the triggers' options.
 
     site: frozenset[str]  # the nodes at the site
     parts: tuple[Program, ...]  # the time step up to the last output of the node and, if any, the part after it

@@ -99,10 +99,9 @@ class State:
 
 
 class Tile(NamedTuple):
-    """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero.
+    """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero."""
 
-    Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
-    """
+    # Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
 
     first: int  # first row
     rows: int  # number of rows

@@ -67,10 +67,8 @@ def _flow(b: Builder, A: Array, reach: float, start: Operands, time: int) -> Ope
 
 
 def _terms(A: Array, reach: float) -> int:
-    """Return the last power of the series of e^{As}, |s| ≤ reach, after which its terms are below rounding.
-
-    The terms are bounded entry by entry by (|A|·reach)^k/k!. The series of a nilpotent A is finite.
-    """
+    """Return the last power of the series of e^{As}, |s| ≤ reach, after which its terms are below rounding."""
+    # The terms are bounded entry by entry by (|A|·reach)^k/k!. The series of a nilpotent A is finite.
     power, k = np.abs(A) * reach, 1
     term = power
     # continue while a term is not negligible, or while terms may still grow

@@ -51,13 +51,11 @@ def trace(
     arguments: Mapping[str, Sequence[int]],
     results: Mapping[str, int],
 ) -> dict[str, list[int]]:
-    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results.
-
-    The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
-    traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
-    during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
-    ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
-    """
+    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results."""
+    # The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
+    # traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
+    # during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
+    # ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
     name = getattr(function, "__name__", type(function).__name__)
     recorder = _Recorder(builder, name)
     vectors = [recorder.symbols(values) for values in arguments.values()]
@@ -545,10 +543,8 @@ _STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose res
 
 
 def _rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a copy of a function in which given NumPy functions are replaced.
-
-    Functions that it calls by name or from a list are copied in the same way.
-    """
+    """Return a copy of a function in which given NumPy functions are replaced."""
+    # Functions that it calls by name or from a list are copied in the same way.
     if not isinstance(function, FunctionType | MethodType | partial) and callable(type(function).__call__):
         method = type(function).__call__
         function = MethodType(method, function) if isinstance(method, FunctionType) else function

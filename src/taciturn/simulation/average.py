@@ -6,7 +6,8 @@ theory has an identity for the cost, completed squares are averaged instead of s
     J = J_base + E[e'He],   e the error of the input that silence causes.
 
 Their variance is up to thousands of times smaller. It is a difference of large numbers if J is far below J_base, so in
-this case the first windows are also simulated with the plain average, and the smaller standard error decides.
+this case, such as a horizon over which sending every sample destabilises the loop, the first windows are also simulated
+with the plain average, and the smaller standard error decides.
 
 A loop without a horizon is simulated in stationary operation, in windows of steps until the standard error is reached
 (``sampling``); over a horizon, runs are repeated. Two loops are compared with the same noise on each path, so that
@@ -162,12 +163,7 @@ def difference(
 
 
 class Averaging:
-    """A simulation of a loop that can predict its remaining computation from the first windows of steps.
-
-    The identity J = J_base + E[cost of silence] has large errors if the cost is far below that of its base, for example
-    over a horizon if sending every sample destabilises the loop. So in this case, the first steps are also simulated
-    with the plain average, and the estimator with the smaller error is used.
-    """
+    """A simulation of a loop that can predict its remaining computation from the first windows of steps."""
 
     def __init__(
         self,
@@ -190,10 +186,8 @@ class Averaging:
         self.failed: UnstableError | OutOfTime | None = None
 
     def predict(self, standard_error: float) -> float:
-        """Simulate the first windows, and return the approximate number of remaining operations.
-
-        The number is infinite if the loop is unstable.
-        """
+        """Simulate the first windows, and return the approximate number of remaining operations."""
+        # The number is infinite if the loop is unstable.
         self._begin()
         if isinstance(self.failed, OutOfTime):
             raise self.failed

@@ -98,11 +98,9 @@ def find_doubts(
 
 
 def doubt_moments(loop: Loop) -> tuple[str, ...]:
-    """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum.
-
-    With the discount α, the squared cost of a step counts α²ᵏ times after k steps. Over a horizon, all moments are
-    finite.
-    """
+    """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum."""
+    # With the discount α, the squared cost of a step counts α²ᵏ times after k steps. Over a horizon, all moments are
+    # finite.
     cost = loop.problem.cost
     if cost.horizon is not None:
         return ()
@@ -165,12 +163,10 @@ def escapes(loop: Loop) -> bool:
 
 
 def _out_of_reach(plant: Plant, limits: Saturation) -> bool:
-    """Return whether limits bound what the inputs can do against a growing mode that the noise excites.
-
-    A mode z⁺ = λ z + w'B u + noise with left eigenvector w grows without return from |z| > sup |w'B u|/(|λ| − 1). A
-    real mode needs inputs in both directions. A complex one turns, so one direction is enough. An input with a limited
-    change follows a mode that grows exponentially too late.
-    """
+    """Return whether limits bound what the inputs can do against a growing mode that the noise excites."""
+    # A mode z⁺ = λ z + w'B u + noise with left eigenvector w grows without return from |z| > sup |w'B u|/(|λ| − 1). A
+    # real mode needs inputs in both directions. A complex one turns, so one direction is enough. An input with a
+    # limited change follows a mode that grows exponentially too late.
     low, high = limits.low, limits.high
     if limits.rate is not None:
         late = np.isfinite(limits.rate)
@@ -231,20 +227,14 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
 
 
 def comes_never_to_rest(loop: Loop) -> bool:
-    """Return whether noise excites a mode of a linear plant that does not decay and affects the cost.
-
-    The result is False if some mode that does not decay has no effect on the cost.
-
-    States without a cost-to-go are ignored.
-    """
+    """Return whether noise excites a mode of a linear plant that does not decay and affects the cost."""
+    # False if some such mode has no effect on the cost; states without a cost-to-go are ignored
     return _fastest(loop) > 0
 
 
 def _fastest(loop: Loop, link: str | None = None) -> float:
-    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0.
-
-    With a link, only modes count that no sensor without this link shows, or no actuator without it moves.
-    """
+    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0."""
+    # With a link, only modes count that no sensor without this link shows, or no actuator without it moves.
     problem, plant = loop.problem, loop.problem.plant
     if plant.function is not None:
         return 0.0

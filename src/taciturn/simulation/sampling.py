@@ -187,9 +187,7 @@ class Averages(Displayed):
 
 
 class Sampling:
-    """Simulation of one loop, or of two loops with the same noise whose results are added or subtracted on each
-    path.
-    """
+    """Simulation of one loop, or of two loops with the same noise whose results are subtracted on each path."""
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile the programs."""
@@ -208,10 +206,9 @@ class Sampling:
         self.controls: npt.NDArray[np.bool_] = np.array([isinstance(name, Control) for name in read])
 
     def _add_controls(self, paths: int) -> bool:
-        """Add control variates to the sums if there are any and enough paths to fit them; return whether it did.
-
-        They are not used for a difference: if two loops differ on few paths, the fit would depend on these paths only.
-        """
+        """Add control variates to the sums if there are any and enough paths to fit them; return whether it did."""
+        # They are not used for a difference: if two loops differ on few paths, the fit would depend on these paths
+        # only.
         part = self.parts[0]
         if len(self.parts) > 1 or self.controls.any():
             return False
@@ -222,10 +219,8 @@ class Sampling:
         return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield estimates of stationary cost and rates after each window of simulated steps.
-
-        The iteration ends at the given absolute standard error or number of steps.
-        """
+        """Yield estimates of stationary cost and rates after each window of simulated steps."""
+        # The iteration ends at the given absolute standard error or number of steps.
         drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
         budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
@@ -273,10 +268,8 @@ class Sampling:
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, SHORTEST_BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield estimates of finite-horizon cost and rates after each batch of simulated runs.
-
-        The iteration ends at the given absolute standard error or number of steps.
-        """
+        """Yield estimates of finite-horizon cost and rates after each batch of simulated runs."""
+        # The iteration ends at the given absolute standard error or number of steps.
         budget, width = steps or MOST_OPERATIONS, len(self.parts)
         if _FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
@@ -341,12 +334,10 @@ class Sampling:
     def _burn_in(
         self, states: list[Array], length: int, budget: int, watch: Watch | None
     ) -> tuple[list[Array], History, bool]:
-        """Run until the initial transient has decayed; return the states, the history, and whether it has decayed.
-
-        This requires a few time constants, a few mean intervals between sends, a late send on nearly every path, and
-        sums that no longer change (``History``). No send is required if nothing is sent and silence is safe. If the
-        burn-in is long, fewer paths continue; half of the budget is reserved for the measurement.
-        """
+        """Run until the initial transient has decayed; return the states, the history, and whether it has decayed."""
+        # This requires a few time constants, a few mean intervals between sends, a late send on nearly every path, and
+        # sums that no longer change (``History``). No send is required if nothing is sent and silence is safe. If the
+        # burn-in is long, fewer paths continue; half of the budget is reserved for the measurement.
         least, counted = length, self.counted
         if watch is not None:
             counted = np.append(counted, np.zeros(len(watch(states[0])), dtype=np.bool_))
@@ -489,13 +480,11 @@ def _missing(measured: int, error: float, wanted: float) -> int:
 
 
 def _shared_end(windows: Sequence[Window]) -> float:
-    """Return the standard deviation of the error of a rate that all paths share.
-
-    Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or just
-    after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ … 1 − 1/ℓ, all
-    alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have equal rates, and no
-    such error.
-    """
+    """Return the standard deviation of the error of a rate that all paths share."""
+    # Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or
+    # just after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ …
+    # 1 − 1/ℓ, all alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have
+    # equal rates, and no such error.
     steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
     rates = [float(sums.mean()) / length for length, sums in windows]
     apart = sends.std() >= _IN_PHASE or sends.mean() < 1
@@ -577,10 +566,8 @@ class Snapshots:
         self._largest: Array | float = 0.0
 
     def changed(self, states: Array) -> bool:
-        """Return whether the distribution of a state has changed since the last call, and keep the states.
-
-        A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
-        """
+        """Return whether the distribution of a state has changed since the last call, and keep the states."""
+        # A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
         before, self._states = self._states, states
         spread = states.std(axis=1)
         self._largest = np.maximum(self._largest, spread)
@@ -609,10 +596,8 @@ def expect_numbers(loop: Loop, states: Array) -> None:
 
 
 def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: int) -> None:
-    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation.
-
-    One path is run again to find the step.
-    """
+    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation."""
+    # One path is run again to find the step.
     rows = [i for i, state in enumerate(program.states) if state.name == "x"]
     if loop.problem.plant.function is None or not rows:
         return

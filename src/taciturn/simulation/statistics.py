@@ -53,10 +53,9 @@ def mean(values: Array) -> Estimate:
 
 
 def controlled_mean(values: Array, controls: Array) -> Estimate:
-    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0.
-
-    The mean is the intercept of a least-squares fit on the control variates, with the standard error of the intercept.
-    """
+    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0."""
+    # The mean is the intercept of a least-squares fit on the control variates, with the standard error of the
+    # intercept.
     spread = controls.std(axis=1)
     fitted = np.column_stack([np.ones(len(values)), (controls[spread > 0] / spread[spread > 0, None]).T])
     _, sizes, directions = np.linalg.svd(fitted, full_matrices=False)

@@ -235,11 +235,11 @@ def _weighed(policy: Policy, records: Mapping[Name, Array]) -> tuple[Array, Arra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Course(Displayed):
-    """Mean stage cost and sends of a loop over time, with standard errors.
+    """Mean stage cost and sends of a loop over time, with standard errors."""
 
-    For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
-    or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the total.
-    """
+    # For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
+    # or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the
+    # total.
 
     time: Array  # time in seconds, or in steps if the plant has no ``dt``, (steps,)
     cost: Array  # mean of x'Qx + û'Rû + 2x'Nû, (steps,)

@@ -194,11 +194,9 @@ class _Search:
                 return found
 
     def _violation(self, shares: Array, hits: Array, steps: int, windows: int, near: float, levels: int) -> Violation:
-        """Return a probability from sums over steps and windows.
-
-        A standard error is at least that of one event, and at least the share of time above the highest threshold if
-        few paths have seen a violation.
-        """
+        """Return a probability from sums over steps and windows."""
+        # A standard error is at least that of one event, and at least the share of time above the highest threshold if
+        # few paths have seen a violation.
         least = float(_COPIES) ** -levels / len(shares)
         few = np.count_nonzero(shares) < _SEEN
         unseen = near if few else 0.0
