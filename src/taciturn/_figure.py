@@ -23,11 +23,11 @@ _COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8
 _MARKERS = "os^DvPX*"
 _EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
 """Settings for reproducible files with embedded TrueType fonts, which publishers require."""
-WIDTH, HEIGHT = 7.0, 4.2  # inches
+_WIDTH, HEIGHT = 7.0, 4.2  # inches
 _LETTER = 0.08  # width of a letter of a label, in inches
 _LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
 _SLANT = 30  # degrees by which long labels of the x axis are rotated
-LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
+_LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
 Size: TypeAlias = tuple[float, float]
 _BARS = "bars: ± 1 standard error"
 Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars", "below"]
@@ -76,7 +76,7 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
     """
     given = _check_canvas(ax, figsize, len(panels))
     if not given:
-        figure: Any = _figure_class()(figsize=figsize or (WIDTH, height), layout="constrained")
+        figure: Any = _figure_class()(figsize=figsize or (_WIDTH, height), layout="constrained")
         shared = not any(panel.xlabel for panel in panels[:-1])
         axes: Any = list(figure.subplots(len(panels), 1, squeeze=False, sharex=shared)[:, 0])
     else:
@@ -126,10 +126,10 @@ def _check_canvas(ax: Any, figsize: Any, panels: int) -> list[Any]:
                 "size of the figure that contains ax"
             )
         sizes: list[Any] = list(figsize) if hasattr(figsize, "__iter__") else []
-        if len(sizes) != 2 or not all(isinstance(size, int | float) and 0 < size < LARGEST for size in sizes):
+        if len(sizes) != 2 or not all(isinstance(size, int | float) and 0 < size < _LARGEST for size in sizes):
             raise ProblemError(
                 f"figsize is {figsize!r}; expected two positive numbers, the width and the height of the figure in "
-                f"inches, such as figsize=({WIDTH:g}, {HEIGHT:g})"
+                f"inches, such as figsize=({_WIDTH:g}, {HEIGHT:g})"
             )
     if ax is None:
         return []

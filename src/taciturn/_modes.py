@@ -35,10 +35,10 @@ Modes: TypeAlias = npt.NDArray[np.complex128]
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 COST_ERROR = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
 SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
-LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
+_LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
 _FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
 _SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
-STEPS = 4096  # largest number of steps from which the growth is computed
+_STEPS = 4096  # largest number of steps from which the growth is computed
 _ACCURACY = 1e-3  # relative accuracy of the logarithm of the growth, if it is computed from steps
 _PRECISE = 1e-6  # relative error of an eigenvalue of Arnoldi's method that is accepted
 _BASIS = 64  # largest dimension of a Krylov space
@@ -225,7 +225,7 @@ def summed(F: Array, W: Array) -> Array:
             term = power @ X @ power.T
             X = X + term
             square = float(np.vdot(power, power))
-            if not square < LARGEST**2:
+            if not square < _LARGEST**2:
                 return X * np.inf
             if square < _FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
@@ -265,7 +265,7 @@ def growth(move: Callable[[Array], Array], moments: Array) -> float:
     # The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
     # these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
     size, earlier, paces = 0.0, 0.0, [math.inf, math.inf]  # logarithms
-    for step in range(STEPS + 1):
+    for step in range(_STEPS + 1):
         if step in _FROM and (found := _largest(move, moments)) is not None:
             return found
         if step and step & (step - 1) == 0:  # the average of the second half of the steps

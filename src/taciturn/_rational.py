@@ -44,7 +44,7 @@ _LOCK = RLock()
 _BITS = 128  # first precision of the roots; it doubles until the limit separates them
 _SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
 _ROUNDINGS = 8  # of each entry of a matrix, by which a mode may have left the limit
-FEWEST, MOST = 6, 17  # digits of a mode in a message
+FEWEST, _MOST = 6, 17  # digits of a mode in a message
 _NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
@@ -288,12 +288,12 @@ class Limit(NamedTuple):
         at, own = self.at, mode.real if self.continuous else abs(mode)
         if abs(own - at) <= _SAME * at:
             return FEWEST  # the double may be that of a mode on the edge
-        for digits in range(FEWEST, MOST):
+        for digits in range(FEWEST, _MOST):
             rounded = complex(*(float(f"{part:.{digits}g}") for part in (mode.real, mode.imag)))
             shown, edge = rounded.real if self.continuous else abs(rounded), float(f"{at:.{digits}g}")
             if shown != edge and (shown > edge) == (own > at):
                 return digits
-        return MOST
+        return _MOST
 
     @property
     def reaching(self) -> bool:

@@ -48,7 +48,7 @@ from taciturn.lqg.riccati import regulate
 
 _SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
 _TURNS = 200  # places that are tried on a path
-POLICIES = 8  # improvements of a gain at a place
+_POLICIES = 8  # improvements of a gain at a place
 _ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
 _CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
 _STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
@@ -509,7 +509,7 @@ def _margin(found: Reached) -> float:
 def _improved(path: Path, L: Array, place: float) -> Reached | None:
     """Return the best gain for unit costs from a gain that keeps the mean square bounded; None if this does not."""
     found: Reached | None = None
-    for _ in range(POLICIES):
+    for _ in range(_POLICIES):
         loop = path(place, L)
         weights = loop.weights()
         if weights is None or (found is not None and np.trace(weights[0]) > (1 - _ENOUGH) * np.trace(found.K)):

@@ -44,7 +44,7 @@ __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
 _CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
 _SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
-LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
+_LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
 _MOST_STEPS = 20_000  # steps of the backward iteration
 
 
@@ -329,7 +329,7 @@ class MultirateControl(Displayed):
                 K, saved = steps[step].back(K)
                 squares[step] = saved[:n, :n]
             size = float(np.abs(K).max())
-            if not np.isfinite(size) or size > LARGEST * max(1.0, float(np.abs(self.problem.Q).max())):
+            if not np.isfinite(size) or size > _LARGEST * max(1.0, float(np.abs(self.problem.Q).max())):
                 break
             if float(np.abs(K - before).max()) <= _SETTLED * size:
                 return values, squares

@@ -47,7 +47,7 @@ from taciturn.model.schedule import Schedule
 _NEGLIGIBLE = 1e-14  # last term of a sum, relative to the sum
 _ROUNDING = 1e-17  # relative size of a term below which it does not change a sum
 _FORGOTTEN = 1e-12  # remaining fraction of an error that is negligible, as its square is below rounding
-MOST, _NUMBERS = 100_000, 20_000_000  # most steps of a closed form, and most entries of all their matrices
+_MOST, _NUMBERS = 100_000, 20_000_000  # most steps of a closed form, and most entries of all their matrices
 _DENSE, _NODES = 64, 24  # most steps of a block that are all summed, and steps of a longer block
 _EXACT = 1e-13  # relative error of a block
 _CONDITION = 1e6  # largest condition number of the inverted matrix, for nine accurate digits
@@ -58,7 +58,7 @@ _USUAL = 1000  # steps within which most covariances converge
 LONGEST = 100_000  # steps within which a schedule must repeat
 _WORK = 6e10  # longest time for one schedule, approximate nanoseconds
 # nanoseconds: for one value of a query, for a term of its sum, for a term that is computed step by step
-_VALUE, TERM, _STEP = 6e5, 2e3, 1.5e5
+_VALUE, _TERM, _STEP = 6e5, 2e3, 1.5e5
 _SILENT = 1, 16, 256  # steps without a query before which the sum over few steps is checked
 _CHUNK = 512  # steps whose matrices are computed together
 _APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
@@ -411,7 +411,7 @@ class QueryValue:
         ahead = self._weights.horizon is not None
         weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
         observed = flow.observed[: len(weighed)] if ahead else self._observed
-        self._count(_VALUE + TERM * len(weighed), len(weighed))
+        self._count(_VALUE + _TERM * len(weighed), len(weighed))
         S, total = plant.C @ Sigma @ plant.C.T + plant.V, 0.0
         for begin in range(0, len(weighed), _CHUNK):
             ticks = slice(begin, min(begin + _CHUNK, len(weighed)))
@@ -549,7 +549,7 @@ def _riccati_flow(plant: Plant, discount: float, horizon: int | None) -> _Flow |
     F = plant.A - plant.A @ steady.gain @ plant.C
     seen = symmetrised(plant.C.T @ np.linalg.solve(steady.innovation, plant.C))
     unit = np.sqrt(np.where(np.diag(steady.prior) > 0, np.diag(steady.prior), 1.0))
-    relative, most = unit[:, None] * unit, horizon or min(MOST, _NUMBERS // len(F) ** 2)
+    relative, most = unit[:, None] * unit, horizon or min(_MOST, _NUMBERS // len(F) ** 2)
     powers, observed = np.eye(len(F))[None], np.stack([np.zeros_like(F), symmetrised(seen)])
     while True:  # F̄^s and O_{s+1} of twice as many steps, by F̄^{r+s} = F̄^s F̄^r and O_{r+s} = O_r + F̄'^r O_s F̄^r
         steps = np.arange(len(powers))

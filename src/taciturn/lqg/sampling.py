@@ -38,7 +38,7 @@ from taciturn.lqg.quadratic import Quadratic
 _DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
 _SMALL = 0.5  # norm of F over the interval of the series
 _LATER = 8  # terms after the last one that are bounded entry by entry
-MOST = 1000  # doublings
+_MOST = 1000  # doublings
 __all__ = ["Sampled", "sample", "sample_prediction"]
 
 
@@ -326,8 +326,8 @@ def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Arra
     to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
     F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
     size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
-    doublings = max(0, ceil(log2(max(size, 1e-300) / _SMALL))) if np.isfinite(size) else MOST + 1
-    if doublings > MOST:
+    doublings = max(0, ceil(log2(max(size, 1e-300) / _SMALL))) if np.isfinite(size) else _MOST + 1
+    if doublings > _MOST:
         raise _overflowing(period, size)
     found = _series(arithmetic, F, M, G, period / 2.0**doublings)
     one, moving = arithmetic.exact(np.eye(len(units))), np.flatnonzero(F.middle.any(axis=1))

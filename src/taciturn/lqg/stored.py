@@ -59,7 +59,7 @@ from taciturn.lqg.sampling import Step
 from taciturn.model.controller import Controller
 
 _SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
-MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
+_MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
 _MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
 _TRIALS = 40  # doublings of a bound until it is proved
 _SQUARINGS = 2  # of a matrix whose norm is sought
@@ -134,7 +134,7 @@ class Stored(Displayed):
     def attempts(self, patient: bool = False) -> list[tuple[int, bool]]:
         """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
         doubles = [(PRECISIONS[0], True)] if self.states > _SMALL else []
-        return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= MANY]
+        return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= _MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
         """Return the loop and the proof of its cost, in the present precision."""

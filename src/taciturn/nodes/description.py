@@ -1,4 +1,9 @@
-"""A description of a policy's packets and nodes as JSON, from which a program in another language can be written."""
+"""A description of a policy's packets and nodes as JSON, from which a program in another language can be written.
+
+It has the layout of the header, the payload of each packet, and for each node its inputs, memories and outputs with the
+operations of its program (``program.ops``), in which constants and tables stand where they are read. So a few dozen
+kinds of operations, each of which rounds once, suffice for a node that agrees with those of this library bit for bit.
+"""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from taciturn._files import read_text, why_unreadable
 from taciturn.errors import ProblemError
 
 KEY, _LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
-LARGEST = 2**20  # bytes of a key file
+_LARGEST = 2**20  # bytes of a key file
 _LOOKED = 1.0  # seconds between checks whether a key file has changed
 _EVERY = ""  # name under which a key for all links is stored
 
@@ -183,7 +183,7 @@ class KeyFile(RenewedKeys):
     def _read(self) -> dict[str, tuple[bytes, ...]]:
         source = f"the key file {self._path}"
         try:
-            text, mode = read_text(self._path, LARGEST), self._path.stat().st_mode & 0o777
+            text, mode = read_text(self._path, _LARGEST), self._path.stat().st_mode & 0o777
         except (OSError, UnicodeDecodeError) as error:
             raise ProblemError(
                 f"{source} cannot be read ({why_unreadable(error)}); expected a file with hexadecimal digits"

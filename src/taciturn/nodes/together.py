@@ -46,7 +46,7 @@ from taciturn.program.python import compile_python
 
 _NEAR = 1e-9  # relative difference of two inputs
 _TRIES = 4
-BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
+_BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 
 
 @runtime_checkable
@@ -286,10 +286,10 @@ class StepFunction:
         """Return the uniform random numbers of a step, in (0, 1)."""
         if self._draw is None:
             return ()
-        block, place = divmod(tick, BLOCK)
+        block, place = divmod(tick, _BLOCK)
         known, words = self._block
         if known != block:
-            words = seed_generators(self._seed, BLOCK, block * BLOCK).view(np.uint64).T.tolist()
+            words = seed_generators(self._seed, _BLOCK, block * _BLOCK).view(np.uint64).T.tolist()
             self._block = block, words
         return self._draw(words[place], ())[1]
 

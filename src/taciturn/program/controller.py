@@ -32,7 +32,7 @@ from taciturn.program.ops import Precision, named
 _FILTER, _REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
-MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is known"
+MEASURED, _COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
 def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
@@ -171,9 +171,9 @@ def lower_command(policy: Policy, network: Network) -> Program | None:
 
 def _commands(policy: Policy) -> Mapping[str, Sequence[int]]:
     """Return the signals of the controller that are the commands for some inputs, and these inputs."""
-    if COMMAND in policy.sizes:
-        return {COMMAND: range(policy.model.inputs)}
-    found = {f"{COMMAND}_{node}": rows for node, rows in policy.applied.values()}
+    if _COMMAND in policy.sizes:
+        return {_COMMAND: range(policy.model.inputs)}
+    found = {f"{_COMMAND}_{node}": rows for node, rows in policy.applied.values()}
     return {name: rows for name, rows in found.items() if name in policy.sizes}
 
 

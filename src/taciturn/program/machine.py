@@ -38,7 +38,7 @@ from taciturn.program.llvm import VECTORS, Build, Target, constants_of, print_ll
 from taciturn.program.numpy import Run
 
 _SPARE = 8  # files are deleted when the limit is exceeded by 1/8, since deletion reads the age of each file
-LARGEST = 2**28  # bytes of a compiled program
+_LARGEST = 2**28  # bytes of a compiled program
 _PRIVATE = 0o700  # mode of the folder
 _LAYOUT = "digest of key and code, code"  # of a file; part of its key
 _PASSES = "combine"  # the compiler passes, which are part of the cache key
@@ -322,7 +322,7 @@ def read_code(folder: Path, key: str) -> bytes | None:
     try:
         with open_regular(path) as file:
             found = os.fstat(file.fileno())
-            reason = "is larger than any program" if found.st_size > LARGEST else _why_not(found)
+            reason = "is larger than any program" if found.st_size > _LARGEST else _why_not(found)
             content = file.read() if reason is None else b""
     except OSError:
         return None

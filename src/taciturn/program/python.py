@@ -1,7 +1,8 @@
 """Translation of a program to a Python function for nodes, which computes one step of one path without NumPy.
 
-Each operation rounds once, in the order of the program. Therefore results are bit-identical to those of
-``program.numpy``. A step takes about 10 microseconds.
+Each operation is one assignment ``v7 = v3 * v2``, in the order of the program, and rounds once, since numbers of Python
+are doubles. Where Python raises an exception, for x/0 and √ of a negative number, a function returns what IEEE 754
+says. Therefore results are bit-identical to those of ``program.numpy``. A step takes about 10 microseconds.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from taciturn.program.lower import Operands, TimeStep
 from taciturn.program.ops import Entry
 
 _MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
-MOST = 100  # most jumps drawn per step
+_MOST = 100  # most jumps drawn per step
 _ROUNDING = 1e-16  # size below which a term of the power series has no effect
 TIMETABLE = "timetable"  # step counter of set-points that change at known times
 
@@ -87,7 +87,7 @@ def _drawn(noise: JumpNoise) -> int:
         count += 1
         chance *= mean / count
         seen += chance
-        if count > MOST:
+        if count > _MOST:
             raise ProblemError(
                 f"a step of {noise.period:g} s has {mean:.3g} jumps on average, too many to draw one by one; "
                 "expected shorter steps, or Wiener noise W = rate · covariance, which approximates the jumps"

@@ -72,7 +72,7 @@ def average(
     The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
     are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
     mean intervals between sends, and until nearly every path has sent. Windows of steps that differ from the later ones
-    are also dropped (``simulation.settled``).
+    are also dropped.
 
     Args:
         loop: the closed loop.

@@ -22,7 +22,7 @@ from taciturn.model.estimate import Estimate
 
 _TAIL = 64  # the tail is the largest 1/64 of the values, and must contain at least 64 values
 BATCHES = 32
-CYCLES = 30  # least number of cycles for a standard error
+_CYCLES = 30  # least number of cycles for a standard error
 
 
 class Moments:
@@ -151,9 +151,9 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
     if not np.isin(begins, (0, 1)).all():
         raise ProblemError("renewals has entries other than 0 and 1; expected 1 at the start of a cycle, else 0")
     at = np.flatnonzero(begins)
-    if len(at) <= CYCLES:
+    if len(at) <= _CYCLES:
         raise ProblemError(
-            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {CYCLES}: use a longer record"
+            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {_CYCLES}: use a longer record"
         )
 
     def found() -> Estimate:

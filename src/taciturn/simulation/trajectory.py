@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ADDRESSES = 2**47  # bytes that a process can address, of which NumPy refuses more in other ways
-COLUMNS = 6  # columns next to the time that ``str`` prints
-PATHS = 4096
+_COLUMNS = 6  # columns next to the time that ``str`` prints
+_PATHS = 4096
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +107,7 @@ class Trajectory(Tabular):
         """Return the text that ``taciturn simulate`` prints: the path, as far as it fits, and the number of sends."""
         named = [("x", self.state), ("u", self.input), *([("xhat", self.estimate)] if self.predicts else [])]
         columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
-        left = max(0, len(columns) - (COLUMNS - len(self.sends)))
+        left = max(0, len(columns) - (_COLUMNS - len(self.sends)))
         shown = columns[: len(columns) - left]
         header = [f"time ({self.unit})", *(name for name, _ in shown), *self.sends]
         rows = [
@@ -250,7 +250,7 @@ class Course(Displayed):
     paths: int  # number of paths
 
 
-def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Course:
+def course(loop: Loop, ticks: int, *, paths: int = _PATHS, seed: int = 0) -> Course:
     """Simulate independent paths of a loop from its initial distribution, and average cost and sends at each step."""
     instance("loop", loop, Loop)
     ticks, paths, seed = loop.ticks(ticks), count("paths", paths, 2), count("seed", seed, 0)

@@ -52,7 +52,7 @@ _LEVELS = 8  # levels for which the number of paths is chosen
 _SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
 _STAGE, _LONGEST_STAGE = 32, 256  # least and most steps before the next threshold is placed
 _SHORTEST_WINDOW, _CONSTANTS = 64, 6  # half of a window: at least so many steps, and so many time constants
-_HOUR, MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
+_HOUR, _MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
 _GROWN, _QUARTILES = 7.0, 1.65  # standard errors of a ratio of spreads that are growth; one is 1.65/√paths
 
 
@@ -67,7 +67,7 @@ def violations(
 ) -> Violations:
     """Estimate the probabilities that a loop violates limits of its states, after its steps.
 
-    If violations are rare, paths that come near a limit are copied (``splitting``), once for all limits together and
+    If violations are rare, paths that come near a limit are copied, once for all limits together and
     once for each limit that then has too few violations. Limits of a continuous plant apply at the sampling instants. A
     window of an hour is simulated if it is short. Otherwise, the probability without a violation decays by the same
     factor in each half of the simulated window after the first.
@@ -147,7 +147,7 @@ class _Search:
         """The window in which violations are counted."""
         if self.horizon is not None:
             return "run"
-        return f"{MANY} steps" if self.loop.problem.plant.dt is None else "hour"
+        return f"{_MANY} steps" if self.loop.problem.plant.dt is None else "hour"
 
     @property
     def ticks(self) -> int:
@@ -155,7 +155,7 @@ class _Search:
         if self.horizon is not None:
             return self.horizon
         step = self.loop.problem.plant.dt
-        return MANY if step is None else max(1, round(_HOUR / step))
+        return _MANY if step is None else max(1, round(_HOUR / step))
 
     def precise(self, found: Estimate) -> bool:
         """Return whether a probability has the requested standard error."""
