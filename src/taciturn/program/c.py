@@ -4,8 +4,8 @@
 
 Each operation is one line, in the order of the program, and rounds once. If the compiler does not fuse operations
 (``-ffp-contract=off``), the results are bit-identical to those of ``program.numpy``. All numbers but 0 and 1, tables
-and matrices are in one array of constants. A generator of random numbers has words as its memory, and no inputs. The code
-calls no mathematical library: bits are copied with ``memcpy``, and the square root is computed digit by digit.
+and matrices are in one array of constants. A generator of random numbers has words as its memory, and no inputs. The
+code calls no mathematical library: bits are copied with ``memcpy``, and the square root is computed digit by digit.
 """
 
 from __future__ import annotations
