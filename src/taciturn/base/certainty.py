@@ -1,52 +1,42 @@
-"""Certainty-equivalent control over an actuator link: filter, gain, trigger, and an actuator that holds or predicts.
+"""LQG as a base: control by the estimate of the state, over a link from the controller to the actuator.
 
-In each step, the sensor measures. The controller, at the sensor's site, estimates the state, computes ``command`` =
+In each step, the sensor measures. The controller, at the sensor's place, estimates the state, computes ``command`` =
 L x̂ and the ``candidate`` that the actuator applies if nothing is sent, and decides on their difference ``error``. The
 packet is transmitted, and the actuator applies ``input``. The controller stores the same input as ``held`` and predicts
-the next state.
+the next state. In silence, the actuator keeps its last input (``hold``), or it applies L x̃ with the state x̃ of a model
+x̃⁺ = (A + BL) x̃ that starts at the last sent estimate (``model``).
 
-Cost weights of input errors and estimation errors, for average, discounted and finite-horizon costs.
+With the error e = û − L x̂ of the applied input and the weight H = R + B'KB, completion of squares gives
 
-Gains of LQG that are optimal for a link that drops packets and acknowledges those that arrive.
+    J = J_all + E[e'He],    J_all = tr(QΣ) + tr(K(Σ̃ − Σ)),
 
-A dropout acts as silence: the receiver uses its own value h, the last input or 0. With the estimate x̂ of the state,
-(x̂, h)'P(x̂, h) is the value and p the loss probability:
+where Σ̃ and Σ are the covariances of the filter before and after a measurement. LQG is the base whose value is known:
+silence costs e'He, and nothing that is linear in e (``base.value``). ``design_certainty`` computes this base,
+``control_steps`` writes its policy steps for any trigger, and ``certainty_policy`` makes them a policy with its theory.
 
-    Y = S + [A B; M]'P[A B; M],    L = −Y_hh⁻¹Y_hx,    P = p Y + (1 − p)[I 0; L 0]'Y[I 0; L 0].
-
-The acknowledgements separate estimation from control, as without losses.
+Source: astrom2002, khashooei2017
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance, symmetrised
+from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
 from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, radius
 from taciturn.base.anti_windup import within_limits
-from taciturn.base.filter import (
-    CLOCK,
-    COLLOCATED,
-    DEVIATION,
-    ESTIMATE,
-    HELD,
-    SEND,
-    FilterSteps,
-    by_clock,
-    estimate_state,
-)
-from taciturn.base.value import Attempts, Base, advantage, repeated_value
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.base.filter import CLOCK, COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
+from taciturn.errors import ProblemError
+from taciturn.lqg.cache import MOST
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start
 from taciturn.lqg.periodic import Held
-from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_finite
+from taciturn.lqg.riccati import Regulator, refuse_uncertain
 from taciturn.lqg.stored import Allowance, Apart, Proved, Stored, allowance, filter_loop
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
@@ -176,6 +166,11 @@ class CertaintyEquivalentDesign(Displayed):
 def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
     """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ))."""
     expect_average(kind, problem.cost)
+    return _design(problem)
+
+
+@lru_cache(maxsize=MOST)  # a problem is itself, and the same one for equal data (``discretise``)
+def _design(problem: Discrete) -> CertaintyEquivalentDesign:
     plant = problem.plant
     regulator = problem.regulator()
     steady = problem.filter()
@@ -428,121 +423,3 @@ _STEPS: dict[Actuation, Callable[[Plant, Matrix, str | None], ActuationSteps]] =
 def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str]:
     """Return the properties that the theory covers: jumps, if the state is measured or the cost is in closed form."""
     return THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Prices(Displayed):
-    """Optimal gains, costs-to-go and weights of input errors: constant, or for each step of a finite horizon."""
-
-    problem: Discrete  # the discrete-time problem
-    K: Array  # matrix of the cost-to-go, (n, n), or (N + 1, n, n)
-    L: Array  # feedback gain, (m, n), or (N, m, n)
-    H: Array  # weight of the difference of the input from Lx̂, (m, m), or (N, m, m)
-    error: Array  # bound on the error of K, (n, n); 0 for a finite horizon, whose recursion is exact up to rounding
-
-    @property
-    def P(self) -> Array:
-        """Weight L'HL of the estimation error in the cost, (n, n), or for each step, (N, n, n)."""
-        return np.swapaxes(self.L, -1, -2) @ self.H @ self.L
-
-    @property
-    def average(self) -> bool:
-        """Whether the cost is a long-run average, and not a finite-horizon or discounted total."""
-        return not self.problem.cost.mission
-
-    def square(self) -> Matrix:
-        """Return the weight H of the completed square in the user's units of the cost."""
-        return by_clock(self.H / self.problem.unit)
-
-    def total(self, covariance: Array, start: int | None) -> float:
-        """Return the cost of applying the input Lx̂ at every step: per step for an average cost, otherwise in total.
-
-        The cost is tr(KW) + mean tr(PΣ_k) for an average, E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) for a horizon,
-        and E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k) for a discounted sum.
-        """
-        cost = self._summed(self.K, self.P, covariance, start)
-        A, alpha = self.problem.plant.A, self.problem.cost.discount
-        refuse_uncertain(
-            cost,
-            0.0
-            if self.problem.cost.horizon is not None
-            else self._summed(self.error, self.error + alpha * A.T @ self.error @ A, covariance, start),
-        )
-        return cost
-
-    def _summed(self, K: Array, P: Array, covariance: Array, start: int | None) -> float:
-        plant, alpha = self.problem.plant, self.problem.cost.discount
-        errors = (P * covariance).sum(axis=(1, 2))
-        if self.average:
-            return float(np.sum(K * plant.W) + errors[start:].mean())
-        first = K if start is not None else K[0]
-        begin = plant.mean @ first @ plant.mean + np.sum(first * plant.covariance)
-        if start is None:
-            return float(begin + np.sum(K[1:] * plant.W) + errors.sum())
-        weights = alpha ** np.arange(len(errors))
-        weights[start:] /= 1 - alpha ** (len(errors) - start)  # geometric sum over the discounted repetitions
-        return float(begin + alpha / (1 - alpha) * np.sum(K * plant.W) + weights @ errors)
-
-
-def price_control(problem: Discrete) -> Prices:
-    """Return the optimal gains and the weights of input and estimation errors for a discrete-time control problem."""
-    plant, cost = problem.plant, problem.cost
-    if cost.horizon is None:
-        best = problem.regulator()
-        return Prices(problem, best.K, best.L, best.H, best.error)
-    assert problem.terminal is not None
-    finite = regulate_finite(*problem.quadratic, problem.terminal, cost.horizon)
-    return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
-
-
-STEPS, CONVERGED, LARGEST = 1000, 1e-13, 1e100
-HALVINGS = 10  # of the interval that contains the critical loss
-IMPROVEMENTS = 50
-SETTLED = 1e-12  # change of a gain relative to the gain
-
-
-def gains_for_losses(problem: Discrete, loss: float, zero: bool, key: str = "loss") -> Array:
-    """Return the gain L that minimises the cost of an attempt in every step, (m, n)."""
-    plant = problem.plant
-    n, m = plant.B.shape
-    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
-    held = np.hstack([np.zeros((m, n)), np.zeros((m, m)) if zero else np.eye(m)])
-    base = Base(plant.A, plant.B, stage, np.zeros((m, n)), plant.W, held)
-    L = _iterated(base, loss, problem.cost.discount)
-    if L is None:
-        low, high = 0.0, loss
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            low, high = (middle, high) if _iterated(base, middle, problem.cost.discount) is not None else (low, middle)
-        raise UnstableError(
-            f"{key} is {loss:.4g} on average, and the mean square of the loop grows for every gain; expected a loss "
-            f"below {low:.3g}"
-        )
-    attempts = Attempts(losses=np.full(1, loss), discount=problem.cost.discount)
-    for _ in range(IMPROVEMENTS):
-        found = advantage(replace(base, K=L), "expected a smaller loss", attempts)
-        change: Array = np.asarray(np.linalg.pinv(found.H[0, 0], hermitian=True), dtype=np.float64) @ found.slope[0, 0]
-        L = np.asarray(L - change, dtype=np.float64)
-        if np.abs(change).max(initial=0.0) <= SETTLED * np.abs(L).max(initial=0.0):
-            break
-    return L
-
-
-def _iterated(base: Base, loss: float, discount: float) -> Array | None:
-    """Return the gain after some steps of the value, or None if its own value is infinite."""
-    n, silent = len(base.Phi), base.silent
-    P, L = np.zeros_like(base.stage), base.K
-    for _ in range(STEPS):
-        Y = symmetrised(base.stage + discount * silent.T @ P @ silent)
-        L = np.asarray(-np.linalg.pinv(Y[n:, n:], hermitian=True) @ Y[n:, :n], dtype=np.float64)
-        closed = np.vstack([np.eye(n), L])
-        after = loss * Y
-        after[:n, :n] += (1 - loss) * symmetrised(closed.T @ Y @ closed)
-        size, change = np.abs(after).max(), np.abs(after - P).max()
-        P = after
-        if not size <= LARGEST:
-            return None
-        if change <= CONVERGED * size:
-            break
-    attempts = Attempts(losses=np.full(1, loss), discount=discount)
-    return None if repeated_value(replace(base, K=L), attempts) is None else L

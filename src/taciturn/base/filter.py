@@ -1,6 +1,12 @@
-"""State estimation in the node that decides: a steady or a time-varying Kalman filter, or the measured state itself.
+"""The filter as policy steps, at the node that decides, and the step counter of what changes from step to step.
 
-The step counter of policies whose base or filter changes from step to step.
+The node estimates the state x̂_k = E[x_k | y_0, …, y_k] by a Kalman filter with the innovation ν and the gain g:
+
+    ν = y − C x̂⁻,    x̂ = x̂⁻ + g ν,    x̂⁻⁺ = A x̂ + B û,
+
+where û is the input that the actuator applies (``held``). If the whole state is measured, x̂ = y. For a total over a
+horizon or with a discount, the filter starts with the run: its gains are a table that a step counter reads, until they
+repeat. The counter also holds the phase of a base that attempts to send at every q-th step only.
 """
 
 from __future__ import annotations
@@ -23,13 +29,13 @@ from taciturn.model.theory import INNOVATION, Innovations
 from taciturn.model.trigger import Matrix, Scheduled
 
 ESTIMATE, HELD = "estimate", "held"
+SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
+COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilterSteps(Displayed):
-    """Policy steps that compute the state estimate from the measurement, and the covariances of the estimation
-    error.
-    """
+    """Policy steps that compute the estimate of the state from the measurement."""
 
     correct: tuple[Step, ...]  # policy steps before the control is computed
     predict: tuple[Step, ...]  # policy steps after the control is computed
@@ -40,10 +46,7 @@ class FilterSteps(Displayed):
 def estimate_state(
     plant: Plant, steady: Filter | None, at: str = "controller", gain: Matrix | None = None
 ) -> FilterSteps:
-    """Return the policy steps that compute the filtered estimate x̂_k = E[x_k | y_0, …, y_k].
-
-    If the full state is measured, x̂ = x, Σ = 0 and Σ̃ = W.
-    """
+    """Return the policy steps of a steady filter, or of one with the given gains."""
     if plant.full_state:
         measured = Assign(at, ESTIMATE, {"y": np.eye(plant.states)})
         return FilterSteps((measured,), (), {}, None)
@@ -90,12 +93,6 @@ def filter_from_the_start(plant: Plant, cost: Cost) -> Transient:
     left = np.eye(plant.states) - gains @ plant.C
     posterior = left @ prior @ left.swapaxes(1, 2) + gains @ plant.V @ gains.swapaxes(1, 2)
     return Transient(gains, plant.C @ prior @ plant.C.T + plant.V, posterior, start)
-
-
-SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
-
-
-COLLOCATED: tuple[frozenset[str], ...] = (frozenset({"sensor", "controller"}),)
 
 
 def count_ticks(ticks: int, start: int | None) -> Location:

@@ -7,8 +7,9 @@ from typing import Literal
 
 from taciturn._arrays import choice, count, instance
 from taciturn.base.certainty import Actuation as LQGActuation
-from taciturn.base.certainty import certainty_policy, control_steps, design_certainty, gains_for_losses
+from taciturn.base.certainty import certainty_policy, control_steps, design_certainty
 from taciturn.base.filter import SEND
+from taciturn.base.gains import gains_for_losses
 from taciturn.base.given_controller import lqg_observer
 from taciturn.base.receiver import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of

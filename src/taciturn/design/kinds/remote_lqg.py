@@ -11,15 +11,14 @@ import numpy as np
 from taciturn._arrays import Array, choice, number, symmetrised
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import (
-    Prices,
     completed_square,
     control_steps,
     expect_constant_set_points,
-    price_control,
     silence_form,
     steps_at_the_actuator,
 )
 from taciturn.base.filter import CLOCK, COLLOCATED, ESTIMATE, HELD, SEND, FilterSteps, by_clock, count_ticks
+from taciturn.base.gains import Prices, price_control
 from taciturn.design.bounds import less_noise
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError

@@ -1,0 +1,36 @@
+"""Results that were computed before, for equal data: the points of a trade-off have the same plant and cost.
+
+The key is the data itself, as bytes. Arguments hold no function of the user, of which only the name has bytes. Results
+are immutable, so everyone may have the same one.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from functools import wraps
+from typing import TypeVar, TypeVarTuple
+
+from taciturn._progress import check_time
+
+MOST = 8  # latest results of a function that are stored: a problem of 200 states has some megabytes
+
+Args = TypeVarTuple("Args")
+Result = TypeVar("Result")
+
+
+def remembered(compute: Callable[[*Args], Result]) -> Callable[[*Args], Result]:
+    """Wrap a function of immutable data in a cache of its latest results."""
+    latest: dict[bytes, Result] = {}
+
+    @wraps(compute)
+    def found(*args: *Args) -> Result:
+        check_time()
+        key = pickle.dumps(args, protocol=5)
+        result = latest.pop(key) if key in latest else compute(*args)
+        latest[key] = result  # now the latest
+        while len(latest) > MOST:
+            latest.pop(next(iter(latest)), None)
+        return result
+
+    return found
