@@ -9,8 +9,7 @@ import numpy as np
 from systems import System
 
 from taciturn import Cost, Loop, Network, Plant, Policy, close, design
-from taciturn.lqg.critical_losses import Channel
-from taciturn.lqg.lossy import slowest_growth
+from taciturn.lqg.critical_losses import Channel, Lasting
 from taciturn.lqg.riccati import regulate
 from taciturn.program.numpy import run
 
@@ -55,7 +54,7 @@ def bearable(plant: Plant, network: Network) -> Network:
     actuator, sensor = network.loss("actuator"), network.loss("sensor")
     while True:
         channel = Channel(actuator, sensor, network.protocol == "tcp", network.delay == 1)
-        if slowest_growth(plant.A, plant.B, channel)[0] < 0.8:
+        if Lasting(plant.A, plant.B).slowest(channel)[0] < 0.8:
             return Network(network.protocol, actuator, sensor, network.delay)
         actuator, sensor = actuator / 2, sensor / 2
 

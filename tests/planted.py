@@ -56,7 +56,7 @@ DEFECTS = {
         "return tuple(link for link in self._heard_at if self._unheard or len(late) == len(self._heard_at))",
     ),
     "saved states are restored whatever they hold": Planted(
-        "nodes/node.py", "if saved.get(SEAL) != _digest(", "if saved.get(SEAL) is None and None != _digest("
+        "nodes/node.py", "if saved.get(_SEAL) != _digest(", "if saved.get(_SEAL) is None and None != _digest("
     ),
     # of designs
     "the bound at a rate counts nine tenths of what silence adds": Planted(
@@ -81,8 +81,8 @@ DEFECTS = {
     # of the engine
     "copies of paths are too heavy": Planted(
         "simulation/violations.py",
-        "return np.power(float(COPIES), -self._level.astype(np.float64))",
-        "return np.power(float(COPIES), -0.98 * self._level.astype(np.float64))",
+        "return np.power(float(_COPIES), -self._level.astype(np.float64))",
+        "return np.power(float(_COPIES), -0.98 * self._level.astype(np.float64))",
     ),
     "a difference of the fast build is a sum": Planted(
         "program/llvm.py", 'if op.name == "sub" and first:', 'if op.name == "subtract" and first:'

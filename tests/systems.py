@@ -9,6 +9,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Jumps, Plant
+from taciturn._rational import Limit, unmoved
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 
 SHAPES = (
@@ -74,6 +75,11 @@ def systems(draw: st.DrawFn, states: int = 6, inputs: int = 3) -> System:
     system = make_system(draw(st.integers(0, 2**32 - 1)), *shape)
     assume(well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T))
     return system
+
+
+def uncontrollable_modes(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the eigenvalues of A that the input through B cannot influence."""
+    return np.concatenate(unmoved(np.asarray(A, dtype=float), np.asarray(B, dtype=float), Limit(False)))
 
 
 def well_posed(A: np.ndarray, B: np.ndarray) -> bool:

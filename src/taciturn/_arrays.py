@@ -20,8 +20,8 @@ Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 
 NO_VARIANCE = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
-DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
-ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
+_DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
 
 
 def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array:
@@ -61,7 +61,7 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
     difference, spread = np.abs(result - result.T), np.sqrt(np.abs(np.diag(result)))
     # Tolerance in the units of each row and column, but at least the rounding error of the largest entry.
     allowed = np.maximum(np.maximum(np.abs(result), np.abs(result.T)), spread * spread[:, None])
-    allowed = np.maximum(1e-9 * allowed, ROUNDING * size * np.abs(result).max(initial=0.0))
+    allowed = np.maximum(1e-9 * allowed, _ROUNDING * size * np.abs(result).max(initial=0.0))
     if (difference > allowed).any():
         i, j = (int(k) for k in np.unravel_index(np.argmax(difference - allowed), result.shape))
         raise ProblemError(
@@ -75,10 +75,10 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
     """Return ``value`` as a read-only symmetric positive semidefinite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
-    if exceeds(scaled, -DEFINITENESS_TOLERANCE):
+    if exceeds(scaled, -_DEFINITENESS_TOLERANCE):
         return result
     smallest = float(np.linalg.eigvalsh(scaled)[0])
-    if smallest < -DEFINITENESS_TOLERANCE and not _is_rounding(result):
+    if smallest < -_DEFINITENESS_TOLERANCE and not _is_rounding(result):
         raise ProblemError(
             f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive semidefinite matrix "
             "(all eigenvalues ≥ 0)"
@@ -90,10 +90,10 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
     """Return ``value`` as a read-only symmetric positive definite matrix."""
     result = symmetric(name, value, size, meaning)
     scaled = _in_units(result)
-    if exceeds(scaled, DEFINITENESS_TOLERANCE):
+    if exceeds(scaled, _DEFINITENESS_TOLERANCE):
         return result
     smallest = float(np.linalg.eigvalsh(scaled)[0])
-    if smallest <= DEFINITENESS_TOLERANCE:
+    if smallest <= _DEFINITENESS_TOLERANCE:
         raise ProblemError(
             f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive definite matrix "
             "(all eigenvalues > 0)"
@@ -103,7 +103,7 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 def is_definite(matrix: Array) -> bool:
     """Return whether a symmetric matrix is positive definite and invertible, in any units of the variables."""
-    return bool((matrix.diagonal() > NO_VARIANCE).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
+    return bool((matrix.diagonal() > NO_VARIANCE).all()) and exceeds(_in_units(matrix), _DEFINITENESS_TOLERANCE)
 
 
 def exceeds(matrix: Array, bound: float) -> bool:
@@ -255,10 +255,10 @@ def _in_units(matrix: Array) -> Array:
 def _is_rounding(matrix: Array) -> bool:
     """Return whether the negative eigenvalues of a matrix are explained by the rounding of its products."""
     others = np.abs(matrix).max(axis=1, initial=0.0)
-    if (matrix.diagonal() < -ROUNDING * len(matrix) * others).any():
+    if (matrix.diagonal() < -_ROUNDING * len(matrix) * others).any():
         return False
     values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] >= -ROUNDING * len(matrix) * np.abs(values).max())
+    return bool(values[0] >= -_ROUNDING * len(matrix) * np.abs(values).max())
 
 
 def _named(matrix: Array, smallest: float) -> str:

@@ -8,11 +8,11 @@ from html import escape
 from typing import Any, cast
 
 LONGEST = 200  # largest number of characters in a line
-SHORT = 60  # largest number of characters of one value in a line
-LISTED = 4  # longest vector that a line shows entry by entry
-WIDEST = 12  # most rows or columns of a matrix that a notebook shows entry by entry
+_SHORT = 60  # largest number of characters of one value in a line
+_LISTED = 4  # longest vector that a line shows entry by entry
+_WIDEST = 12  # most rows or columns of a matrix that a notebook shows entry by entry
 FULL = 10_000  # largest number of characters of one value in a notebook
-STYLE = "text-align: left; vertical-align: top"
+_STYLE = "text-align: left; vertical-align: top"
 
 
 class Displayed:
@@ -56,13 +56,13 @@ def html_pairs(title: str, named: Mapping[str, object]) -> str:
 
 def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return an HTML table of HTML cells, without colours, so that it suits light and dark notebooks."""
-    head = "".join(f'<th style="{STYLE}">{escape(title)}</th>' for title in header)
-    lines = ["".join(f'<td style="{STYLE}">{cell}</td>' for cell in row) for row in rows]
+    head = "".join(f'<th style="{_STYLE}">{escape(title)}</th>' for title in header)
+    lines = ["".join(f'<td style="{_STYLE}">{cell}</td>' for cell in row) for row in rows]
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     return f"<table>{f'<thead><tr>{head}</tr></thead>' if header else ''}<tbody>{body}</tbody></table>"
 
 
-def brief(value: Any, longest: int = SHORT) -> str:
+def brief(value: Any, longest: int = _SHORT) -> str:
     """Return a short text for a value: a number, the size of an array, or the first entries of a collection."""
     if hasattr(value, "dtype"):
         return brief(value.item()) if value.size == 1 else _array(value)
@@ -105,7 +105,7 @@ def _joined(ends: str, parts: Sequence[str], longest: int) -> str:
 
 
 def _array(value: Any) -> str:
-    if value.ndim == 1 and 0 < value.size <= LISTED:
+    if value.ndim == 1 and 0 < value.size <= _LISTED:
         return f"[{', '.join(map(brief, value.tolist()))}]"
     return f"{'×'.join(map(str, value.shape))} array" if value.ndim > 1 else f"array of {value.size}"
 
@@ -120,7 +120,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, tuple | list):
         listed = cast("Sequence[object]", value)
         return "<br>".join(escape(one if isinstance(one, str) else brief(one, FULL)) for one in listed)
-    elif hasattr(value, "dtype") and value.ndim in (1, 2) and value.size > 1 and max(value.shape) <= WIDEST:
+    elif hasattr(value, "dtype") and value.ndim in (1, 2) and value.size > 1 and max(value.shape) <= _WIDEST:
         rows = value if value.ndim == 2 else [value]
         return html_table([], [[escape(brief(entry)) for entry in row] for row in rows])
     return escape(brief(value, FULL))

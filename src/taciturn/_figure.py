@@ -17,19 +17,19 @@ from taciturn.errors import ProblemError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMATS = (".svg", ".png", ".pdf")
-COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8A6D00", "#555555")
+_FORMATS = (".svg", ".png", ".pdf")
+_COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8A6D00", "#555555")
 """Palette of Okabe and Ito for colour-blind readers; the yellow is darker here, since it is pale on white."""
-MARKERS = "os^DvPX*"
-EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
+_MARKERS = "os^DvPX*"
+_EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
 """Settings for reproducible files with embedded TrueType fonts, which publishers require."""
-WIDTH, HEIGHT = 7.0, 4.2  # inches
-LETTER = 0.08  # width of a letter of a label, in inches
-LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
-SLANT = 30  # degrees by which long labels of the x axis are rotated
-LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
+_WIDTH, HEIGHT = 7.0, 4.2  # inches
+_LETTER = 0.08  # width of a letter of a label, in inches
+_LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
+_SLANT = 30  # degrees by which long labels of the x axis are rotated
+_LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
 Size: TypeAlias = tuple[float, float]
-BARS = "bars: ± 1 standard error"
+_BARS = "bars: ± 1 standard error"
 Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars", "below"]
 
 
@@ -76,13 +76,13 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
     """
     given = _check_canvas(ax, figsize, len(panels))
     if not given:
-        figure: Any = _figure_class()(figsize=figsize or (WIDTH, height), layout="constrained")
+        figure: Any = _figure_class()(figsize=figsize or (_WIDTH, height), layout="constrained")
         shared = not any(panel.xlabel for panel in panels[:-1])
         axes: Any = list(figure.subplots(len(panels), 1, squeeze=False, sharex=shared)[:, 0])
     else:
         axes, figure = given, given[0].figure
     for axis, panel in zip(axes, panels, strict=True):
-        axis.set_prop_cycle(color=COLORS)
+        axis.set_prop_cycle(color=_COLORS)
         for series in panel.series:
             _plot(axis, series)
         if panel.ylim is not None:
@@ -92,13 +92,13 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
         axis.set_title(panel.title, fontsize="medium")
         axis.grid(True, alpha=0.3)
         if panel.names:
-            axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, LONGEST_NAME)) for name in panel.names])
+            axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, _LONGEST_NAME)) for name in panel.names])
         if any(series.label for series in panel.series):
             bars = any(series.error is not None and any(series.error) for series in panel.series)
             place: Any = (
                 {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0} if panel.beside else {}
             )
-            title = BARS if bars else None
+            title = _BARS if bars else None
             axis.legend(fontsize="small", framealpha=0.8, title=title, title_fontsize="x-small", **place)
         _separate(axis, panel)
     return figure
@@ -109,10 +109,10 @@ def _separate(axis: Any, panel: Panel) -> None:
     low, high = sorted(axis.get_xlim())
     ticks = [tick for tick in axis.get_xticks() if low <= tick <= high]
     longest = max(map(len, axis.xaxis.get_major_formatter().format_ticks(ticks)), default=0)
-    beside = max((len(line) for name in panel.names for line in folded(name, LONGEST_NAME)), default=0)
-    room = axis.get_position().width * axis.figure.get_figwidth() - LETTER * beside
-    if LETTER * (longest + 1) * len(ticks) > room:
-        axis.tick_params(axis="x", labelrotation=SLANT)
+    beside = max((len(line) for name in panel.names for line in folded(name, _LONGEST_NAME)), default=0)
+    room = axis.get_position().width * axis.figure.get_figwidth() - _LETTER * beside
+    if _LETTER * (longest + 1) * len(ticks) > room:
+        axis.tick_params(axis="x", labelrotation=_SLANT)
         for label in axis.get_xticklabels():
             label.set(horizontalalignment="right", rotation_mode="anchor")
 
@@ -126,10 +126,10 @@ def _check_canvas(ax: Any, figsize: Any, panels: int) -> list[Any]:
                 "size of the figure that contains ax"
             )
         sizes: list[Any] = list(figsize) if hasattr(figsize, "__iter__") else []
-        if len(sizes) != 2 or not all(isinstance(size, int | float) and 0 < size < LARGEST for size in sizes):
+        if len(sizes) != 2 or not all(isinstance(size, int | float) and 0 < size < _LARGEST for size in sizes):
             raise ProblemError(
                 f"figsize is {figsize!r}; expected two positive numbers, the width and the height of the figure in "
-                f"inches, such as figsize=({WIDTH:g}, {HEIGHT:g})"
+                f"inches, such as figsize=({_WIDTH:g}, {HEIGHT:g})"
             )
     if ax is None:
         return []
@@ -158,7 +158,7 @@ def _figure_class() -> Any:
     from matplotlib.figure import Figure
 
     plain: Any = Figure
-    settings: Any = EMBEDDED
+    settings: Any = _EMBEDDED
     embedding: Any = rc_context(settings)
 
     class Drawn(Figure):
@@ -204,13 +204,13 @@ def draw_lanes(
         axis.text(apart * i, 0.1, "\n".join(lines), ha="center", va="bottom", fontsize="small", bbox=framed)
     for k, arrow in enumerate(arrows):
         y, start, end = -0.5 * (k + 1), apart * arrow.start, apart * arrow.end
-        look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": COLORS[0]}
+        look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": _COLORS[0]}
         axis.annotate("", xy=(end, y), xytext=(start, y), arrowprops=look)
         axis.text((start + end) / 2, y + 0.06, arrow.label, ha="center", va="bottom", fontsize="small")
     return figure
 
 
-def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str = "picture") -> Path:
+def check_format(path: str | Path, formats: Sequence[str] = _FORMATS, what: str = "picture") -> Path:
     """Return the path if its ending is a supported format and the file can be written.
 
     Raises:
@@ -250,8 +250,8 @@ def save(figure: Figure, path: str | Path, origin: Mapping[str, object] | None =
 
 
 def _plot(axis: Any, series: Series) -> None:
-    color = None if series.color is None else COLORS[series.color % len(COLORS)]
-    marker = MARKERS[(series.color or 0) % len(MARKERS)]
+    color = None if series.color is None else _COLORS[series.color % len(_COLORS)]
+    marker = _MARKERS[(series.color or 0) % len(_MARKERS)]
     lines = {"line": "-", "dashed": "--", "dotted": ":"}
     if series.style == "steps":
         axis.step(series.x, series.y, where="post", label=series.label, color=color)

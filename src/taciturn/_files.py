@@ -66,10 +66,8 @@ def check_regular(path: Path) -> None:
 
 @contextmanager
 def open_regular(path: Path) -> Generator[BinaryIO]:
-    """Open a file of the user's for reading, without waiting for the other end of a pipe.
-
-    Every file that a user names is opened here, or checked by ``check_regular`` if a library opens it by its name.
-    """
+    """Open a file of the user's for reading, without waiting for the other end of a pipe."""
+    # Every file that a user names is opened here, or checked by ``check_regular`` if a library opens it by its name.
     check_regular(path)  # before it is opened, since opening a device may have effects
     with open(path, "rb", opener=_open_at_once) as file:
         _check_mode(os.fstat(file.fileno()).st_mode, path)  # another file may have taken its place

@@ -1,19 +1,22 @@
-"""Eigenvalues, units, factors of covariances, and sums along stable maps.
+"""Linear maps x⁺ = A x: modes, units of states, factors of covariances, invariant subspaces, growth of moments.
 
-Paths and cycles along the nonzero entries of a matrix, and the largest geometric mean of entries along a cycle.
+Units. A similarity D^{-1}AD with powers of two in D rounds nothing, so that results do not depend on the units that a
+user chose. ``balancing`` makes rows and columns similar; ``reach`` makes each input of 1 move every state by about 1,
+relative to the largest geometric mean of entries along a cycle, which no change of units moves (Karp's theorem).
 
-Orthonormal bases of subspaces that linear maps do not leave.
+Covariances. G with GG' = W is computed from the correlation matrix, whose entries have no units.
 
-Asymptotic growth of moments of random linear systems, such as loops over lossy links.
+Subspaces. ``invariant`` adds the images of all maps to a basis until nothing new of relative length above ``_SAME``
+appears. ``summed`` adds 2^k terms of Σ F^k W F'^k by k doublings.
 
-The growth is the largest modulus of an eigenvalue of the map that moves the moments. Arnoldi's method computes the
-largest eigenvalues of its restriction to the Krylov space of the moments, together with an estimate of their error: the
-residual, divided by the cosine of the angle between the left and the right eigenvector. Several eigenvalues of the same
-modulus, such as those of the modes of a loop with links of their own, do not delay it.
-
-If the largest eigenvalue is defective, such as the common pole of a filter and of its copy, this angle is a right angle
-and the estimate has no use. Then the growth is the average factor per step over the second half of many steps, which
-converges for every map, but slowly: like 1/steps, and with beats of eigenvalues of the same modulus.
+Growth. The moments of a random linear system, such as a loop over lossy links, move by a linear map. Their growth is
+the largest modulus of its eigenvalues. Arnoldi's method computes the largest eigenvalues of the restriction of the map
+to the Krylov space of the moments, and estimates their error: the residual, divided by the cosine of the angle between
+the left and the right eigenvector. Several eigenvalues of the same modulus, such as those of the modes of a loop with
+links of their own, do not delay it. If the largest eigenvalue is defective, such as the common pole of a filter and of
+its copy, this angle is a right angle and the estimate has no use. Then the growth is the average factor per step over
+the second half of many steps, which converges for every map, but slowly: like 1/steps, and with beats of eigenvalues of
+the same modulus.
 """
 
 from __future__ import annotations
@@ -28,13 +31,117 @@ import numpy.typing as npt
 from taciturn import _arrays
 from taciturn._arrays import NO_VARIANCE, Array, Bits
 
+Modes: TypeAlias = npt.NDArray[np.complex128]
+ROUNDOFF = float(np.finfo(np.float64).eps) / 2
+COST_ERROR = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
+SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
+_LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
+_FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
+_SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
+_STEPS = 4096  # largest number of steps from which the growth is computed
+_ACCURACY = 1e-3  # relative accuracy of the logarithm of the growth, if it is computed from steps
+_PRECISE = 1e-6  # relative error of an eigenvalue of Arnoldi's method that is accepted
+_BASIS = 64  # largest dimension of a Krylov space
+_LOOKS = 4  # dimensions between two computations of eigenvalues
+_FROM = (0, 64, 512)  # steps after which a Krylov space starts; they enlarge the share of the largest eigenvalues
+_VANISHES = 1e-14  # relative size of a new direction that is a rounding error
+
+
+def eigenvalues(A: Array) -> Modes:
+    """Return the eigenvalues of ``A``, largest modulus first."""
+    values = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
+    return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+def radius(A: Array) -> float:
+    """Return the largest modulus among the eigenvalues of ``A``."""
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
+
+
+def pace(A: Array) -> float:
+    """Return the largest entry of the balanced matrix ``A``, the reference for rounding errors of its modes."""
+    scale = balancing(A)
+    return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
+
+
+def mode_text(mode: complex, digits: int = 6) -> str:
+    """Return an eigenvalue as text for a message."""
+    if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
+        return f"{mode.real:.{digits}g}"
+    return f"{mode.real:.{digits}g}{mode.imag:+.{digits}g}i"
+
+
+def least_eigenvalue(matrix: Array) -> float:
+    """Return the least eigenvalue of a definite matrix, accurate in any units; at most 0 for any other matrix."""
+    # Definiteness is decided by the eigenvalues after scaling to a unit diagonal. The least eigenvalue is then computed
+    # as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
+    diagonal = np.diag(matrix)
+    if not (diagonal > NO_VARIANCE).all():
+        return min(float(np.linalg.eigvalsh(matrix)[0]), 0.0)
+    unit = np.sqrt(diagonal)
+    scaled = matrix / unit / unit[:, None]
+    smallest = float(np.linalg.eigvalsh(scaled)[0])
+    if smallest <= 1e-12:
+        return min(float(np.linalg.eigvalsh(matrix)[0]), smallest, 0.0)
+    inverse = np.linalg.inv(scaled) / unit / unit[:, None]
+    return 1 / float(np.linalg.eigvalsh(_arrays.symmetrised(np.asarray(inverse, dtype=np.float64)))[-1])
+
+
+def balancing(A: Array) -> Array:
+    """Return the powers of two d for which D^{-1}AD has rows and columns of similar norm, (n,)."""
+    # Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
+    balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), NO_VARIANCE), np.ones(len(A))
+    while _may_gain(balanced):
+        gains = False
+        for i in range(len(A)):
+            row, column = math.sqrt(balanced[i] @ balanced[i]), math.sqrt(balanced[:, i] @ balanced[:, i])
+            if row == 0 or column == 0:
+                continue
+            factor = 2.0 ** round(math.log2(row / column) / 2)
+            if column * factor + row / factor < 0.95 * (row + column):
+                gains = True
+                scale[i] *= factor
+                balanced[i] /= factor
+                balanced[:, i] *= factor
+        if not gains:
+            break
+    return scale
+
+
+def _may_gain(A: Array) -> bool:
+    """Return whether the row and column of a state differ so much (a factor of two) that scaling may help."""
+    squares = A * A
+    rows, columns = squares.sum(axis=1), squares.sum(axis=0)
+    return bool(((rows > 1.9 * columns) & (columns > 0) | (columns > 1.9 * rows) & (rows > 0)).any())
+
+
+def reach(A: Array, B: Array) -> tuple[Array, Array]:
+    """Return units of the states and inputs in which each input of 1 changes every state that it affects by about 1."""
+    # The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
+    # with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
+    balanced = balancing(A)
+    off = np.abs(A - np.diag(np.diag(A)))
+    largest = largest_cycle(off) or 1.0  # so that no cycle increases a unit
+    state, inputs = balanced, np.ones(B.shape[1])
+    for _ in range(3):  # each unit depends on the other
+        moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
+        inputs = 1 / np.where(moved > NO_VARIANCE, moved, 1.0)
+        found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
+        for _ in range(len(A)):
+            found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / largest), found
+            if (found <= before).all():
+                break
+        state = np.where(found > NO_VARIANCE, found, 0.0)
+        if not state.all():  # unreached states: the size that balancing gives them
+            beside = np.max(state / balanced, initial=0.0)
+            state = np.where(state > 0, state, balanced * (beside if beside > 0 else 1.0))
+    return np.exp2(np.round(np.log2(state))), np.exp2(np.round(np.log2(inputs)))
+
 
 def largest_cycle(A: Array) -> float:
-    """Return the largest geometric mean of the entries of a nonnegative matrix along a cycle; 0 without a cycle.
-
-    No change of units of the states changes it. If W_k(i) is the largest product of entries along k steps to i, it is
-    the largest over i of the least (W_n(i) / W_k(i))^(1/(n − k)) over k < n (Karp's theorem).
-    """
+    """Return the largest geometric mean of the entries of a nonnegative matrix along a cycle; 0 without a cycle."""
+    # No change of units of the states changes it. If W_k(i) is the largest product of entries along k steps to i, it is
+    # the largest over i of the least (W_n(i) / W_k(i))^(1/(n − k)) over k < n (Karp's theorem).
     n = len(A)
     with np.errstate(divide="ignore"):
         steps = np.log(A)
@@ -79,112 +186,6 @@ def in_cycles(leads: Bits) -> list[Bits]:
     return found
 
 
-Modes: TypeAlias = npt.NDArray[np.complex128]
-
-ROUNDOFF = float(np.finfo(np.float64).eps) / 2
-COST_ERROR = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
-SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
-LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
-FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
-
-
-def eigenvalues(A: Array) -> Modes:
-    """Return the eigenvalues of ``A``, largest modulus first."""
-    values = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    return values[np.argsort(-np.abs(values), kind="stable")]
-
-
-def radius(A: Array) -> float:
-    """Return the largest modulus among the eigenvalues of ``A``."""
-    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
-
-
-def balancing(A: Array) -> Array:
-    """Return the powers of two d for which D^{-1}AD has rows and columns of similar norm, (n,).
-
-    Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
-    """
-    balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), NO_VARIANCE), np.ones(len(A))
-    while _may_gain(balanced):
-        gains = False
-        for i in range(len(A)):
-            row, column = math.sqrt(balanced[i] @ balanced[i]), math.sqrt(balanced[:, i] @ balanced[:, i])
-            if row == 0 or column == 0:
-                continue
-            factor = 2.0 ** round(math.log2(row / column) / 2)
-            if column * factor + row / factor < 0.95 * (row + column):
-                gains = True
-                scale[i] *= factor
-                balanced[i] /= factor
-                balanced[:, i] *= factor
-        if not gains:
-            break
-    return scale
-
-
-def _may_gain(A: Array) -> bool:
-    """Return whether the row and column of a state differ so much (a factor of two) that scaling may help."""
-    squares = A * A
-    rows, columns = squares.sum(axis=1), squares.sum(axis=0)
-    return bool(((rows > 1.9 * columns) & (columns > 0) | (columns > 1.9 * rows) & (rows > 0)).any())
-
-
-def pace(A: Array) -> float:
-    """Return the largest entry of the balanced matrix ``A``, the reference for rounding errors of its modes."""
-    scale = balancing(A)
-    return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
-
-
-def mode_text(mode: complex, digits: int = 6) -> str:
-    """Return an eigenvalue as text for a message."""
-    if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
-        return f"{mode.real:.{digits}g}"
-    return f"{mode.real:.{digits}g}{mode.imag:+.{digits}g}i"
-
-
-def least_eigenvalue(matrix: Array) -> float:
-    """Return the least eigenvalue of a definite matrix, accurate in any units; at most 0 for any other matrix.
-
-    Definiteness is decided by the eigenvalues after scaling to a unit diagonal. The least eigenvalue is then computed
-    as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
-    """
-    diagonal = np.diag(matrix)
-    if not (diagonal > NO_VARIANCE).all():
-        return min(float(np.linalg.eigvalsh(matrix)[0]), 0.0)
-    unit = np.sqrt(diagonal)
-    scaled = matrix / unit / unit[:, None]
-    smallest = float(np.linalg.eigvalsh(scaled)[0])
-    if smallest <= 1e-12:
-        return min(float(np.linalg.eigvalsh(matrix)[0]), smallest, 0.0)
-    inverse = np.linalg.inv(scaled) / unit / unit[:, None]
-    return 1 / float(np.linalg.eigvalsh(_arrays.symmetrised(np.asarray(inverse, dtype=np.float64)))[-1])
-
-
-def reach(A: Array, B: Array) -> tuple[Array, Array]:
-    """Return units of the states and inputs in which each input of 1 changes every state that it affects by about 1.
-
-    The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
-    with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
-    """
-    balanced = balancing(A)
-    off = np.abs(A - np.diag(np.diag(A)))
-    largest = largest_cycle(off) or 1.0  # so that no cycle increases a unit
-    state, inputs = balanced, np.ones(B.shape[1])
-    for _ in range(3):  # each unit depends on the other
-        moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
-        inputs = 1 / np.where(moved > NO_VARIANCE, moved, 1.0)
-        found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
-        for _ in range(len(A)):
-            found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / largest), found
-            if (found <= before).all():
-                break
-        state = np.where(found > NO_VARIANCE, found, 0.0)
-        if not state.all():  # unreached states: the size that balancing gives them
-            beside = np.max(state / balanced, initial=0.0)
-            state = np.where(state > 0, state, balanced * (beside if beside > 0 else 1.0))
-    return np.exp2(np.round(np.log2(state))), np.exp2(np.round(np.log2(inputs)))
-
-
 def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Array:
     """Return G with G G' = matrix and one column per nonzero eigenvalue, independently of the units."""
     spread = np.diag(matrix if beside is None else beside)
@@ -204,11 +205,9 @@ def factor(covariance: Array) -> Array:
 
 
 def symmetric_factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance, D S with the deviations D and the symmetric root S of the correlation matrix.
-
-    Unlike a Cholesky factor, it does not depend on the order of the states or on their units: states in another order
-    have the rows and columns of G in this order. A covariance of rank one has the only column that it can have.
-    """
+    """Return G with G G' = covariance, D S with the deviations D and the symmetric root S of the correlation matrix."""
+    # Unlike a Cholesky factor, it does not depend on the order of the states or on their units: states in another order
+    # have the rows and columns of G in this order. A covariance of rank one has the only column that it can have.
     if (found := root(covariance)).shape[1] == 1:
         return found
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -226,15 +225,12 @@ def summed(F: Array, W: Array) -> Array:
             term = power @ X @ power.T
             X = X + term
             square = float(np.vdot(power, power))
-            if not square < LARGEST**2:
+            if not square < _LARGEST**2:
                 return X * np.inf
-            if square < FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
+            if square < _FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
             power = power @ power
         return (X + X.T) / 2
-
-
-SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:
@@ -261,36 +257,21 @@ def _added(columns: Array, basis: Array) -> Array:
     for _ in range(2):  # the second pass removes rounding errors of the first
         rest = rest - basis @ (basis.T @ rest)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
-    return left[:, values > SAME]
-
-
-STEPS = 4096  # largest number of steps from which the growth is computed
-ACCURACY = 1e-3  # relative accuracy of the logarithm of the growth, if it is computed from steps
-PRECISE = 1e-6  # relative error of an eigenvalue of Arnoldi's method that is accepted
-BASIS = 64  # largest dimension of a Krylov space
-LOOKS = 4  # dimensions between two computations of eigenvalues
-FROM = (
-    0,
-    64,
-    512,
-)  # steps after which a Krylov space starts; they enlarge the share of the largest eigenvalues
-VANISHES = 1e-14  # relative size of a new direction that is a rounding error
+    return left[:, values > _SAME]
 
 
 def growth(move: Callable[[Array], Array], moments: Array) -> float:
-    """Return the asymptotic growth factor per step of moments that a linear map moves.
-
-    The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
-    these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
-    """
+    """Return the asymptotic growth factor per step of moments that a linear map moves."""
+    # The moments start from those of a distribution with a density. Then all other moments are at most a multiple of
+    # these, and grow at most as fast, so that the Krylov space of these moments contains the largest eigenvalue.
     size, earlier, paces = 0.0, 0.0, [math.inf, math.inf]  # logarithms
-    for step in range(STEPS + 1):
-        if step in FROM and (found := _largest(move, moments)) is not None:
+    for step in range(_STEPS + 1):
+        if step in _FROM and (found := _largest(move, moments)) is not None:
             return found
         if step and step & (step - 1) == 0:  # the average of the second half of the steps
             paces.append((size - earlier) / max(1, step - step // 2))
             earlier = size
-            if step > FROM[-1] and max(abs(pace - paces[-1]) for pace in paces[-3:]) <= ACCURACY * abs(paces[-1]):
+            if step > _FROM[-1] and max(abs(pace - paces[-1]) for pace in paces[-3:]) <= _ACCURACY * abs(paces[-1]):
                 break
         moments = move(moments)
         factor = float(np.linalg.norm(moments))
@@ -303,10 +284,10 @@ def growth(move: Callable[[Array], Array], moments: Array) -> float:
 
 def _largest(move: Callable[[Array], Array], start: Array) -> float | None:
     """Return the largest modulus of an eigenvalue by Arnoldi's method, or None if its error may be large."""
-    basis = np.zeros((BASIS + 1, start.size))
-    H = np.zeros((BASIS + 1, BASIS))
+    basis = np.zeros((_BASIS + 1, start.size))
+    H = np.zeros((_BASIS + 1, _BASIS))
     basis[0] = start.ravel() / np.linalg.norm(start)
-    for k in range(BASIS):
+    for k in range(_BASIS):
         moved = move(basis[k].reshape(start.shape)).ravel()
         length = float(np.linalg.norm(moved))
         if not length < math.inf:
@@ -316,8 +297,8 @@ def _largest(move: Callable[[Array], Array], start: Array) -> float | None:
             moved = moved - along @ basis[: k + 1]
             H[: k + 1, k] += along
         H[k + 1, k] = new = float(np.linalg.norm(moved))
-        ends = new <= VANISHES * length
-        if ends or (k + 1) % LOOKS == 0:
+        ends = new <= _VANISHES * length
+        if ends or (k + 1) % _LOOKS == 0:
             found = _eigenvalue(H[: k + 1, : k + 1], 0.0 if ends else new)
             if found is not None or ends:
                 return found
@@ -336,14 +317,12 @@ def _eigenvalue(H: Array, rest: float) -> float | None:
     j = int(np.argmin(np.abs(others - values[i])))
     cosine = float(np.abs(left[:, j] @ right[:, i]))
     error = (rest * float(np.abs(right[-1, i])) + np.finfo(float).eps * float(np.linalg.norm(H))) / max(cosine, 1e-300)
-    return largest if error <= PRECISE * largest else None
+    return largest if error <= _PRECISE * largest else None
 
 
 def normal_moments(size: int, order: int) -> Array:
-    """Return all moments of an even order of a vector of independent standard normal variables.
-
-    The result has one index per factor: the moment of order 2 is the unit matrix.
-    """
+    """Return all moments of an even order of a vector of independent standard normal variables."""
+    # The result has one index per factor: the moment of order 2 is the unit matrix.
     if order == 0:
         return np.ones(())
     first = np.multiply.outer(np.eye(size), normal_moments(size, order - 2))  # the first factor paired with the second

@@ -1,10 +1,10 @@
-"""Handling of signals such as Ctrl-C, which end the process in the same way in every command.
+"""This process: the signals that end it, such as Ctrl-C, in the same way in every command; and the threads of BLAS.
 
 The first signal raises ``Interrupted`` in the main thread, or stops a server (``until_stopped``). A thread waits for
 signals too. It ends the process if the main thread has not done so after a grace period, for example because compiled
-code is running, and it ends the process at once on a second signal.
+code is running, and it ends the process at once on a second signal. Exit codes are 128 + signal, as in a shell.
 
-Number of threads that BLAS uses; for small matrices, one thread is fastest.
+For small matrices one thread of BLAS is fastest (``prefer_one_thread``).
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from typing import Any, NoReturn
 # signals that end a process: SIGINT (Ctrl-C), on POSIX SIGTERM and SIGHUP (the terminal closes), on Windows SIGBREAK
 ENDING = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 GRACE = "TACITURN_GRACE"  # environment variable with the grace period in seconds
-USUAL_GRACE = 1.2  # seconds, so that with the last calls every command ends within 2 s
+_USUAL_GRACE = 1.2  # seconds, so that with the last calls every command ends within 2 s
 LIFELINE = "TACITURN_LIFELINE"  # environment variable of a process that ends when its standard input ends
 ENDED = "ended by"  # text of the line about a signal other than Ctrl-C
-LAST = 0.6  # seconds that the last calls, and the output so far, may take when the process is ended at once
+_LAST = 0.6  # seconds that the last calls, and the output so far, may take when the process is ended at once
+_present: Ending | None = None  # of the command that runs in this process
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Interrupted(KeyboardInterrupt):
@@ -79,12 +81,12 @@ class Ending:
             sys.unraisablehook = threading.excepthook = _ignore
 
     def _end_at_once(self, number: int) -> NoReturn:
-        end = time.monotonic() + LAST
+        end = time.monotonic() + _LAST
         calls = [threading.Thread(target=_try, args=(call,), daemon=True) for call in (*reversed(self.last), self.tell)]
         calls.append(threading.Thread(target=_try, args=(sys.stdout.flush,), daemon=True))
         for call in calls:  # in order, unless one blocks
             call.start()
-            call.join(LAST / 4)
+            call.join(_LAST / 4)
         for call in calls:
             call.join(max(0.0, end - time.monotonic()))
         os._exit(128 + number)
@@ -98,16 +100,11 @@ class Ending:
                 print(start + "; ".join([f"taciturn: {how}", *self.remarks]), file=sys.stderr, flush=True)
 
 
-_present: Ending | None = None  # of the command that runs in this process
-
-
 @contextmanager
 def ends_on_signals() -> Generator[Ending]:
-    """End this process on a signal while the block runs: one line on standard error, and exit code 128 + signal.
-
-    An inner block uses the outer one. A signal that the process ignored before, as SIGHUP under ``nohup``, stays
-    ignored.
-    """
+    """End this process on a signal while the block runs: one line on standard error, and exit code 128 + signal."""
+    # An inner block uses the outer one. A signal that the process ignored before, as SIGHUP under ``nohup``, stays
+    # ignored.
     global _present
     if _present is not None or threading.current_thread() is not threading.main_thread():
         yield _present or Ending()
@@ -237,9 +234,9 @@ def _follow_parent() -> None:
 def _grace() -> float:
     """Return the grace period of this process in seconds."""
     try:
-        return max(0.0, float(os.environ.get(GRACE, USUAL_GRACE)))
+        return max(0.0, float(os.environ.get(GRACE, _USUAL_GRACE)))
     except ValueError:
-        return USUAL_GRACE
+        return _USUAL_GRACE
 
 
 def _main() -> bool:
@@ -253,9 +250,6 @@ def _try(call: Callable[[], object]) -> None:
 
 def _ignore(_: object) -> None:
     """Print nothing."""
-
-
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def prefer_one_thread() -> None:

@@ -20,6 +20,7 @@ from taciturn.errors import ProblemError
 Progress = Callable[[float], None]
 clock = time.monotonic
 PATIENCE = 1.0  # seconds before a bar appears in a notebook
+_limit: ContextVar[_Limit | None] = ContextVar("time limit", default=None)
 
 
 class OutOfTime(Exception):  # noqa: N818
@@ -37,9 +38,6 @@ class _Limit:
     end: float  # time at which it passes
     seconds: float  # the limit that a user has stated
     early: bool  # whether the best answer so far is to be returned when it passes
-
-
-_limit: ContextVar[_Limit | None] = ContextVar("time limit", default=None)
 
 
 def check_time() -> None:

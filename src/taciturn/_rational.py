@@ -1,14 +1,13 @@
-"""Ranks and kernels of matrices in rational numbers, which decide without a tolerance.
+"""Exact answers about matrices of doubles: ranks, kernels, and modes that no input moves, in rational numbers.
 
-A double is a rational number. So whether an input moves a mode of a plant is a question that has an answer.
+A double is a rational number. So whether an input moves a mode, and whether this mode decays, are questions that have
+answers, without a tolerance.
 
-The precision of python-flint, a global of the process that only ``precision`` sets.
-
-Modes that no input moves, and which of them decay, stay or grow: exact answers for matrices of doubles.
-
-A double is a rational number. The modes that the input through B does not move are the roots of a polynomial with
-rational coefficients: the characteristic polynomial of A on the states modulo those that B, AB, A²B, … span. By
-duality, the modes of A' that C' does not move are those that the outputs Cx do not show.
+The modes that the input through B does not move are the roots of a polynomial with rational coefficients: the
+characteristic polynomial of A on the states modulo those that B, AB, A²B, … span. By duality, the modes of A' that C'
+does not move are those that the outputs Cx do not show. Full rank is usual and is recognised modulo a prime, in
+integer arithmetic of machine words: a rank modulo a prime is at most the rank. Only otherwise rational numbers are
+needed.
 
 A root λ lies on the stability limit if and only if it is its own mirror image there: ρ²/λ* for a circle of radius ρ,
 and −λ* for the imaginary axis. The mirror images are the roots of the reflected polynomial. So roots on the limit are
@@ -40,30 +39,32 @@ from flint import acb, arb, ctx, fmpq, fmpq_mat, fmpq_poly, fmpz_mat, nmod, nmod
 from taciturn._arrays import NO_VARIANCE, Array, Bits
 from taciturn._modes import ROUNDOFF, Modes, balancing, closure, in_cycles, mode_text
 
-PRIME = (1 << 61) - 1  # a rank modulo this prime is at most the rank of the rational numbers
+_PRIME = (1 << 61) - 1  # a rank modulo this prime is at most the rank of the rational numbers
+_LOCK = RLock()
+_BITS = 128  # first precision of the roots; it doubles until the limit separates them
+_SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
+_ROUNDINGS = 8  # of each entry of a matrix, by which a mode may have left the limit
+FEWEST, _MOST = 6, 17  # digits of a mode in a message
+_NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 def reaches_all(A: Array, B: Array) -> bool:
-    """Return whether the input through B reaches all states: whether B, AB, A²B, … have full rank.
-
-    True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that the
-    prime divides all minors.
-    """
+    """Return whether the input through B reaches all states: whether B, AB, A²B, … have full rank."""
+    # True is exact: a rank modulo a prime is at most the rank. False is exact but for the chance, about n²/2^61, that
+    # the prime divides all minors.
     return _reached(A, B) == len(A)
 
 
 def _reached(A: Array, B: Array) -> int:
-    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers.
-
-    It is known once it is full, or equal for twice as many powers of A.
-    """
+    """Return the rank of B, AB, A²B, … modulo a prime, which is at most that of the rational numbers."""
+    # It is known once it is full, or equal for twice as many powers of A.
     (n, m), before, most = B.shape, 0, len(B)
     moves, block, columns = _modular(A), _modular(B), list[nmod]()
     while n and m:
         columns += block.transpose().entries()
         count = len(columns) // n
         if count >= most or count == n * m:
-            rank = nmod_mat(count, n, columns, PRIME).rank()
+            rank = nmod_mat(count, n, columns, _PRIME).rank()
             if rank in (n, before) or count == n * m:
                 return rank
             before, most = rank, 2 * most
@@ -71,7 +72,7 @@ def _reached(A: Array, B: Array) -> int:
     return 0
 
 
-def reachable(A: Array, B: Array) -> fmpq_mat:
+def _reachable(A: Array, B: Array) -> fmpq_mat:
     """Return a basis of the states that the input through B reaches, the span of B, AB, A²B, …, in reduced form."""
     F, (n, m) = rational(A), B.shape
     chosen, block, columns = _independent(A, B), rational(B.T), fmpq_mat(0, n)
@@ -81,10 +82,10 @@ def reachable(A: Array, B: Array) -> fmpq_mat:
             break
         columns = above(columns, lines(block, own))
         block = block * F.transpose()
-    return within(F, basis(columns.transpose()))  # already invariant, unless the prime divides minors
+    return _within(F, basis(columns.transpose()))  # already invariant, unless the prime divides minors
 
 
-def within(F: fmpq_mat, some: fmpq_mat) -> fmpq_mat:
+def _within(F: fmpq_mat, some: fmpq_mat) -> fmpq_mat:
     """Return a basis of the least subspace with given states that F does not leave; both in reduced form."""
     while True:
         moved = F * some
@@ -103,7 +104,7 @@ def _independent(A: Array, B: Array) -> list[int]:
         block = moves * block
     if not table:
         return []
-    reduced, rank = nmod_mat(n, len(table), [row[i] for i in range(n) for row in table], PRIME).rref()
+    reduced, rank = nmod_mat(n, len(table), [row[i] for i in range(n) for row in table], _PRIME).rref()
     places = list[int]()
     for i in range(rank):
         start = places[-1] + 1 if places else 0
@@ -115,9 +116,9 @@ def _modular(values: Array) -> nmod_mat:
     parts, exponents = np.frexp(np.abs(values))
     turns = ((exponents - 53) % 61).astype(np.uint64)  # 2^61 is 1: a power of two turns the 61 digits
     digits = (parts * 2.0**53).astype(np.uint64)
-    turned = (digits << turns) & np.uint64(PRIME) | digits >> (np.uint64(61) - turns)
-    entries = np.where(values < 0, np.uint64(PRIME) - turned, turned)
-    return nmod_mat(len(values), values.shape[1], entries.ravel().tolist(), PRIME)
+    turned = (digits << turns) & np.uint64(_PRIME) | digits >> (np.uint64(61) - turns)
+    entries = np.where(values < 0, np.uint64(_PRIME) - turned, turned)
+    return nmod_mat(len(values), values.shape[1], entries.ravel().tolist(), _PRIME)
 
 
 def rational(values: Array) -> fmpq_mat:
@@ -221,9 +222,6 @@ def is_semidefinite(values: Array) -> bool:
     return True
 
 
-_LOCK = RLock()
-
-
 @contextmanager
 def precision(bits: int) -> Generator[None]:
     """Set the precision of python-flint; the one before is restored, and other threads wait."""
@@ -233,13 +231,6 @@ def precision(bits: int) -> Generator[None]:
             yield
         finally:
             ctx.prec = before
-
-
-BITS = 128  # first precision of the roots; it doubles until the limit separates them
-FEWEST, MOST = 6, 17  # digits of a mode in a message
-SAME = 2.0**-51  # relative distance between two doubles that may be roundings of the same number
-ROUNDINGS = 8  # of each entry of a matrix, by which a mode may have left the limit
-NEAR = 1e-3  # distance from the limit beyond which rounding has moved no mode
 
 
 class Lost(NamedTuple):
@@ -295,14 +286,14 @@ class Limit(NamedTuple):
     def digits(self, mode: complex) -> int:
         """Return the least number of digits, six or more, in which a mode and the edge lie as they do."""
         at, own = self.at, mode.real if self.continuous else abs(mode)
-        if abs(own - at) <= SAME * at:
+        if abs(own - at) <= _SAME * at:
             return FEWEST  # the double may be that of a mode on the edge
-        for digits in range(FEWEST, MOST):
+        for digits in range(FEWEST, _MOST):
             rounded = complex(*(float(f"{part:.{digits}g}") for part in (mode.real, mode.imag)))
             shown, edge = rounded.real if self.continuous else abs(rounded), float(f"{at:.{digits}g}")
             if shown != edge and (shown > edge) == (own > at):
                 return digits
-        return MOST
+        return _MOST
 
     @property
     def reaching(self) -> bool:
@@ -340,11 +331,11 @@ def unmoved(A: Array, B: Array, limit: Limit, rounded: bool = False) -> Lost:
     found, among = [NONE], np.ix_(inside, inside)
     if not reaches_all(A[among], B[inside]):
         moved = A[among], B[inside]
-        found.append(_of_block(_beyond(rational(moved[0]), reachable(*moved)), limit, rounded))
+        found.append(_of_block(_beyond(rational(moved[0]), _reachable(*moved)), limit, rounded))
     for cycle in in_cycles(leads):
         if not inside[cycle].any():
             found.append(_of_block(rational(A[np.ix_(cycle, cycle)]), limit, rounded and int(cycle.sum()) > 1))
-    return _joined(found)
+    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*found, strict=True)))
 
 
 def free_modes(A: Array, limit: Limit) -> Lost:
@@ -353,12 +344,10 @@ def free_modes(A: Array, limit: Limit) -> Lost:
 
 
 def unmoved_and_seen(A: Array, B: Array, rows: Array, limit: Limit, rounded: bool = False) -> Lost:
-    """Return the modes of A that the input through B does not move and on which combinations of states depend.
-
-    They are the modes of A on the states modulo those that the input reaches and those that never show.
-    """
-    F, hidden = rational(A), kernel(reachable(A.T, rows.T).transpose())
-    return _of_block(_beyond(F, within(F, basis(beside(rational(B), hidden)))), limit, rounded)
+    """Return the modes of A that the input through B does not move and on which combinations of states depend."""
+    # They are the modes of A on the states modulo those that the input reaches and those that never show.
+    F, hidden = rational(A), kernel(_reachable(A.T, rows.T).transpose())
+    return _of_block(_beyond(F, _within(F, basis(beside(rational(B), hidden)))), limit, rounded)
 
 
 def _beyond(F: fmpq_mat, reached: fmpq_mat) -> fmpq_mat:
@@ -385,29 +374,21 @@ def _of_block(block: fmpq_mat, limit: Limit, rounded: bool) -> Lost:
 def _may_stay(A: Array, modes: Modes, limit: Limit) -> Bits:
     """Return for each mode whether a matrix within the rounding of A has it on the axis or the unit circle."""
     nearest = 1j * modes.imag if limit.continuous else modes / np.maximum(np.abs(modes), NO_VARIANCE)
-    rounding = ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
-    near = np.abs(modes - nearest) <= NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
+    rounding = _ROUNDINGS * ROUNDOFF * float(np.linalg.norm(A))
+    near = np.abs(modes - nearest) <= _NEAR * max(float(np.abs(A).max()), 1.0)  # no other mode needs the test
     shifted = nearest[near][:, None, None] * np.eye(len(A)) - A
     near[near] = np.linalg.svd(shifted, compute_uv=False)[:, -1] <= rounding
     return near
 
 
-def _joined(parts: list[Lost]) -> Lost:
-    return Lost(*(_sorted(np.concatenate(modes)) for modes in zip(*parts, strict=True)))
-
-
 def modes_of(A: fmpq_mat, limit: Limit) -> Lost:
     """Return all modes of a matrix of rational numbers."""
-    return _split(A.charpoly(), limit)
+    found = roots_of(A.charpoly(), limit)
+    sides = ([complex(one.root) for one in found if one.side == side for _ in range(one.many)] for side in (1, 0, -1))
+    return Lost(*(_sorted(np.array(modes, dtype=np.complex128)) for modes in sides))
 
 
-def _split(polynomial: fmpq_poly, limit: Limit) -> Lost:
-    """Return the roots of a polynomial outside, on and inside a limit, with their multiplicities."""
-    found = roots_of(polynomial, limit)
-    return Lost(*(_values(found, side) for side in (1, 0, -1)))
-
-
-class Root(NamedTuple):
+class _Root(NamedTuple):
     """A root of a polynomial, its multiplicity, and its side of a limit: 1 outside, 0 on it, −1 inside."""
 
     root: acb
@@ -415,12 +396,12 @@ class Root(NamedTuple):
     side: int
 
 
-def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = BITS) -> list[Root]:
+def roots_of(polynomial: fmpq_poly, limit: Limit, bits: int = _BITS) -> list[_Root]:
     """Return the different roots of a polynomial, in at least the given precision."""
     on = None if limit.reaching else 0
     while True:
         with precision(bits):
-            found = [Root(root, many, limit.side(root)) for root, many in _roots(polynomial)]
+            found = [_Root(root, many, limit.side(root)) for root, many in _roots(polynomial)]
             sides = [one.side for one in found]
             if 0 in sides and on is None:
                 on = _self_reflected(polynomial.gcd(limit.reflected(polynomial)), limit)
@@ -443,11 +424,6 @@ def _self_reflected(common: fmpq_poly, limit: Limit) -> int | None:
             return None
         count += near[0] == k
     return count
-
-
-def _values(found: list[Root], side: int) -> Modes:
-    chosen = [complex(one.root) for one in found if one.side == side for _ in range(one.many)]
-    return _sorted(np.array(chosen, dtype=np.complex128))
 
 
 def _sorted(modes: Modes) -> Modes:

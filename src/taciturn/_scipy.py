@@ -10,43 +10,22 @@ import numpy as np
 
 from taciturn._arrays import Array
 
-FEW_UNKNOWNS = 400  # of a linear system that is stored as a matrix
+_FEW_UNKNOWNS = 400  # of a linear system that is stored as a matrix
 
 # scipy's modules are imported where they are used: an import takes 0.1 s to 0.5 s, and most results need none
-
-
-def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
-    """Return scipy's solution of the continuous Riccati equation, or None if scipy finds none."""
-    import scipy.linalg
-
-    return _riccati(scipy.linalg.solve_continuous_are, A, B, Q, R, N)
 
 
 def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
     """Return scipy's solution of the discrete Riccati equation, or None if scipy finds none; R may be indefinite."""
     import scipy.linalg
 
-    return _riccati(scipy.linalg.solve_discrete_are, A, B, Q, R, N)
-
-
-def _riccati(solve: Callable[..., Any], A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            K = cast(Array, solve(A, B, Q, R, s=N))
+            K = cast(Array, scipy.linalg.solve_discrete_are(A, B, Q, R, s=N))
     except (np.linalg.LinAlgError, ValueError):
         return None
     return (K + K.T) / 2 if np.isfinite(K).all() else None
-
-
-def continuous_lyapunov(F: Array, M: Array) -> Array:
-    """Return X with F X + X F' + M = 0."""
-    import scipy.linalg
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
-    return (X + X.T) / 2
 
 
 def discrete_controller(
@@ -131,7 +110,7 @@ def fixed_point(apply: Callable[[Array], Array], added: Array) -> Array:
     Few unknowns are computed from the matrix of the map, many by the method of generalised minimal residuals.
     """
     size = len(added)
-    if size <= FEW_UNKNOWNS:
+    if size <= _FEW_UNKNOWNS:
         matrix = np.eye(size) - np.stack([apply(row) for row in np.eye(size)], axis=1)
         return np.asarray(np.linalg.solve(matrix, added), dtype=np.float64)
     import scipy.sparse.linalg as sparse

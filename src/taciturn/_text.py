@@ -10,21 +10,21 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 
 WIDTH = 80
-NAME = 14  # least width of the names
-SHORTEST = 8  # least width of a wrapped heading
-LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
-SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
-FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
-ROUNDED = 12  # digits of a number that are not affected by rounding errors
-PROVED = 8  # digits of a percentage that are not affected by the radius of a proved number
-GAP = "  "
-FIXED = "\N{NO-BREAK SPACE}"
+_NAME = 14  # least width of the names
+_SHORTEST = 8  # least width of a wrapped heading
+_LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
+_SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
+_FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
+_ROUNDED = 12  # digits of a number that are not affected by rounding errors
+_PROVED = 8  # digits of a percentage that are not affected by the radius of a proved number
+_GAP = "  "
+_FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
 
 
 def pairs_text(lines: Lines) -> str:
     """Return names and values, one pair per line; long values are wrapped with a hanging indent."""
-    width = max([NAME, *(len(name) for name, _ in lines)])
+    width = max([_NAME, *(len(name) for name, _ in lines)])
     return "\n".join(line for name, text in lines for line in _hanging(f"{name:{width}s} ", text))
 
 
@@ -43,7 +43,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
     columns = [[row[i] for row in rows] for i in range(len(header))]
     wrapped = [_wrapped(title, max(map(len, column), default=0)) for title, column in zip(header, columns, strict=True)]
     widths = [max(map(len, [*title, *column])) for title, column in zip(wrapped, columns, strict=True)]
-    fixed = sum(widths[:names]) + len(GAP) * names
+    fixed = sum(widths[:names]) + len(_GAP) * names
     parts: list[list[int]] = [[]]
     used = fixed
     for i in range(names, len(header)):
@@ -51,7 +51,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
             parts.append([])
             used = fixed
         parts[-1].append(i)
-        used += widths[i] + len(GAP)
+        used += widths[i] + len(_GAP)
     return "\n\n".join(_part([*range(names), *part], wrapped, columns, widths, names) for part in parts)
 
 
@@ -96,7 +96,7 @@ def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up
         return f"{measured_text(value, spread)} %"
     way = {1: ROUND_CEILING, 0: ROUND_HALF_EVEN, -1: ROUND_FLOOR}[up]
     last = 5 - magnitude(value) if decimals is None or abs(value) >= LARGE else decimals
-    shown = Decimal(f"{value:.{PROVED}g}").quantize(Decimal(1).scaleb(-last), way)
+    shown = Decimal(f"{value:.{_PROVED}g}").quantize(Decimal(1).scaleb(-last), way)
     sign = "+" if signed and shown > 0 else ""
     if abs(value) >= LARGE:
         return f"{sign}{number_text(float(shown))} %"
@@ -115,7 +115,7 @@ def number_text(value: float, digits: int = 6) -> str:
 def measured_text(value: float, error: float) -> str:
     """Return value ± error in one notation, rounded to two digits of the error, which is positive."""
     last = magnitude(error) - 1
-    if SMALL <= max(abs(value), error) < LARGE and last >= -ROUNDED:
+    if _SMALL <= max(abs(value), error) < LARGE and last >= -_ROUNDED:
         decimals = max(0, -last)
         return f"{value:z.{decimals}f} ± {error:.{decimals}f}"
     nearest = float(Decimal(value).quantize(Decimal(1).scaleb(last)))
@@ -125,7 +125,7 @@ def measured_text(value: float, error: float) -> str:
 
 def negligible(error: float, value: float) -> bool:
     """Return whether an error is only a rounding error of the value."""
-    return error <= FINE * abs(value)
+    return error <= _FINE * abs(value)
 
 
 def magnitude(value: float) -> int:
@@ -139,9 +139,7 @@ def ending_text(path: Path) -> str:
 
 
 def backslash_text(path: str, error: str = "") -> str:
-    """Return what an error message adds if backslashes of a path were escapes in TOML, as in ``"C:\\new.csv"``, or
-    "".
-    """
+    """Return what an error message adds if backslashes of a path were escapes in TOML, or an empty text."""
     if path.isprintable() and not any(word in error for word in ("Unescaped", "hex value", "Escaped")):
         return ""
     return (
@@ -163,7 +161,7 @@ def _part(
     titles = [[""] * (tall - len(wrapped[i])) + wrapped[i] for i in chosen]
     lines = zip(*(title + columns[i] for title, i in zip(titles, chosen, strict=True)), strict=True)
     return "\n".join(
-        GAP.join(
+        _GAP.join(
             cell.ljust(widths[i]) if i < names else cell.rjust(widths[i]) for cell, i in zip(line, chosen, strict=True)
         ).rstrip()
         for line in lines
@@ -172,10 +170,10 @@ def _part(
 
 def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) -> list[Sequence[str]]:
     """Return the rows with additional lines for long names, so that the widest other column fits next to the names."""
-    widths = [max([len(row[i]) for row in rows] + [SHORTEST]) for i in range(len(header))]
-    room = WIDTH - len(GAP) * names - max(widths[names:], default=0)
-    limits = [min(width, LONGEST_NAME) for width in widths[:names]]
-    while sum(limits) > room and max(limits) > SHORTEST:
+    widths = [max([len(row[i]) for row in rows] + [_SHORTEST]) for i in range(len(header))]
+    room = WIDTH - len(_GAP) * names - max(widths[names:], default=0)
+    limits = [min(width, _LONGEST_NAME) for width in widths[:names]]
+    while sum(limits) > room and max(limits) > _SHORTEST:
         limits[limits.index(max(limits))] -= 1
     found: list[Sequence[str]] = []
     for row in rows:
@@ -188,18 +186,16 @@ def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) ->
 
 def _wrapped(title: str, width: int) -> list[str]:
     """Return the lines of a heading that is wrapped to the width of its column."""
-    return textwrap.wrap(title, max(width, SHORTEST), break_long_words=False, break_on_hyphens=False) or [""]
+    return textwrap.wrap(title, max(width, _SHORTEST), break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def _hanging(first: str, text: str) -> list[str]:
-    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken.
-
-    A number, its standard error and its percent sign stay on one line.
-    """
+    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken."""
+    # A number, its standard error and its percent sign stay on one line.
     indent = " " * len(first)
-    text = re.sub("(?<=[0-9]) (?=[%±])|(?<=±) (?=[0-9])", FIXED, text)
+    text = re.sub("(?<=[0-9]) (?=[%±])|(?<=±) (?=[0-9])", _FIXED, text)
     return [
-        line.replace(FIXED, " ")
+        line.replace(_FIXED, " ")
         for paragraph, lead in zip(text.split("\n"), [first] + [indent] * text.count("\n"), strict=True)
         for line in textwrap.wrap(
             paragraph,

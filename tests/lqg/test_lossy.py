@@ -13,6 +13,7 @@ from drawn import law
 from flint import arb, arb_mat
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from systems import uncontrollable_modes
 
 from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, UnstableError, design, evaluate
 from taciturn._modes import radius
@@ -24,9 +25,8 @@ from taciturn.lqg.lossy import (
     mean_square_rate,
     regulate_lossy,
     regulate_lossy_finite,
-    slowest_growth,
 )
-from taciturn.lqg.riccati import regulate, uncontrollable_modes
+from taciturn.lqg.riccati import regulate
 from taciturn.model.steps import Assign
 from taciturn.model.trigger import Scheduled
 
@@ -61,7 +61,7 @@ def at_losses(link: Channel, actuator: float, sensor: float) -> Channel:
 def survivable(A: np.ndarray, B: np.ndarray, link: Channel, seed: int) -> Channel:
     """Return the channel with random losses, halved until the slowest growth is clearly below 1."""
     actuator, sensor = np.random.default_rng(seed + 1).uniform(0, 0.7, 2)
-    while slowest_growth(A, B, at_losses(link, actuator, sensor))[0] >= 0.9:
+    while Lasting(A, B).slowest(at_losses(link, actuator, sensor))[0] >= 0.9:
         actuator, sensor = actuator / 2, sensor / 2
         assert actuator > 1e-9, "no losses are small enough"
     return at_losses(link, actuator, sensor)
@@ -349,7 +349,7 @@ def test_losses_are_proved_on_both_sides_of_the_critical_one(seed):
     plant, channel = Lasting(A, B), survivable(A, B, UDP, seed)
     found = plant.critical(channel, "actuator")
     assert found.lost - found.survived < 1e-6
-    below, above = (slowest_growth(A, B, channel.at("actuator", loss))[0] for loss in found)
+    below, above = (Lasting(A, B).slowest(channel.at("actuator", loss))[0] for loss in found)
     assert below - 1e-6 < 1 < above + 1e-6
     assert not plant.exceeded(channel.at("actuator", found.survived))
     assert plant.exceeded(channel.at("actuator", found.lost * (1 + 1e-8)))
@@ -370,7 +370,7 @@ def test_modes_that_one_input_hardly_tells_apart_survive_more_than_double_precis
     channel = Channel(0.155, 0.22, acknowledged=False, delayed=False)
     found = Lasting(A, B).critical(channel, "actuator")
     assert 0.159 < found.survived < found.lost < 0.1591
-    assert mean_square_rate(A, B, slowest_growth(A, B, channel)[1], channel) < 1
+    assert mean_square_rate(A, B, Lasting(A, B).slowest(channel)[1], channel) < 1
 
 
 def test_what_is_not_proved_is_said():
@@ -447,7 +447,7 @@ def test_no_gain_grows_slower_than_the_slowest_growth(link, seed):
     A, B, _, _ = system(seed, 3, 1.02, 1.6)
     rng = np.random.default_rng(seed + 3)
     channel = at_losses(link, *rng.uniform(0, 0.8, 2))
-    rate, best = slowest_growth(A, B, channel)
+    rate, best = Lasting(A, B).slowest(channel)
     stable = max((abs(value) ** 2 for value in np.linalg.eigvals(A) if abs(value) < 1), default=0.0)
     assert mean_square_rate(A, B, best, channel) <= max(rate, stable) * (1 + 1e-6)
     for size in (1e-3, 1e-2, 0.1, 1.0):
@@ -466,7 +466,7 @@ def test_two_plants_that_share_nothing_but_the_links_survive_what_the_weaker_sur
     ]
     channel = at_losses(link, 0.1, 0.2)
     A, B = (scipy.linalg.block_diag(*parts) for parts in zip(*axes, strict=True))
-    assert slowest_growth(A, B, channel)[0] == pytest.approx(max(slowest_growth(*axis, channel)[0] for axis in axes))
+    assert Lasting(A, B).slowest(channel)[0] == pytest.approx(max(Lasting(*axis).slowest(channel)[0] for axis in axes))
     if link == UDP:
         apart = [critical_losses(*axis, channel) for axis in axes]
         assert critical_losses(A, B, channel) == pytest.approx(tuple(map(min, *apart)), abs=1e-6)

@@ -12,13 +12,13 @@ from drawn import law
 from flint import arb_mat
 from hypothesis import assume
 from hypothesis import strategies as st
+from systems import uncontrollable_modes
 
 from taciturn._arrays import block_diagonal
 from taciturn._modes import balancing, largest_cycle
 from taciturn._rational import precision
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.equation import accumulate
-from taciturn.lqg.riccati import uncontrollable_modes
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -170,5 +170,5 @@ def test_the_stationary_sum_of_an_unstable_map_is_refused():
 
 def test_a_matrix_that_is_not_square_is_refused():
     """Shapes are checked at the door."""
-    with pytest.raises(ProblemError, match="A has shape"):
-        uncontrollable_modes(np.zeros((2, 3)), np.zeros((2, 1)))
+    with pytest.raises(ProblemError, match="F has shape"):
+        accumulate(np.zeros((2, 3)), np.eye(2))

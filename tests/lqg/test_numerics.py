@@ -9,6 +9,7 @@ from digits import regulated, sampled
 from drawn import law
 from hypothesis import reject
 from hypothesis import strategies as st
+from systems import uncontrollable_modes
 
 from taciturn import Cost, Plant, design
 from taciturn._modes import least_eigenvalue, radius
@@ -19,7 +20,7 @@ from taciturn.lqg.equation import Problem, accumulate, exactly
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.lossy import lossy_step, regulate_lossy
 from taciturn.lqg.quadratic import Quadratic
-from taciturn.lqg.riccati import regulate, regulate_continuous, uncontrollable_modes
+from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.lqg.sampling import sample
 
 seeds = st.integers(0, 2**32 - 1)

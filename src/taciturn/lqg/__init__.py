@@ -11,15 +11,14 @@ regulator's share, and the share of the estimation error with covariance Σ.
 
 Read the modules in this order:
 
-1. ``riccati`` and ``kalman``: gains over infinite and finite horizons, and steady filters. ``stabilising`` solves their
+1. ``riccati`` and ``kalman``: gains over infinite and finite horizons, and steady filters. ``equation`` solves their
    equations, with a proof of the error, in one of the arithmetics of ``enclosures``: balls of any precision, or doubles
-   with bounds on their rounding; ``lyapunov`` proves sums along a stable loop. ``structure`` leaves out states whose
-   cost-to-go is zero, and inputs that cost nothing. ``quadratic`` has the problems in doubles, and many steps of them.
-2. ``sampling``, ``intervals`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between
-   samples, to the precision that a proof asks for; ``feedthrough``: inputs that the outputs show one step later.
+   with bounds on their rounding. ``quadratic`` has the problems in doubles, and leaves out states whose cost-to-go is
+   zero and inputs that cost nothing.
+2. ``sampling`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between samples, and
+   inputs that the outputs show one step later. ``followed``: the deviations from what disturbances and set-points need.
 3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
-4. ``lossy``, ``_mean_square`` and ``_critical``: control over links that drop packets, and the critical loss
-   probabilities.
-5. ``queries``: the filter from step to step, the value of a measurement, and the resulting schedule of measurements;
-   ``variances``: schedules of several sensors by the variances of the predicted outputs.
+4. ``lossy`` and ``critical_losses``: control over links that drop packets, and the critical loss probabilities.
+5. ``queries``: schedules of measurements, by their value to the controller or by the variances of predicted outputs.
+6. ``stored`` and ``gain``: proofs for the gains as programs hold them, and the H∞ norm of a loop.
 """

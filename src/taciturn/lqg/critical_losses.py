@@ -1,23 +1,21 @@
-"""Mean-square cost and growth of a loop over lossy links under a given gain.
+"""Mean-square cost and growth of a loop over lossy links, and the critical losses of a plant, with proofs.
 
-The cost-to-go has a weight K of the state and a weight P of the estimation error. One step of the loop is a linear map
-of the pairs (K, T), T = K + P:
+**Under a given gain** L, the cost-to-go has a weight K of the state and a weight P of the estimation error. One step of
+the loop is a linear map of the pairs (K, T), T = K + P:
 
     K ← M'KM + αᾱ L'YL,   T ← A'((1−β)K + βT)A,   M = A + ᾱBL,   Y = B'((1−φ)K + φT)B.
 
 These are two Lyapunov equations, coupled only by the symmetric matrix Y, whose size is the number of inputs. So a loop
-with sixty states needs only a few Lyapunov equations with sixty states, instead of one system of 7200 unknowns.
+with sixty states needs only a few Lyapunov equations with sixty states, instead of one system of 7200 unknowns. The map
+preserves the order of pairs. So if it maps a definite pair to a smaller one, the mean square is bounded.
 
-The map preserves the order of pairs. So if it maps a definite pair to a smaller one, the mean square is bounded.
+**Among all linear gains**, only modes on or outside the unit circle matter. Their coordinates are rows V with
+VA = A_u V: the rows of p(A), where p is the polynomial of the other modes, whose roots are known within balls. The
+farthest losses that some gain survives are approached by the secant method, from the best gain for smaller losses.
 
-Least growth of the mean square over lossy links among all linear gains, and critical losses, with proofs.
+*Survived losses:* some gain maps a definite pair of weights to a smaller one.
 
-Only modes on or outside the unit circle matter. Their coordinates are rows V with VA = A_u V: the rows of p(A), where p
-is the polynomial of the other modes, whose roots are known within balls.
-
-**Survived losses.** Some gain maps a definite pair of weights to a smaller one.
-
-**Losses that no linear gain survives.** T before a step does not depend on the gain, and one gain minimises K for all
+*Losses that no linear gain survives:* T before a step does not depend on the gain, and one gain minimises K for all
 states. So the best step is a map of pairs, (K, T) ← G(K, T), which preserves their order and is below the step of every
 gain. If G(K, T) ⪰ (K, T) for some semidefinite pair, then the weights vanish under no gain. Such a pair may be zero on
 some modes, such as those of an axis that survives more losses than another one. It is sought on the smallest set of
@@ -48,7 +46,22 @@ from taciturn.lqg.equation import relative
 from taciturn.lqg.quadratic import price
 from taciturn.lqg.riccati import regulate
 
-SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
+_SINGULAR = 1e-12  # least eigenvalue of a price of unit diagonal to which the proof is adapted
+_TURNS = 200  # places that are tried on a path
+_POLICIES = 8  # improvements of a gain at a place
+_ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
+_CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
+_STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
+_FASTER = 1.1  # first growth, relative to that without inputs
+_SLOW = 0.99  # modulus above which a gain moves a mode that decays
+_FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
+_NILPOTENT = 1e-6  # a growth below this counts as none
+_SAME = 1e-7  # relative difference of losses that count as equal
+_POWERS = 100  # steps towards the pair of weights that grows fastest
+_WIDE = 1e-6  # relative distance of the ends of a proof from which on both are named
+_SHARP = 4 * UNIT  # radius of coordinates, with the rounding to doubles, relative to the largest
+_MARGINS = (1e-9, 1e-7, 1e-5, 1e-3, 1e-2, 1e-1)  # distances of a loss from its critical value at which a proof is tried
+Link: TypeAlias = Literal["actuator", "sensor"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,10 +123,8 @@ class MeanSquare:
         return growth(lambda pair: np.stack(self.step(*pair)), np.stack([np.eye(len(self.A))] * 2))
 
     def weights(self) -> tuple[Array, Array] | None:
-        """Return K and T of unit costs; None if the mean square does not grow by less than the level.
-
-        It does if and only if both are definite, and each step leaves the unit of both.
-        """
+        """Return K and T of unit costs; None if the mean square does not grow by less than the level."""
+        # It does if and only if both are definite, and each step leaves the unit of both.
         one = np.eye(len(self.A))
         try:
             with np.errstate(all="ignore"):
@@ -125,10 +136,8 @@ class MeanSquare:
         return pair if min(least) > 1e-3 else None
 
     def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Solve the coupled Lyapunov equations of the loop for the weights K and T.
-
-        K and T are the sums over all steps of terms that are added in each step.
-        """
+        """Solve the coupled Lyapunov equations of the loop for the weights K and T."""
+        # K and T are the sums over all steps of terms that are added in each step.
         K, T = self._apart(first, second)
         if self.spread:  # solved without coupling; then for the coupling Y = Y_0 + turn·Y
             upper = np.triu_indices(len(self.L))
@@ -209,7 +218,7 @@ class LossyStep(NamedTuple, Generic[E]):
         off, turned = price @ self.L + self.B.T @ K @ self.A, pushed @ self.L + self.B.T @ X @ self.A
         cost = np.sqrt(np.maximum(np.diag(price.middle), NO_VARIANCE))
         parts = [relative(form, size) for form, size in zip(missed, sizes, strict=True)]
-        least = max(float(np.linalg.eigvalsh(price.middle / cost / cost[:, None]).min(initial=1.0)), SINGULAR)
+        least = max(float(np.linalg.eigvalsh(price.middle / cost / cost[:, None]).min(initial=1.0)), _SINGULAR)
         slack = 4 * max(*parts, float(((off.most / cost[:, None]) ** 2 / sizes[0]).sum()) / least)
         off, price = (self.arriving(one - more.times(slack)) for one, more in ((off, turned), (price, pushed)))
         lower = falls[0].times(slack) + missed[0]
@@ -221,36 +230,15 @@ class LossyStep(NamedTuple, Generic[E]):
         return slack
 
 
-TURNS = 200  # places that are tried on a path
-POLICIES = 8  # improvements of a gain at a place
-ENOUGH = 1e-4  # part of the costs by which another improvement must lower them
-CLOSE = 1e-11  # relative distance to the farthest place at which the search ends
-STEP = 0.9  # part of a step of the secant method that is made, since it may be too long
-FASTER = 1.1  # first growth, relative to that without inputs
-SLOW = 0.99  # modulus above which a gain moves a mode that decays
-FLAT = 1e-12  # least share of a direction in the cost-to-go of a regulator
-NILPOTENT = 1e-6  # a growth below this counts as none
-SAME = 1e-7  # relative difference of losses that count as equal
-POWERS = 100  # steps towards the pair of weights that grows fastest
-WIDE = 1e-6  # relative distance of the ends of a proof from which on both are named
-SHARP = 4 * UNIT  # radius of coordinates, with the rounding to doubles, relative to the largest
-MARGINS = (1e-9, 1e-7, 1e-5, 1e-3, 1e-2, 1e-1)  # distances of a loss from its critical value at which a proof is tried
-
-
-Link: TypeAlias = Literal["actuator", "sensor"]
-
-
 class Critical(NamedTuple):
-    """Loss probabilities of a link with a proof: losses up to one are survived, losses from the other one on are
-    not.
-    """
+    """Two loss probabilities of a link, with a proof: losses up to the first are survived, from the second on not."""
 
     survived: float  # some linear gain keeps the mean square bounded at this loss, and at smaller ones
     lost: float  # no linear gain does at this loss, and at larger ones
 
     def __str__(self) -> str:
         """Return the limit of the losses as text."""
-        if self.lost - self.survived <= WIDE * self.lost:
+        if self.lost - self.survived <= _WIDE * self.lost:
             return f"below {self.survived:.6g}"
         return f"up to {self.survived:.6g} and below {self.lost:.6g} (more is not proved)"
 
@@ -297,7 +285,7 @@ class Lasting:
             # in the coordinates V x, the cost-to-go of the regulator is about the unit
             unit = np.sqrt(np.diag(best.K))
             sizes, turn = np.linalg.eigh(best.K / unit / unit[:, None])
-            scale = np.sqrt(np.maximum(sizes, FLAT))[:, None] * turn.T * unit
+            scale = np.sqrt(np.maximum(sizes, _FLAT))[:, None] * turn.T * unit
             W = V.T @ np.linalg.inv(scale)
             V = scale @ V
             self._known[key] = Rough(V @ self.A @ W, V @ self.B, V, W, best.L @ np.linalg.inv(scale))
@@ -310,18 +298,18 @@ class Lasting:
             start = self.reached(replace(channel, sensor_loss=0.0), "actuator", modes)
             if start is None or start.place < channel.actuator_loss:
                 return None
-            L, end = start.L, min(channel.sensor_loss, (1 - MARGINS[0] / 2) / self.size**2)
+            L, end = start.L, min(channel.sensor_loss, (1 - _MARGINS[0] / 2) / self.size**2)
             if channel.acknowledged:
                 return start._replace(place=end)
         elif channel.sensor_loss * self.size**2 < 1:
             end = channel.actuator_loss
         else:
             return None
-        return follow(lambda loss, L: _loop(A, B, L, channel.at(link, loss)), L, end)
+        return _follow(lambda loss, L: _loop(A, B, L, channel.at(link, loss)), L, end)
 
     def gain(self, channel: Channel) -> Array | None:
         """Return a gain of the states that keeps the mean square bounded; None if none was found."""
-        slow = [k for k, one in enumerate(self.roots) if abs(complex(one.root)) > SLOW and not one.root.imag < 0]
+        slow = [k for k, one in enumerate(self.roots) if abs(complex(one.root)) > _SLOW and not one.root.imag < 0]
         for modes in (slow, self.modes):  # also those that hardly decay, whose costs would be too large
             for path in (channel, channel.at("actuator", 1.0)):  # or a gain for larger losses
                 found = self.reached(path, "actuator", modes)
@@ -340,9 +328,9 @@ class Lasting:
         if not self.modes:
             return 0.0, self.of_states(np.zeros((self.B.shape[1], 0)))
         A, B, *_ = self.rough(self.modes)
-        first = FASTER * self.size**2
-        last = max(NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
-        found = follow(
+        first = _FASTER * self.size**2
+        last = max(_NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
+        found = _follow(
             lambda fall, L: _loop(A, B, L, channel, first * (1 - fall)), np.zeros(B.T.shape), 1 - last / first
         )
         assert found is not None, "without inputs, the mean square grows like the modes"
@@ -370,7 +358,7 @@ class Lasting:
     def _survived(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the largest loss of a link that is proved to be survived."""
         A, B, *_ = self.rough(self.modes)
-        for margin in MARGINS:
+        for margin in _MARGINS:
             there = channel.at(link, found.place * (1 - margin))
             if self._survives(A, B, found.L, there):
                 return found.place * (1 - margin)
@@ -381,8 +369,8 @@ class Lasting:
 
     def _lost(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the least loss of a link from which on it is proved that no linear gain survives it; 1 if none is."""
-        modes, found = self._smallest(channel, link, found.place * (1 + SAME), found)
-        for margin in MARGINS:
+        modes, found = self._smallest(channel, link, found.place * (1 + _SAME), found)
+        for margin in _MARGINS:
             there = channel.at(link, found.place * (1 + margin))
             if found.place * (1 + margin) < 1 and (self._doubts(there) or self._grows(modes, found, there)):
                 return found.place * (1 + margin)
@@ -424,7 +412,7 @@ class Lasting:
             if B.shape[1] >= B.shape[0]:  # the best of so many inputs move the modes anywhere
                 B = Balls.exact(np.eye(len(found.K)))
             K, T = found.K, found.T
-            for _ in range(POWERS):  # towards a pair that a step under the best gain multiplies
+            for _ in range(_POWERS):  # towards a pair that a step under the best gain multiplies
                 loop = _loop(A.middle, B.middle, _best(A.middle, B.middle, K, T, channel), channel)
                 K, T = loop.step(K, T)
                 if not np.trace(K) > 0:
@@ -454,7 +442,7 @@ class Lasting:
                             V = _without(V, A, root)
                 V = (V @ W).solve(V)
                 found = V @ A @ W, V @ Balls.exact(self.B)
-                if all((part.radius <= SHARP * np.abs(part.middle).max()).all() for part in found):
+                if all((part.radius <= _SHARP * np.abs(part.middle).max()).all() for part in found):
                     return found
         raise UnprovedError("the modes need more than 1,024 bits")
 
@@ -493,17 +481,15 @@ def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) ->
     return MeanSquare(A, B, L, channel.at("sensor", 0.0) if channel.acknowledged else channel, level)
 
 
-def follow(path: Path, L: Array, end: float) -> Reached | None:
-    """Return the farthest place at which some gain keeps the mean square bounded, in double precision; None if none.
-
-    Near this place, the inverse of the weights of unit costs decreases to zero, and the secant method approaches it.
-    The best gain of one place keeps the mean square bounded at the next one, if this is near enough.
-    """
+def _follow(path: Path, L: Array, end: float) -> Reached | None:
+    """Return the farthest place at which some gain keeps the mean square bounded, in double precision; None if none."""
+    # Near this place, the inverse of the weights of unit costs decreases to zero, and the secant method approaches it.
+    # The best gain of one place keeps the mean square bounded at the next one, if this is near enough.
     found, before = _improved(path, L, 0.0), None
     if found is None:
         return None
     step = end / 8
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         check_time()
         after = _improved(path, found.L, min(found.place + step, end))
         if after is None:
@@ -512,8 +498,8 @@ def follow(path: Path, L: Array, end: float) -> Reached | None:
             before, found = found, after
             fall = _margin(before) - _margin(found)
             left = _margin(found) * (found.place - before.place) / fall if fall > 0 else np.inf
-            step = min(STEP * left, 8 * step)
-        if found.place >= end or step <= CLOSE * max(found.place, CLOSE):
+            step = min(_STEP * left, 8 * step)
+        if found.place >= end or step <= _CLOSE * max(found.place, _CLOSE):
             break
     return found
 
@@ -525,10 +511,10 @@ def _margin(found: Reached) -> float:
 def _improved(path: Path, L: Array, place: float) -> Reached | None:
     """Return the best gain for unit costs from a gain that keeps the mean square bounded; None if this does not."""
     found: Reached | None = None
-    for _ in range(POLICIES):
+    for _ in range(_POLICIES):
         loop = path(place, L)
         weights = loop.weights()
-        if weights is None or (found is not None and np.trace(weights[0]) > (1 - ENOUGH) * np.trace(found.K)):
+        if weights is None or (found is not None and np.trace(weights[0]) > (1 - _ENOUGH) * np.trace(found.K)):
             break
         found = Reached(place, L, *weights)
         L = _best(loop.A, loop.B, *weights, loop.channel)

@@ -23,8 +23,8 @@ from taciturn._arrays import Array, Bits, symmetrised
 
 PRECISIONS = (128, 256, 512, 1024)  # bits that are tried in turn
 UNIT = 2.0**-53  # largest relative error of one rounding
-UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
-SMALL = 8  # most rows for which elimination in balls is faster than a factorisation in doubles with its conversions
+_UNDERFLOW = 1e-290  # above the error of any sum of products that underflow
+_SMALL = 8  # most rows for which elimination in balls is faster than a factorisation in doubles with its conversions
 
 Rows: TypeAlias = slice | Bits  # some of the rows or columns of a matrix
 
@@ -92,7 +92,7 @@ class Balls:
             balls, moved = self._balls.entries(), self.middle.ravel() != 0
             if not moved.all():  # a number may be too small for a double
                 moved = np.array([not one.is_zero() for one in balls], dtype=np.bool_)
-            found = np.array([float(one.rad()) for one in balls]) + UNDERFLOW * moved
+            found = np.array([float(one.rad()) for one in balls]) + _UNDERFLOW * moved
             self._radius = (found.reshape(self.shape) + 2 * UNIT * np.abs(self.middle)) * (1 + 8 * UNIT)
         return self._radius
 
@@ -163,7 +163,7 @@ class Balls:
 
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
-        return (self._balls.nrows() > SMALL and _definite(self.middle, self.radius)) or self._has_positive_pivots()
+        return (self._balls.nrows() > _SMALL and _definite(self.middle, self.radius)) or self._has_positive_pivots()
 
     def _has_positive_pivots(self) -> bool:
         """Eliminate row by row: a symmetric matrix is definite if and only if all pivots are positive."""
@@ -251,7 +251,7 @@ class Doubles:
         if spread:
             radius += self.radius @ (right + other.radius)
         radius *= 1 + (2 * k + 12) * UNIT
-        radius += UNDERFLOW
+        radius += _UNDERFLOW
         return type(self)(middle, radius)
 
     def times(self, factor: float) -> Self:
@@ -285,11 +285,9 @@ class Doubles:
         return type(self)(self.middle[rows][:, columns], self.radius[rows][:, columns])
 
     def solve(self, right: Self) -> Self:
-        """Enclose the solution X of S X = R from an approximate inverse Z: X = X̃ + (ZS)⁻¹Z(R − S X̃).
-
-        With |I − ZS| ≤ G, whose row sums are at most q < 1, the correction of each column is at most
-        |Z(R − S X̃)| plus q/(1 − q) times its largest entry.
-        """
+        """Enclose the solution X of S X = R from an approximate inverse Z: X = X̃ + (ZS)⁻¹Z(R − S X̃)."""
+        # With |I − ZS| ≤ G, whose row sums are at most q < 1, the correction of each column is at most
+        # |Z(R − S X̃)| plus q/(1 − q) times its largest entry.
         try:
             inverse = type(self).exact(np.asarray(np.linalg.inv(self.middle), dtype=np.float64))
         except np.linalg.LinAlgError as error:
@@ -313,49 +311,6 @@ class Doubles:
     def definite(self) -> bool:
         """Return whether this symmetric matrix is proved to be positive definite."""
         return _definite(self.middle, self.radius)
-
-
-def _split(matrix: Array, size: Array, bits: int) -> tuple[Array, Array, Array]:
-    """Return the leading bits of the entries of each row, the rest, and twice a bound on the rest of each row.
-
-    The leading parts of a row are multiples of one power of two, and at most 2^bits of it. So sums of products of such
-    parts are whole numbers below 2^53, which are exact. ``size`` are the moduli of the entries.
-    """
-    unit = np.exp2(np.ceil(np.log2(np.maximum(size.max(axis=1, initial=0.0), 1e-280))) - bits)
-    shift = (1.5 * 2.0**52 * unit)[:, None]
-    high = matrix + shift
-    high -= shift
-    return high, matrix - high, unit
-
-
-def _places(count: int, some: Rows) -> list[int]:
-    return list(range(count)[some]) if isinstance(some, slice) else np.flatnonzero(some).tolist()
-
-
-def _definite(middle: Array, radius: Array) -> bool:
-    """Return whether a symmetric enclosure is proved to be positive definite, by a Cholesky factorisation.
-
-    In units in which the diagonal is about 1, the factors of a completed factorisation reproduce the matrix up to
-    (n + 1) units of roundoff times its trace. So a matrix from whose diagonal twice this and the radii have been
-    subtracted is only factorised if the exact matrix is definite.
-    """
-    n, diagonal = len(middle), middle.diagonal()
-    if not (diagonal > 0).all():
-        return n == 0
-    with np.errstate(all="ignore"):
-        units = np.exp2(-np.rint(np.log2(diagonal) / 2))
-        units = units * units[:, None]
-        scaled, spread = middle * units, (radius * units).sum(axis=1)  # spread: a diagonal matrix above any error
-        diagonal = scaled.diagonal()
-        left = diagonal - (1.01 * spread + 4 * (n + 2) * UNIT * float(diagonal.sum()))
-        if not (left > 0).all():
-            return False
-        scaled.flat[:: n + 1] = left
-    try:
-        factor = np.linalg.cholesky(scaled)
-    except np.linalg.LinAlgError:
-        return False
-    return isfinite(float(np.vdot(factor, factor)))
 
 
 E = TypeVar("E", Balls, Doubles)
@@ -388,3 +343,42 @@ def inner(one: E, other: E) -> E:
     if isinstance(one, Balls):
         return one.inner(other)
     return one.inner(other)  # the same method of the other arithmetic
+
+
+def _split(matrix: Array, size: Array, bits: int) -> tuple[Array, Array, Array]:
+    """Return the leading bits of the entries of each row, the rest, and twice a bound on the rest of each row."""
+    # The leading parts of a row are multiples of one power of two, and at most 2^bits of it. So sums of products of
+    # such parts are whole numbers below 2^53, which are exact. ``size`` are the moduli of the entries.
+    unit = np.exp2(np.ceil(np.log2(np.maximum(size.max(axis=1, initial=0.0), 1e-280))) - bits)
+    shift = (1.5 * 2.0**52 * unit)[:, None]
+    high = matrix + shift
+    high -= shift
+    return high, matrix - high, unit
+
+
+def _definite(middle: Array, radius: Array) -> bool:
+    """Return whether a symmetric enclosure is proved to be positive definite, by a Cholesky factorisation."""
+    # In units in which the diagonal is about 1, the factors of a completed factorisation reproduce the matrix up to
+    # (n + 1) units of roundoff times its trace. So a matrix from whose diagonal twice this and the radii have been
+    # subtracted is only factorised if the exact matrix is definite.
+    n, diagonal = len(middle), middle.diagonal()
+    if not (diagonal > 0).all():
+        return n == 0
+    with np.errstate(all="ignore"):
+        units = np.exp2(-np.rint(np.log2(diagonal) / 2))
+        units = units * units[:, None]
+        scaled, spread = middle * units, (radius * units).sum(axis=1)  # spread: a diagonal matrix above any error
+        diagonal = scaled.diagonal()
+        left = diagonal - (1.01 * spread + 4 * (n + 2) * UNIT * float(diagonal.sum()))
+        if not (left > 0).all():
+            return False
+        scaled.flat[:: n + 1] = left
+    try:
+        factor = np.linalg.cholesky(scaled)
+    except np.linalg.LinAlgError:
+        return False
+    return isfinite(float(np.vdot(factor, factor)))
+
+
+def _places(count: int, some: Rows) -> list[int]:
+    return list(range(count)[some]) if isinstance(some, slice) else np.flatnonzero(some).tolist()

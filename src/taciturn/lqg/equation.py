@@ -1,14 +1,18 @@
-"""The stabilising solution of a Riccati equation, with a proof of its error.
+"""Riccati equations, and sums along a stable map, each solved with a proof of its error.
 
-The problem is to minimise the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu with A + BL stable. Its solution is found
-in two parts.
+**Sums** X = Σ F^k W F'^k. Let X̂ be a candidate by repeated squaring, and Y the sum of F^k D F'^k for a diagonal D ≻ 0.
+If Y ≻ 0 and P = Y − FYF' ≻ 0, F is stable. If for a number ε also −εP ≺ FX̂F' + W − X̂ ≺ εP, the sum lies between
+X̂ − εY and X̂ + εY. The proof holds for every F and W within one rounding of the given ones, such as the closed loop
+A + BL that was computed in doubles.
 
-**A candidate** K, L, by structured doubling from a small definite terminal weight, in double precision or in balls. The
-small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
+**Riccati equations.** The sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu is to be minimised with A + BL stable.
+
+A candidate K, L follows by structured doubling from a small definite terminal weight, in double precision or in balls.
+The small weight lets the doubling converge to the stabilising solution also if the cost does not see an unstable mode.
 Newton's method corrects it.
 
-**A proof**, with enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k
-for a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
+The proof uses enclosures of A, B, Q, R and N. Let F = A + BL, M = Q + NL + L'N' + L'RL, and X the sum of F'^k D F^k for
+a diagonal D ≻ 0, with P = X − F'XF. If X ≻ 0 and P ≻ 0, F is stable. If for a number ε
 
     εP − (M + F'KF − K) ≻ 0,                       so that the gain L costs at most K + εX, and
 
@@ -20,19 +24,12 @@ it lies between K − εX and K + εX. This holds for every method that finds K 
 given: each is an enclosure of the exact one, such as the matrix of a sampled plant.
 
 The proof takes the gain as it is stored, rounded to doubles. If that fails, it takes the gain with all digits, and the
-solution says that its gain is not held by doubles.
+solution says that its gain is not held by doubles. The precision grows until the error is small enough.
 
-The precision grows until the error is small enough. In continuous time, the midpoint rule
-x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has the same stabilising solution for every
-step h (Cayley's transform), so its proof is the proof of the continuous-time equation.
+In continuous time, the midpoint rule x⁺ − x = h(Ax̄ + Bu), x̄ = (x + x⁺)/2, with the cost h(x̄'Qx̄ + u'Ru + 2x̄'Nu) has
+the same stabilising solution for every step h (Cayley's transform), so its proof is that of continuous time.
 
 Source: anderson1978, lancaster1995
-
-Sums of F^k W F'^k along a stable map F, with a proof of their error.
-
-Let X̂ be a candidate, and Y the sum of F^k D F'^k for a diagonal D ≻ 0. If Y ≻ 0 and P = Y − FYF' ≻ 0, F is stable. If
-for a number ε also −εP ≺ FX̂F' + W − X̂ ≺ εP, the sum lies between X̂ − εY and X̂ + εY. The proof holds for every F and
-W within one rounding of the given ones, such as the closed loop A + BL that was computed in doubles.
 """
 
 from __future__ import annotations
@@ -56,14 +53,19 @@ from taciturn.errors import UnstableError
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, block, solve
 from taciturn.lqg.quadratic import Before, Free, Quadratic, Span, Worth, free_inputs, in_powers_of_two, worth_of
 
-TURNS = 100  # doublings
+FEW = 10  # most states for which balls are faster than doubles with bounds
+ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
+_CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
+_LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
+_TURNS = 100  # doublings
+_CORRECTIONS = 2  # steps of Newton's method
+_FAST = 10.0  # growth within a step from which on it is named as a reason
+_CLEAR, _SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
-    """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W.
-
-    Repeated squaring: X ← X + F X F', F ← F². The error of each variance is proved to be at most 1e-6.
-    """
+    """Return the stationary sum X = Σ_k F^k W F'^k, the solution of X = F X F' + W."""
+    # Repeated squaring: X ← X + F X F', F ← F². The error of each variance is proved to be at most 1e-6.
     F = _arrays.square("F", F)
     W = _arrays.symmetric("W", W, F.shape[0])
     if radius(F) >= 1:
@@ -146,9 +148,7 @@ def relative(form: E, size: Array) -> float:
 
 
 def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
-    """Return X and X − F'XF, both proved definite, where X is about the sum of F'^k D F^k for the diagonal D of
-    sizes.
-    """
+    """Return X and X − F'XF, both proved definite; X is about the sum of F'^k D F^k for the diagonal D of sizes."""
     with np.errstate(all="ignore"):
         rough = summed(F.middle.T, np.diag(size))
     if np.isfinite(rough).all():
@@ -167,7 +167,7 @@ def ranked(arithmetic: type[E], F: E, size: Array) -> tuple[E, E]:
 def total(arithmetic: type[E], F: E, M: E) -> E:
     """Return about the sum of F'^k M F^k, without radii, by doubling the number of terms."""
     found, power = M.centre(), F.centre()
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         more = (power.T @ found @ power).symmetric()
         found = (found + more).centre()
         if not np.isfinite(found.middle).all():
@@ -176,16 +176,6 @@ def total(arithmetic: type[E], F: E, M: E) -> E:
             return found
         power = (power @ power).centre()
     raise UnprovedError("the closed loop does not forget")
-
-
-FEW = 10  # most states for which balls are faster than doubles with bounds
-ASKED = 1e-9  # relative error of the cost-to-go of each state to which a solution is proved
-CRUMB = 2 / 3  # part of the digits up to which a cost-to-go next to the terms of its sum has a size of its own
-LAST = 1e-6  # terminal weight of the doubling, relative to the cost of moving a state
-TURNS = 100  # doublings
-CLEAR, SQUARINGS = 1 - 1e-6, 52  # modulus from which on it is computed from powers, and their number
-CORRECTIONS = 2  # steps of Newton's method
-FAST = 10.0  # growth within a step from which on it is named as a reason
 
 
 class Equation(NamedTuple, Generic[E]):
@@ -406,7 +396,7 @@ class Problem(Displayed):
         if not np.isfinite(K).all():
             raise UnprovedError("the cost-to-go grows without bound")
         found, reason = arithmetic.exact(K), UnprovedError()
-        for _ in range(CORRECTIONS):
+        for _ in range(_CORRECTIONS):
             F, stage = given.under(_gain(given, found)[0])
             missed = (stage + F.T @ found @ F - found).symmetric().middle
             with np.errstate(all="ignore"):
@@ -423,7 +413,7 @@ class Problem(Displayed):
     def _judged(self, arithmetic: type[E], raw: Equation[E], given: Equation[E], K: E) -> Solution:
         """Return a solution after the proof of its error."""
         L, weight, H = _gain(given, K)
-        size = sizes(given.A.middle, given.Q.middle, K.middle, arithmetic.unit() ** CRUMB)
+        size = sizes(given.A.middle, given.Q.middle, K.middle, arithmetic.unit() ** _CRUMB)
         X, slack, F = _proved_solution(arithmetic, given, K, L, weight, H, size)
         worth, middle = symmetrised(X.middle), symmetrised(K.middle)
         # rounding to doubles, in units of the diagonals, which bound the other entries of definite matrices
@@ -479,7 +469,7 @@ def exactly(given: Quadratic) -> tuple[Quadratic, Recipe]:
 def not_held(what: str, A: Array, lacking: str) -> UnstableError:
     """Return the error that a gain needs more digits than it is stored with, and what those that are stored lack."""
     grows, often = radius(A), ""
-    if grows > FAST:
+    if grows > _FAST:
         lacking, often = f"{lacking}; the plant grows by up to {grows:.1e} within a step", "a shorter period, "
     return UnstableError(
         f"the optimal gain of the {what} has more digits than a double holds: {lacking}; expected {often}modes that "
@@ -514,7 +504,7 @@ def _doubled(given: Equation[Balls], bits: int) -> Balls:
     F, G = (A + B @ L).centre(), (B @ pushed).symmetric().centre()
     K = (Q - last + A.T @ last @ A + off.T @ L).symmetric().centre()
     one, settled = Balls.exact(np.eye(n)), 2.0 ** (-bits / 2)
-    for _ in range(TURNS):
+    for _ in range(_TURNS):
         solved = (one + G @ K).solve(block([[F, G]])).centre()
         moved, spread = solved.part(slice(n), slice(n)), solved.part(slice(n), slice(n, None))
         more = (F.T @ K @ moved).symmetric()
@@ -535,10 +525,8 @@ def _expect_stable(arithmetic: type[E], F: E, X: E, size: Array) -> None:
 
 
 def _excess(arithmetic: type[E], F: E, off: E, H: E, X: E, size: Array) -> Array:
-    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F.
-
-    It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
-    """
+    """Return a bound on what a gain costs that differs by ``off`` from the best one, with the closed loop F."""
+    # It is the sum of F'^k off'H off F^k. If δ(X − F'XF) is above off'H off, it is at most δX.
     if not off.most.any():
         return np.zeros(X.shape)
     spent, falls = (off.T @ H @ off).symmetric(), (X - F.T @ X @ F).symmetric()
@@ -554,10 +542,10 @@ def _slowest(F: E) -> float:
     It is the limit of the root of |F^k|; the norm of each power is divided by a power of two, which is counted.
     """
     found = radius(F.middle)
-    if found < CLEAR:
+    if found < _CLEAR:
         return found
     power, exponent, count = F.centre(), 0.0, 1
-    for _ in range(SQUARINGS):
+    for _ in range(_SQUARINGS):
         size = float(np.abs(power.middle).max(initial=0.0))
         if size == 0:
             return 0.0
@@ -583,7 +571,7 @@ def _slack(missed: E, off: E, H: E, size: Array) -> float:
 def _last(B: Array, Q: Array, R: Array) -> float:
     """Return a terminal weight that is small compared with the cost of moving a state."""
     worth, reached = float(np.trace(R) + np.sum(B * (Q @ B))), float(np.sum(B * B))
-    return LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
+    return _LAST * worth / reached if worth > 0 and reached > NO_VARIANCE else 1.0
 
 
 def _units(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array]:

@@ -1,4 +1,13 @@
-"""The H∞ norm of a linear system in discrete time: the largest factor by which it amplifies a signal in mean square."""
+"""The H∞ norm of a linear system in discrete time: the largest factor by which it amplifies a signal in mean square.
+
+The norm of x⁺ = A x + B d, ζ = C x + D d is the largest singular value of C(e^{iω}I − A)⁻¹B + D over all frequencies ω.
+So its value at many frequencies is a lower bound. A number γ is an upper bound if and only if there is a P ⪰ 0 with
+
+    x⁺'P x⁺ + |ζ|² ≤ x'P x + γ²|d|²   for all x and d   (bounded real lemma).
+
+P is computed from a Riccati equation for γ a little above the lower bound, and the inequality is then checked, so that
+the answer does not depend on the accuracy of P. States that d does not reach or ζ does not show are left out before.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +18,11 @@ from taciturn._arrays import Array
 from taciturn._modes import invariant, radius, reach, unit_columns
 from taciturn.errors import UnstableError
 
-EDGE = 1e-13  # distance to the unit circle within which a computed mode may lie on it
-FREQUENCIES = 200  # tried between 0 and π
-AROUND = np.concatenate([-np.logspace(-4, 2, 100), np.zeros(1), np.logspace(-4, 2, 100)])  # each mode, in its widths
-EXCESSES = np.logspace(-8, 1, 19)  # relative amounts above the largest gain found that are tried
-SLACK = (1e-10, 1e-8, 1e-6)  # margins of the proof, relative to the weight of the output
+_EDGE = 1e-13  # distance to the unit circle within which a computed mode may lie on it
+_FREQUENCIES = 200  # tried between 0 and π
+_AROUND = np.concatenate([-np.logspace(-4, 2, 100), np.zeros(1), np.logspace(-4, 2, 100)])  # each mode, in its widths
+_EXCESSES = np.logspace(-8, 1, 19)  # relative amounts above the largest gain found that are tried
+_SLACK = (1e-10, 1e-8, 1e-6)  # margins of the proof, relative to the weight of the output
 
 
 def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
@@ -32,15 +41,15 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
     direct = float(np.linalg.norm(D, 2))
     if not len(A):
         return direct
-    if radius(A) >= 1 - EDGE:
+    if radius(A) >= 1 - _EDGE:
         raise UnstableError(
             f"the loop has a mode of modulus {radius(A):.6g} that reaches the cost; expected a loop that is stable "
             "with every sample"
         )
     least = max(direct, _largest(A, B, C, D))
-    for excess in EXCESSES:
+    for excess in _EXCESSES:
         level = float(1 + excess) * least
-        if any(_exceeds(A, B, C, D, level, slack) for slack in SLACK):
+        if any(_exceeds(A, B, C, D, level, slack) for slack in _SLACK):
             return level
     raise UnstableError(
         f"no bound on the gain of the loop was found, which is at least {least:.6g}; expected modes that decay faster"
@@ -50,8 +59,8 @@ def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
 def _largest(A: Array, B: Array, C: Array, D: Array) -> float:
     """Return the largest gain at many frequencies, most of them near those of slow modes."""
     modes = np.linalg.eigvals(A)
-    near = np.angle(modes)[:, None] + np.maximum(1 - np.abs(modes), 1e-12)[:, None] * AROUND
-    angles = np.concatenate([np.linspace(0.0, np.pi, FREQUENCIES), near.ravel()])
+    near = np.angle(modes)[:, None] + np.maximum(1 - np.abs(modes), 1e-12)[:, None] * _AROUND
+    angles = np.concatenate([np.linspace(0.0, np.pi, _FREQUENCIES), near.ravel()])
     shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
     responses = C @ np.linalg.solve(shifted, np.broadcast_to(B, (len(angles), *B.shape))) + D
     return float(np.linalg.norm(responses, 2, axis=(1, 2)).max())

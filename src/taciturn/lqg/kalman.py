@@ -1,4 +1,17 @@
-"""Steady Kalman filters, including filters for noise-free measurements."""
+"""Steady Kalman filters, including filters for noise-free measurements.
+
+    Σ̃ = AΣA' + W,   S = CΣ̃C' + V,   gain = Σ̃C'S⁻¹,   Σ = Σ̃ − gain S gain'
+
+The prior covariance Σ̃ is the stabilising solution of the Riccati equation of the dual problem (A', C', W, V), which is
+solved with a proof of its error (``equation``). The dual of a state without a cost-to-go is a state that is known for
+ever; the dual of an input that costs nothing is a combination of outputs that is known in advance, in whose direction
+S is singular and the gain is that of a stable observer. Σ is computed in Joseph's form, which stays semidefinite:
+
+    Σ = (I − gain C) Σ̃ (I − gain C)' + gain V gain'.
+
+Modes on the unit circle that no noise reaches and no output shows keep their first uncertainty: their covariance and
+gain are 0 (``resting_states``). If no stable filter exists, the error names the mode that is the reason.
+"""
 
 from __future__ import annotations
 
@@ -92,18 +105,14 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
 
 
 def resting_states(plant: Plant) -> Bits:
-    """Return a mask of the states with an unobservable mode on the unit circle that no noise excites, (n,).
-
-    The estimation error of these states remains that of the start.
-    """
+    """Return a mask of the states with an unobservable mode on the unit circle that no noise excites, (n,)."""
+    # The estimation error of these states remains that of the start.
     return worth_of(_dual(plant.A, plant.C, plant.W, plant.V)).resting
 
 
 def forgets_the_start(plant: Plant, exact: Exact | None) -> bool:
-    """Return whether the filter from any start tends to the steady one.
-
-    It does if noise reaches all modes that do not decay, except those of the resting states.
-    """
+    """Return whether the filter from any start tends to the steady one."""
+    # It does if noise reaches all modes that do not decay, except those of the resting states.
     if plant.full_state or is_definite(plant.W):
         return True
     source = None if exact is None else exact.source
@@ -127,12 +136,9 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
 def forgetting(
     plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str = "take more measurements"
 ) -> float:
-    """Return the time constant, in steps, of a Kalman filter together with a regulator.
-
-    The filter is steady, or its gains repeat along a schedule.
-
-    The result is 1/(1 − |slowest mode per step|), without the modes of ``resting_states``.
-    """
+    """Return the time constant, in steps, of a Kalman filter together with a regulator."""
+    # 1/(1 − |slowest mode per step|) of a steady filter, or of one whose gains repeat along a schedule, without the
+    # modes of ``resting_states``
     moving = ~resting_states(plant)
     turn = np.eye(int(moving.sum()))
     for step in filtered:

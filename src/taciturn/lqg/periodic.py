@@ -1,17 +1,19 @@
-"""Optimal gains and exact cost of control whose input is updated only at fixed steps of a repeating cycle.
+"""Optimal control with sends at fixed steps: one input that is held in a cycle of intervals, or links with own periods.
 
-An interval of k steps is one step of a slower plant, the lifted plant. A cycle of intervals is one step of an even
-slower plant, whose input contains the inputs of all sends. One Riccati equation gives the cost-to-go at the start of
-the cycle; one backward step per interval gives the other costs-to-go and the gains.
+**One link.** An interval of k steps with a constant input is one step of a slower plant, the lifted plant:
 
-Optimal control over several links that send at fixed steps, each with a period and a phase of its own.
+    A^k,   B_k = Σ_{j<k} A^j B,   weights Σ_{j<k} F'^j M F^j with F = [[A, B], [0, I]] and M = [[Q, N], [N', R]].
 
-A packet of a sensor contains all its measurements so far. So the error covariance of the estimate at a step depends
-only on the age of the last packet of each sensor: it is that of the Kalman filter of all sensors at the oldest of these
-packets, continued with the measurements of the sensors whose packets are newer. A packet to an actuator contains an
-input that the actuator holds, or the inputs of all steps until the next packet. Both are states of a periodic linear
-quadratic problem. Since the information of the controller does not depend on its inputs, the optimal gains are those of
-a known state, and the error of the estimate adds tr(L'HL P).
+A cycle of intervals is one step of an even slower plant, whose input contains the inputs of all sends. One Riccati
+equation gives the cost-to-go at the start of the cycle; one backward step per interval gives the other costs-to-go and
+the gains. Many cycles are first screened by doubling without an error check.
+
+**Several links,** each with a period and a phase of its own. A packet of a sensor contains all its measurements so far.
+So the error covariance of the estimate at a step depends only on the age of the last packet of each sensor: it is that
+of the Kalman filter of all sensors at the oldest of these packets, continued with the measurements of the sensors whose
+packets are newer. A packet to an actuator contains an input that the actuator holds, or the inputs of all steps until
+the next packet. Both are states of a periodic linear quadratic problem. Since the information of the controller does
+not depend on its inputs, the optimal gains are those of a known state, and the error of the estimate adds tr(L'HL P).
 """
 
 from __future__ import annotations
@@ -40,17 +42,17 @@ from taciturn.model.network import Network
 
 __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
-CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
+_CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
+_SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
+_LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
+_MOST_STEPS = 20_000  # steps of the backward iteration
 
 
 def lift(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int, factor: float = 1.0
 ) -> Sampled:
-    """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step.
-
-    A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
-    and M = [[Q, N], [N', R]], and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set.
-    """
+    """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step."""
+    # W_k = Σ_{j<k} A^jWA'^j, and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
@@ -88,11 +90,10 @@ class Pattern(Displayed):
 
 
 class Held:
-    """Optimal control of a plant whose input is held from one send to the next, for given intervals between sends.
+    """Optimal control of a plant whose input is held from one send to the next, for given intervals between sends."""
 
-    The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
-    independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
-    """
+    # The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
+    # independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
 
     def __init__(
         self,
@@ -109,11 +110,9 @@ class Held:
 
     @cached_property
     def _last(self) -> Array | None:
-        """Cost-to-go with a send at every step; None if no input stabilises the plant.
-
-        As the weight of the final state of a screened cycle, it does not count where a disturbance or a set-point keeps
-        the state away from zero: another weight would be paid for ever, and most by cycles of many sends.
-        """
+        """Cost-to-go with a send at every step; None if no input stabilises the plant."""
+        # As the weight of the final state of a screened cycle, it does not count where a disturbance or a set-point
+        # keeps the state away from zero: another weight would be paid for ever, and most by cycles of many sends.
         try:
             return _at_the_start([self.lifted(1)])
         except TaciturnError:
@@ -140,7 +139,7 @@ class Held:
         with np.errstate(all="ignore"):
             spans = [Span.of(part.quadratic, last, price(part.B, last, part.R)[1]) for part in parts]
             stages = [Span(*(np.array(one)[chosen[:, k]] for one in zip(*spans, strict=True))) for k in many]
-            K = reduce(Span.then, stages).for_ever(last, CRUMB * sum(map(np.diag, sums))) - last
+            K = reduce(Span.then, stages).for_ever(last, _CRUMB * sum(map(np.diag, sums))) - last
             # backwards: the noise of an interval costs what the state at its end, the next send, costs from there on
             for k in reversed(many):
                 noise = noise + ((last + K) * np.array([part.W for part in parts])[chosen[:, k]]).sum(axis=(1, 2))
@@ -208,10 +207,8 @@ def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Yield all cycles of ``sends`` intervals with the sum ``length``, but only one rotation of each cycle.
-
-    The lexicographically largest rotation of each cycle is given.
-    """
+    """Yield all cycles of ``sends`` intervals with the sum ``length``, but only one rotation of each cycle."""
+    # The lexicographically largest rotation of each cycle is given.
     return _extended((), length, sends, range(1, length + 1))
 
 
@@ -237,11 +234,6 @@ def _extended(head: tuple[int, ...], left: int, sends: int, intervals: Sequence[
     for interval in reversed(intervals):
         if interval <= min(head[0] if head else left, left - missing + 1):
             yield from _extended((*head, interval), left - interval, sends, intervals)
-
-
-SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
-LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
-MOST_STEPS = 20_000  # steps of the backward iteration
 
 
 class Timing(NamedTuple):
@@ -330,16 +322,16 @@ class MultirateControl(Displayed):
         steps = [self._step(timings, step) for step in range(cycle)]
         K, size = np.zeros(steps[0].A.shape), 1.0
         values, squares = [K] * cycle, [K] * cycle
-        for _ in range(max(2, MOST_STEPS // cycle)):
+        for _ in range(max(2, _MOST_STEPS // cycle)):
             before = K
             for step in reversed(range(cycle)):
                 values[step] = K[:n, :n]
                 K, saved = steps[step].back(K)
                 squares[step] = saved[:n, :n]
             size = float(np.abs(K).max())
-            if not np.isfinite(size) or size > LARGEST * max(1.0, float(np.abs(self.problem.Q).max())):
+            if not np.isfinite(size) or size > _LARGEST * max(1.0, float(np.abs(self.problem.Q).max())):
                 break
-            if float(np.abs(K - before).max()) <= SETTLED * size:
+            if float(np.abs(K - before).max()) <= _SETTLED * size:
                 return values, squares
         named = ", ".join(f"{link} every {one.period} steps" for link, one in zip(self._linked, timings, strict=True))
         raise UnstableError(f"the plant is not stabilised by packets {named}; expected shorter periods")

@@ -1,4 +1,14 @@
-"""Cost of control with a predicted state, from the prediction error between successive corrections."""
+"""Cost of control with a predicted state, from the prediction error between successive corrections.
+
+The input is u = L x̂ with the gain of the continuous-time regulator, and a model predicts x̂ between corrections. The
+error e = x − x̂ obeys ė = A e + noise of intensity W and is 0 after a correction, so s seconds later its covariance is
+V(s) = ∫_0^s e^{Ar} W e^{A'r} dr. With S = L'RL and corrections every h seconds,
+
+    J_per(h) = tr(PW) + g(h),   g(h) = (1/h) tr(S ∫_0^h V(s) ds).
+
+V, its integral, e^{Ah} and ∫ e^{A't} S e^{At} dt are the noise, the noise cost, the transition and the weight of one
+sampled problem (``sampling``), whose entries are known to fourteen digits.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +24,8 @@ from taciturn.lqg.enclosures import E
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 from taciturn.lqg.sampling import Sampled, Step, integrated, sampled
 
-GRID = 400  # intervals at which the cost is evaluated
-FINER, ROUNDS = 42, 3  # of them about the least ratio, in turn
+_GRID = 400  # intervals at which the cost is evaluated
+_FINER, _ROUNDS = 42, 3  # of them about the least ratio, in turn
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,8 +102,8 @@ class PredictionCost(Displayed):
         if np.isinf(longest) and ratios[-1] < ratios[-2]:
             return 0.0, longest
         least = int(np.argmin(ratios))
-        for _ in range(ROUNDS if 0 < least < len(lengths) - 1 else 0):
-            lengths = np.linspace(lengths[least - 1], lengths[least + 1], FINER)[1:-1].tolist()
+        for _ in range(_ROUNDS if 0 < least < len(lengths) - 1 else 0):
+            lengths = np.linspace(lengths[least - 1], lengths[least + 1], _FINER)[1:-1].tolist()
             ratios = [self._ratio(length) for length in lengths]
             least = min(max(int(np.argmin(ratios)), 1), len(lengths) - 2)
         return ratios[least], lengths[least]
@@ -101,9 +111,9 @@ class PredictionCost(Displayed):
     def _lengths(self, shortest: float, longest: float) -> list[float]:
         lasting = 100 * max(shortest, 1 / max(float(np.abs(self.A).max()), 1e-3))
         end = min(longest, lasting)
-        lengths = np.geomspace(shortest if shortest > 0 else 1e-4 * end, end, GRID).tolist()
+        lengths = np.geomspace(shortest if shortest > 0 else 1e-4 * end, end, _GRID).tolist()
         beyond = np.isfinite(longest) and longest > lasting
-        return lengths + (np.geomspace(lasting, longest, GRID)[1:].tolist() if beyond else [])
+        return lengths + (np.geomspace(lasting, longest, _GRID)[1:].tolist() if beyond else [])
 
     def _ratio(self, length: float) -> float:
         """Return g(h)/h, or infinity if the error overflows."""

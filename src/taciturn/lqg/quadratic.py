@@ -1,15 +1,18 @@
-"""Linear-quadratic problems in double precision: their matrices, the price of an input, and many steps of them.
+"""Linear-quadratic problems in double precision: matrices, the price of an input, many steps, and their structure.
 
-Structure of a problem: states without a cost-to-go, and inputs that cost nothing, which are left out of equations.
+One step back changes a cost-to-go K to Q + A'KA − (A'KB + N)H⁻¹(B'KA + N') with the weight H = R + B'KB of an input.
+Many steps are a ``Span``: relative to a terminal weight X ≻ 0, they map a change Δ of it to K + F'Δ(I + GΔ)⁻¹F. Spans
+compose, so that 2^k steps take k compositions (structured doubling).
 
-States whose cost-to-go is exactly zero are, for example, registers that no noise reaches, and modes that nothing drives
-and that do not affect the cost. The cost of such a state has no natural size to which an error could be relative, and
-iterations only halve it towards zero. Which state affects which follows from the exact zeros of the matrices.
+Some states and inputs are left out before an equation is solved:
 
-An input that costs nothing, now or later, moves states within a subspace in which other such inputs keep them (the
-largest controllability subspace on which the cost is zero). For a filter, it is a combination of outputs that is known
-in advance. The weight R + B'KB of such an input is zero, so no gain follows from the Riccati equation. The subspace is
-computed in rational numbers: a double is one, and so is a rank of doubles.
+* States whose cost-to-go is exactly zero, for example registers that no noise reaches, and modes that nothing drives
+  and that do not affect the cost. The cost of such a state has no natural size to which an error could be relative, and
+  iterations only halve it towards zero. Which state affects which follows from the exact zeros of the matrices.
+* Inputs that cost nothing, now or later. They move states within a subspace in which other such inputs keep them (the
+  largest controllability subspace on which the cost is zero). For a filter, such an input is a combination of outputs
+  that is known in advance. The weight H of such an input is zero, so no gain follows from the Riccati equation. The
+  subspace is computed in rational numbers: a double is one, and so a rank of doubles has an exact answer.
 
 Source: trentelman2001
 """
@@ -43,8 +46,9 @@ from taciturn._rational import (
     right_inverse,
 )
 
-TURNS = 40  # 2^40 steps
-SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
+_TURNS = 40  # 2^40 steps
+_SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
+_MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
 
 
 class Quadratic(NamedTuple):
@@ -111,11 +115,9 @@ def placed(states: int, place: int, more: int) -> tuple[Array, Array]:
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
-    """Return the input weight H = R + B'KB and its inverse, or a pseudo-inverse if H is singular.
-
-    A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
-    are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
-    """
+    """Return the input weight H = R + B'KB and its inverse, or a pseudo-inverse if H is singular."""
+    # A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
+    # are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
     H = symmetrised(R + B.T @ K @ B)
     diagonal = H.diagonal()
     products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(R.diagonal())
@@ -133,11 +135,10 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 class Span(NamedTuple):
-    """Some steps of a problem with optimal inputs: how they change a cost-to-go X + Δ, X being a terminal weight.
+    """Some steps of a problem with optimal inputs: how they change a cost-to-go X + Δ, X being a terminal weight."""
 
-    The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite even
-    if R is not. A stack of problems has stacks of matrices.
-    """
+    # The cost-to-go before the steps is X + K + F'Δ(I + GΔ)^{-1}F. With X ≻ 0, the input weight R + B'XB is definite
+    # even if R is not. A stack of problems has stacks of matrices.
 
     F: Array  # the states after the steps, for Δ = 0
     G: Array  # how a later Δ changes these states
@@ -170,16 +171,14 @@ class Span(NamedTuple):
         return Span(later.F @ solved[..., :n], later.G + later.F @ solved[..., n:] @ later.F.mT, K)
 
     def for_ever(self, last: Array, crumb: Array | float = 0.0) -> Array:
-        """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none.
-
-        Each iteration doubles the number of steps, and leaves the square of the error before.
-        """
+        """Return the limit of the cost-to-go of more and more repetitions; not finite if there is none."""
+        # Each iteration doubles the number of steps, and leaves the square of the error before.
         span, worth = self, np.diag(last)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for _ in range(TURNS):
+            for _ in range(_TURNS):
                 K, solved = span._onto(span.K)
                 found, more = (np.diagonal(part, axis1=-2, axis2=-1) for part in (K, K - span.K))
-                if not (np.abs(more) > SETTLED * np.abs(worth + found) + crumb).any():
+                if not (np.abs(more) > _SETTLED * np.abs(worth + found) + crumb).any():
                     return symmetrised(last + K)  # also if entries are not finite
                 span = span._through(span, K, solved)
         return symmetrised(last + span.K)
@@ -200,9 +199,6 @@ def in_powers_of_two(sizes: Array) -> Array:
     return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0)) / 2))
 
 
-MARGIN = 1e-10  # least distance to the unit circle of a mode of rounded matrices that counts as decaying
-
-
 class Worth(NamedTuple):
     """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others."""
 
@@ -216,12 +212,10 @@ Before: TypeAlias = tuple[Quadratic, Limit]  # a problem before sampling and dis
 
 
 def worth_of(given: Quadratic, continuous: bool = False, rounded: bool = True, before: Before | None = None) -> Worth:
-    """Return the states with a nonzero cost-to-go, and the modes of the other states.
-
-    A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
-    weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
-    sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
-    """
+    """Return the states with a nonzero cost-to-go, and the modes of the other states."""
+    # A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
+    # weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
+    # sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
     nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
     needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
@@ -254,7 +248,7 @@ def _modes_of(A: Array, continuous: bool, rounded: bool) -> Lost:
         return free_modes(A, Limit(continuous))
     modes = eigenvalues(A)
     outside = modes.real if continuous else np.abs(modes) - 1
-    margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else MARGIN, SCATTER)
+    margin, scatter = (0.0, 0.0) if len(A) == 1 else (0.0 if continuous else _MARGIN, SCATTER)
     growing, decaying = outside > scatter, outside < -margin
     return Lost(modes[growing], modes[~growing & ~decaying], modes[decaying])
 
@@ -267,11 +261,10 @@ def _sampled(given: Quadratic, limit: Limit, cycle: Bits) -> Lost:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Free(Displayed):
-    """Inputs that cost nothing, and the subspace in which they move the state.
+    """Inputs that cost nothing, and the subspace in which they move the state."""
 
-    A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
-    u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
-    """
+    # A state x = inside·a + e has coordinates a, its entries at ``places``, and a rest e that is zero there. The inputs
+    # u = keeping·a + moving·w cost nothing, and move a to (A x + B u) at ``places``.
 
     inside: fmpq_mat  # a basis of the subspace, the identity at ``places``, (n, r)
     places: Bits  # mask of the states that are coordinates of the subspace, (n,)
@@ -281,12 +274,10 @@ class Free(Displayed):
 
 
 def unpaid(given: Quadratic, limit: Limit) -> Lost:
-    """Return the modes along which inputs can keep the state moving at no cost; none are known with free inputs.
-
-    They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
-    invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an optimal
-    gain has them, mirrored into the region of decay. So none of them may lie on its edge.
-    """
+    """Return the modes along which inputs can keep the state moving at no cost; none are known with free inputs."""
+    # They are the eigenvalues of the problem on the largest subspace in which inputs keep the state without cost, the
+    # invariant zeros of (A, B, [C, D]) with the weight [C, D]'[C, D] of states and inputs. The closed loop of an
+    # optimal gain has them, mirrored into the region of decay. So none of them may lie on its edge.
     definite, weight = is_definite(given.R), np.block([[given.Q, given.N], [given.N.T, given.R]])
     if limit.continuous and not definite:
         return NONE  # free inputs move the state at once, but not an input that is held

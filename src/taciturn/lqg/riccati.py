@@ -1,11 +1,18 @@
 """Optimal state-feedback gains u = L x for infinite, discounted and finite horizons, and in continuous time.
 
-A cache of Riccati solutions, keyed by array bytes; the points of a sweep often have the same plant and cost.
+    K = Q + αA'KA − L'HL,   H = R + αB'KB,   L = −H⁻¹(αB'KA + N')
 
-Recursions over many steps that return to an earlier state bit for bit, after which they repeat.
+Without a horizon, ``equation`` solves this equation with a proof of its error. A discount α is a factor √α of A and B.
+If disturbances or set-points move states that cost nothing while the inputs follow them (``followed``), the problem of
+the deviations is solved instead. If there is no solution, the error names the mode that is the reason: it is sought in
+rational numbers, among the modes before sampling if these are known.
 
-A Riccati recursion converges up to rounding, and then stays constant or alternates between a few states. Each state
-determines the next one, so the remaining steps of a long horizon need no further computation.
+With a horizon the equation is a recursion. It converges up to rounding, and then stays constant or alternates between a
+few states. Each state determines the next one, so as soon as a state returns bit for bit (``Repetition``), the
+remaining steps of a long horizon need no further computation.
+
+The points of a sweep often have the same plant and cost, so solutions are cached by the bytes of the matrices
+(``kept``).
 """
 
 from __future__ import annotations
@@ -34,57 +41,6 @@ MOST = 16  # most results in the cache of a function
 
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
-
-
-class _Bits(NamedTuple):
-    shape: tuple[int, ...]
-    bits: bytes
-
-
-def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
-    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
-    loose = cast("Callable[..., T]", solve)
-
-    @lru_cache(maxsize=MOST)
-    def of_bits(*given: object) -> T:
-        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
-
-    @wraps(solve)
-    def found(*args: *Ts) -> T:
-        check_time()  # every design and every search for periodic control solves such equations
-        given = cast("tuple[Array | object, ...]", args)
-        return of_bits(*map(_hashable, given))
-
-    return found
-
-
-def _hashable(one: Array | object) -> object:
-    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
-
-
-class Repetition:
-    """Detection that a recursion has returned to an earlier state."""
-
-    def __init__(self) -> None:
-        """Start without states."""
-        # number and state of a step, by the hash of the state
-        self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
-
-    def period(self, step: int, *state: Array) -> int | None:
-        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet."""
-        key = hash(b"".join(part.tobytes() for part in state))
-        earlier, same = self._seen.setdefault(key, (step, state))
-        alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
-        return abs(step - earlier) if alike and step != earlier else None
-
-
-def fill_earlier(parts: tuple[Array, ...], step: int, period: int) -> None:
-    """Fill the steps before a step of a backward recursion that repeats after ``period`` steps."""
-    alike = step + (np.arange(step) - step) % period
-    for part in parts:
-        part[:step] = part[alike]
-
-
 __all__ = [
     "FiniteRegulator",
     "Regulator",
@@ -93,7 +49,6 @@ __all__ = [
     "regulate_continuous",
     "regulate_finite",
     "states_with_cost",
-    "uncontrollable_modes",
 ]
 
 
@@ -258,17 +213,6 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
 
 
-def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
-    """Return the eigenvalues of A that the input through B cannot influence.
-
-    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0, computed in rational numbers: the answer is exact for the
-    given doubles, in any units and for repeated eigenvalues. By duality, ``uncontrollable_modes(A.T, C.T)`` are the
-    unobservable modes of the output y = Cx.
-    """
-    A = _arrays.square("A", A, "states × states")
-    return np.concatenate(unmoved(A, _arrays.array("B", B, (len(A), None), "states × inputs"), Limit(False)))
-
-
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
     """Return, for each state, whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
     return worth_of(Quadratic(A, B, Q, R, N)).states
@@ -282,6 +226,32 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
             f"at most {COST_ERROR:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its "
             "rounding error dominates; give these modes noise W, or remove them from the plant"
         )
+
+
+class _Bits(NamedTuple):
+    shape: tuple[int, ...]
+    bits: bytes
+
+
+def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
+    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
+    loose = cast("Callable[..., T]", solve)
+
+    @lru_cache(maxsize=MOST)
+    def of_bits(*given: object) -> T:
+        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
+
+    @wraps(solve)
+    def found(*args: *Ts) -> T:
+        check_time()  # every design and every search for periodic control solves such equations
+        given = cast("tuple[Array | object, ...]", args)
+        return of_bits(*map(_hashable, given))
+
+    return found
+
+
+def _hashable(one: Array | object) -> object:
+    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
 
 
 @kept
@@ -305,9 +275,7 @@ def regulate_deviations(change: Followed) -> Regulator:
 def regulate_for(
     given: Quadratic, recipe: Recipe, discount: float = 1.0, sampled: bool = False, source: Source | None = None
 ) -> Regulator:
-    """Return the regulator of a problem that is known to any precision, or raise an error that says why there is
-    none.
-    """
+    """Return the regulator of a problem that is known to any precision, or say why there is none."""
     check_time()
     root = float(np.sqrt(discount))
     scaled = given._replace(A=root * given.A, B=root * given.B)
@@ -331,7 +299,9 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
         with np.errstate(over="ignore", invalid="ignore"):  # a number out of range ends the proof
             found = problem.solve()
     except UnprovedError as error:
-        _refuse(problem, given, limit)
+        seen = given.among(problem.worth.states)
+        _refuse_unmoved(seen, limit)
+        _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
         what = "the Riccati equation of the regulator"
         found = f"the stabilising solution of {what}" if is_definite(given.R) else f"{what} has no solution that"
         raise UnstableError(
@@ -344,13 +314,6 @@ def _solved(problem: Problem, given: Quadratic, limit: Limit) -> Regulator:
         raise not_held("regulator", problem.given.A / np.sqrt(limit.discount), found.lacking)
     K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
     return Regulator(K, L, H, error, found.slowest)
-
-
-def _refuse(problem: Problem, given: Quadratic, limit: Limit) -> None:
-    """Raise an error if a mode is the reason why there is no stabilising solution."""
-    seen = given.among(problem.worth.states)
-    _refuse_unmoved(seen, limit)
-    _refuse_unpaid(unpaid(seen, limit).staying, limit, is_definite(given.R))
 
 
 def _refuse_unmoved(seen: Quadratic, limit: Limit) -> None:
@@ -403,3 +366,26 @@ def costs_nothing(H: Array, where: str = "", weight: str = "R") -> ProblemError:
         f"direction is free; expected every input to cost something; give {weight} a positive part, or remove the "
         "redundant input"
     )
+
+
+class Repetition:
+    """Detection that a recursion has returned to an earlier state."""
+
+    def __init__(self) -> None:
+        """Start without states."""
+        # number and state of a step, by the hash of the state
+        self._seen: dict[int, tuple[int, tuple[Array, ...]]] = {}
+
+    def period(self, step: int, *state: Array) -> int | None:
+        """Return after how many steps the recursion has returned to the state of this step; None: it has not yet."""
+        key = hash(b"".join(part.tobytes() for part in state))
+        earlier, same = self._seen.setdefault(key, (step, state))
+        alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
+        return abs(step - earlier) if alike and step != earlier else None
+
+
+def fill_earlier(parts: tuple[Array, ...], step: int, period: int) -> None:
+    """Fill the steps before a step of a backward recursion that repeats after ``period`` steps."""
+    alike = step + (np.arange(step) - step) % period
+    for part in parts:
+        part[:step] = part[alike]

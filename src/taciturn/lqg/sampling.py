@@ -1,6 +1,4 @@
-"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and inter-sample noise cost.
-
-Exact effect of a time interval on a noisy linear system and on its quadratic cost, in the arithmetic of a proof.
+"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and the cost of noise between samples.
 
 ``Ad``, ``Bd``, the weights, the noise and its cost all follow from one extended system ż = Fz + noise of intensity G
 with the cost ∫ z'Mz dt. The vector z contains the state and the data that the actuator stores between two decisions:
@@ -10,6 +8,9 @@ with the cost ∫ z'Mz dt. The vector z contains the state and the data that the
 Power series over h/2^k, with ‖F‖h/2^k ≤ 1/2, are followed by k doublings, which only add semidefinite terms. (Block
 exponentials with e^{−Fh} in one corner lose digits if ‖F‖h is large.) The terms that are left out are bounded entry by
 entry, and count as radii.
+
+The arithmetic is that of a proof (``enclosures``): a sampled problem has matrices of doubles, and can compute the same
+matrices again to any precision (``Exact``). It also knows the problem before it was sampled, whose modes are exact.
 
 Source: vanloan1978
 """
@@ -34,17 +35,17 @@ from taciturn.lqg.enclosures import PRECISIONS, Balls, Doubles, E, UnprovedError
 from taciturn.lqg.equation import FEW, Equation
 from taciturn.lqg.quadratic import Quadratic
 
-DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
-SMALL = 0.5  # norm of F over the interval of the series
-LATER = 8  # terms after the last one that are bounded entry by entry
-MOST = 1000  # doublings
+_DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
+_SMALL = 0.5  # norm of F over the interval of the series
+_LATER = 8  # terms after the last one that are bounded entry by entry
+_MOST = 1000  # doublings
+__all__ = ["Sampled", "sample", "sample_prediction"]
 
 
 class Step(NamedTuple, Generic[E]):
-    """Enclosures of a linear-quadratic problem of one step, with noise.
+    """Enclosures of a linear-quadratic problem of one step, with noise."""
 
-    x⁺ = Ax + Bu + w, w of covariance W, and the mean cost x'Qx + u'Ru + 2x'Nu + c, where c is (1, 1).
-    """
+    # x⁺ = Ax + Bu + w, w of covariance W, and the mean cost x'Qx + u'Ru + 2x'Nu + c, where c is (1, 1).
 
     A: E
     B: E
@@ -56,10 +57,9 @@ class Step(NamedTuple, Generic[E]):
 
 
 class Source(NamedTuple):
-    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly.
+    """The problem of continuous time from which a problem of one step was sampled: its modes are known exactly."""
 
-    dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
-    """
+    # dx = (Ax + Bu)dt + noise of intensity W, with the weights of the integral of the cost, and the period.
 
     given: Quadratic
     W: Array
@@ -160,161 +160,6 @@ class Sampled(Displayed):
         return Quadratic(self.A, self.B, self.Q, self.R, self.N)
 
 
-def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
-    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it.
-
-    For many states, it is eleven digits, or thirteen of the entries next to it.
-    """
-    exact = Exact(build, source)
-    step: Step[Doubles] | Step[Balls] | None = None
-    if size > FEW:
-        with suppress(UnprovedError):
-            step = exact(Doubles)
-            if not all(_is_sharp(part.middle, part.radius, 1e-11, 1e-13) for part in step):
-                step = None
-    if step is None:
-        for bits in PRECISIONS:
-            with precision(bits), suppress(UnprovedError):
-                step = exact(Balls)
-            if step is not None and all(_is_sharp(part.middle, part.radius, 1e-14, 1e-30) for part in step):
-                break
-    if step is None or not all(np.isfinite(part.middle).all() for part in step):
-        raise ProblemError(
-            "a number of the problem of one period exceeds the range of doubles; expected a shorter period, or states "
-            "and inputs in other units"
-        )
-    A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
-    return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
-
-
-def _is_sharp(middle: Array, radius: Array, own: float, others: float) -> bool:
-    """Return whether radii are small relative to each entry, or to the largest one of its row or column."""
-    size = np.abs(middle)
-    largest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), size.max(axis=0, keepdims=True, initial=0.0))
-    return bool((radius <= np.maximum(own * size, others * largest)).all())
-
-
-class Interval(NamedTuple, Generic[E]):
-    """Enclosures of the transition matrix, the weight at the start, the noise at the end, and its cost, (1, 1)."""
-
-    Phi: E
-    M: E
-    G: E
-    c: E
-
-    def then(self, second: Interval[E]) -> Interval[E]:
-        """Return the effect of this interval followed by another one."""
-        return Interval(
-            second.Phi @ self.Phi,
-            (self.M + self.Phi.T @ second.M @ self.Phi).symmetric(),
-            (second.G + second.Phi @ self.G @ second.Phi.T).symmetric(),
-            self.c + second.c + inner(second.M, self.G),
-        )
-
-    def repeated(self, times: int) -> Interval[E]:
-        """Return the effect of the same interval repeated ``times`` times, by repeated squaring."""
-        result: Interval[E] | None = None
-        once = self
-        while True:
-            if times & 1:
-                result = once if result is None else result.then(once)
-            times >>= 1
-            if not times:
-                assert result is not None, "one repetition at least"
-                return result
-            once = once.then(once)
-
-    def split(self, states: int) -> Step[E]:
-        """Return the problem whose first variables are the state, and the others the input."""
-        x, u = slice(states), slice(states, None)
-        Phi, M = self.Phi, self.M
-        return Step(Phi.part(x, x), Phi.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u), self.G.part(x, x), self.c)
-
-
-def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Array) -> Interval[E]:
-    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt."""
-    to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
-    F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
-    size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
-    doublings = max(0, ceil(log2(max(size, 1e-300) / SMALL))) if np.isfinite(size) else MOST + 1
-    if doublings > MOST:
-        raise overflowing(period, size)
-    found = _series(arithmetic, F, M, G, period / 2.0**doublings)
-    one, moving = arithmetic.exact(np.eye(len(units))), np.flatnonzero(F.middle.any(axis=1))
-    change, (Phi, M, G, c) = found.Phi, found
-    Phi = one + change
-    for _ in range(doublings):
-        found = Interval(Phi, M, G, c).then(Interval(Phi, M, G, c))
-        _, M, G, c = found
-        # Each squaring of Φ doubles the relative error of a slow mode; the same step for Φ − I does not, and is as
-        # accurate for a fast mode. Once all modes have decayed, Φ itself is more accurate.
-        if np.linalg.norm(Phi.middle[np.ix_(moving, moving)], 1) < DECAYED:
-            Phi = found.Phi
-        else:
-            change = change.times(2.0) + change @ change
-            Phi = one + change
-        if not all(np.isfinite(part.middle).all() for part in (Phi, M, G, c)):
-            raise overflowing(period, size)
-    return Interval(back @ Phi @ to, to @ M @ to, back @ G @ back, c)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Integrated(Displayed):
-    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs."""
-
-    F: Array
-    M: Array
-    G: Array
-    period: float  # the time
-    units: Array  # powers of two, the units of z
-    states: int  # number of entries of z that are states
-
-    def __call__(self, arithmetic: type[E], /) -> Step[E]:
-        """Return enclosures of the problem."""
-        F, M, G = (arithmetic.exact(part) for part in (self.F, self.M, self.G))
-        return integrated(arithmetic, F, M, G, self.period, self.units).split(self.states)
-
-
-def overflowing(period: float, size: float) -> ProblemError:
-    """Return the error that the state overflows within a period."""
-    most = size if np.isfinite(size) else np.inf
-    return ProblemError(
-        f"period is {period:g}, over which the state overflows (‖A‖·period = {most:.3g}); shorten the period"
-    )
-
-
-def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
-    """Return Φ − I, M_h, G_h and c over a step with ‖F‖·step ≤ 1/2, by power series with bounds on what is left out."""
-    F, least, k, left_out = F.times(step), arithmetic.unit(), 1, 0.5
-    most, power, m, g = F.most, F, M.times(step), G.times(step)
-    change, weight, noise, spread = power, m, g, g.over(2)  # spread: the sum of the covariances of all instants
-    while left_out > least:  # 1/(k + 1)!
-        k += 1
-        left_out /= k + 1
-        m, g, power = m @ F, F @ g, (power @ F).over(k)
-        m, g = (m + m.T).over(k), (g + g.T).over(k)
-        weight, noise, change = weight + m, noise + g, change + power
-        spread = spread + g.over(k + 1)
-    c = inner(M, spread).times(step)
-    change = change.widened(_tail(power.most, k, lambda term: term @ most))
-    weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
-    later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))
-    rest = np.array([[1.01 * step * float((np.where(later > 0, M.most, 0.0) * later).sum())]])
-    return Interval(change, weight, noise.widened(later), c.widened(rest))
-
-
-def _tail(term: Array, k: int, following: Callable[[Array], Array]) -> Array:
-    """Return a bound on the sum of the terms after the k-th one, of which each is at most half of the one before."""
-    found = np.zeros_like(term)
-    for later in range(k + 1, k + LATER + 1):
-        term = following(term) / later
-        found += term
-    return 1.01 * (found + 2 * float(term.sum()))
-
-
-__all__ = ["Sampled", "sample", "sample_prediction"]
-
-
 def sample(
     A: ArrayLike,
     B: ArrayLike,
@@ -377,7 +222,7 @@ def sample(
     reach = np.where(reach > 0, reach, 1.0)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
     F, M = np.block([[A, B], [D, np.zeros((m, m))]]), np.block([[Q, N], [N.T, R]])
-    return sampled(Integrated(F, M, G, period, units, n), n + m, source)
+    return sampled(_Integrated(F, M, G, period, units, n), n + m, source)
 
 
 def sample_prediction(
@@ -391,12 +236,10 @@ def sample_prediction(
     period: float,
     dynamics: ArrayLike | None = None,
 ) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time problem with an actuator that predicts the state.
-
-    Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
-    x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of :func:`sample`, with
-    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]. If the actuator has another model, F contains that model.
-    """
+    """Return the discrete-time LQ problem of a continuous-time problem with an actuator that predicts the state."""
+    # Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
+    # x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of ``sample``, with
+    # F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]; F contains another model if the actuator has one
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
@@ -405,6 +248,23 @@ def sample_prediction(
     period, units = _arrays.number("period", period, 0.0), np.tile(balancing(A), 2)
 
     return sampled(_Predicted(Quadratic(A, B, Q, R, N), W, L, given, period, units), 2 * n)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Integrated(Displayed):
+    """The problem of ż = Fz + noise of intensity G over a period, where z are states and inputs."""
+
+    F: Array
+    M: Array
+    G: Array
+    period: float  # the time
+    units: Array  # powers of two, the units of z
+    states: int  # number of entries of z that are states
+
+    def __call__(self, arithmetic: type[E], /) -> Step[E]:
+        """Return enclosures of the problem."""
+        F, M, G = (arithmetic.exact(part) for part in (self.F, self.M, self.G))
+        return integrated(arithmetic, F, M, G, self.period, self.units).split(self.states)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -427,3 +287,136 @@ class _Predicted(Displayed):
         across = cross @ gain
         M = block([[q, across], [across.T, (gain.T @ r @ gain).symmetric()]])
         return integrated(arithmetic, F, M, exact(np.pad(self.W, (0, n))), self.period, self.units).split(n)
+
+
+def sampled(build: Builder, size: int, source: Source | None = None) -> Sampled:
+    """Return a problem to double precision: each entry to fourteen digits, or to thirty of those next to it."""
+    # For many states, it is eleven digits, or thirteen of the entries next to it.
+    exact = Exact(build, source)
+    step: Step[Doubles] | Step[Balls] | None = None
+    if size > FEW:
+        with suppress(UnprovedError):
+            step = exact(Doubles)
+            if not all(_is_sharp(part.middle, part.radius, 1e-11, 1e-13) for part in step):
+                step = None
+    if step is None:
+        for bits in PRECISIONS:
+            with precision(bits), suppress(UnprovedError):
+                step = exact(Balls)
+            if step is not None and all(_is_sharp(part.middle, part.radius, 1e-14, 1e-30) for part in step):
+                break
+    if step is None or not all(np.isfinite(part.middle).all() for part in step):
+        raise ProblemError(
+            "a number of the problem of one period exceeds the range of doubles; expected a shorter period, or states "
+            "and inputs in other units"
+        )
+    A, B, Q, R, N, W, c = (_arrays.frozen(part.middle) for part in step)
+    return Sampled(A, B, Q, R, N, W, float(c[0, 0]), exact)
+
+
+def _is_sharp(middle: Array, radius: Array, own: float, others: float) -> bool:
+    """Return whether radii are small relative to each entry, or to the largest one of its row or column."""
+    size = np.abs(middle)
+    largest = np.maximum(size.max(axis=1, keepdims=True, initial=0.0), size.max(axis=0, keepdims=True, initial=0.0))
+    return bool((radius <= np.maximum(own * size, others * largest)).all())
+
+
+def integrated(arithmetic: type[E], F: E, M: E, G: E, period: float, units: Array) -> Interval[E]:
+    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt."""
+    to, back = arithmetic.exact(np.diag(1 / units)), arithmetic.exact(np.diag(units))
+    F, M, G = to @ F @ back, back @ M @ back, to @ G @ to
+    size = float(max(F.most.sum(axis=i).max(initial=0.0) for i in (0, 1))) * period
+    doublings = max(0, ceil(log2(max(size, 1e-300) / _SMALL))) if np.isfinite(size) else _MOST + 1
+    if doublings > _MOST:
+        raise _overflowing(period, size)
+    found = _series(arithmetic, F, M, G, period / 2.0**doublings)
+    one, moving = arithmetic.exact(np.eye(len(units))), np.flatnonzero(F.middle.any(axis=1))
+    change, (Phi, M, G, c) = found.Phi, found
+    Phi = one + change
+    for _ in range(doublings):
+        found = Interval(Phi, M, G, c).then(Interval(Phi, M, G, c))
+        _, M, G, c = found
+        # Each squaring of Φ doubles the relative error of a slow mode; the same step for Φ − I does not, and is as
+        # accurate for a fast mode. Once all modes have decayed, Φ itself is more accurate.
+        if np.linalg.norm(Phi.middle[np.ix_(moving, moving)], 1) < _DECAYED:
+            Phi = found.Phi
+        else:
+            change = change.times(2.0) + change @ change
+            Phi = one + change
+        if not all(np.isfinite(part.middle).all() for part in (Phi, M, G, c)):
+            raise _overflowing(period, size)
+    return Interval(back @ Phi @ to, to @ M @ to, back @ G @ back, c)
+
+
+class Interval(NamedTuple, Generic[E]):
+    """Enclosures of the transition matrix, the weight at the start, the noise at the end, and its cost, (1, 1)."""
+
+    Phi: E
+    M: E
+    G: E
+    c: E
+
+    def then(self, second: Interval[E]) -> Interval[E]:
+        """Return the effect of this interval followed by another one."""
+        return Interval(
+            second.Phi @ self.Phi,
+            (self.M + self.Phi.T @ second.M @ self.Phi).symmetric(),
+            (second.G + second.Phi @ self.G @ second.Phi.T).symmetric(),
+            self.c + second.c + inner(second.M, self.G),
+        )
+
+    def repeated(self, times: int) -> Interval[E]:
+        """Return the effect of the same interval repeated ``times`` times, by repeated squaring."""
+        result: Interval[E] | None = None
+        once = self
+        while True:
+            if times & 1:
+                result = once if result is None else result.then(once)
+            times >>= 1
+            if not times:
+                assert result is not None, "one repetition at least"
+                return result
+            once = once.then(once)
+
+    def split(self, states: int) -> Step[E]:
+        """Return the problem whose first variables are the state, and the others the input."""
+        x, u = slice(states), slice(states, None)
+        Phi, M = self.Phi, self.M
+        return Step(Phi.part(x, x), Phi.part(x, u), M.part(x, x), M.part(u, u), M.part(x, u), self.G.part(x, x), self.c)
+
+
+def _series(arithmetic: type[E], F: E, M: E, G: E, step: float) -> Interval[E]:
+    """Return Φ − I, M_h, G_h and c over a step with ‖F‖·step ≤ 1/2, by power series with bounds on what is left out."""
+    F, least, k, left_out = F.times(step), arithmetic.unit(), 1, 0.5
+    most, power, m, g = F.most, F, M.times(step), G.times(step)
+    change, weight, noise, spread = power, m, g, g.over(2)  # spread: the sum of the covariances of all instants
+    while left_out > least:  # 1/(k + 1)!
+        k += 1
+        left_out /= k + 1
+        m, g, power = m @ F, F @ g, (power @ F).over(k)
+        m, g = (m + m.T).over(k), (g + g.T).over(k)
+        weight, noise, change = weight + m, noise + g, change + power
+        spread = spread + g.over(k + 1)
+    c = inner(M, spread).times(step)
+    change = change.widened(_tail(power.most, k, lambda term: term @ most))
+    weight = weight.widened(_tail(m.most, k, lambda term: 2 * symmetrised(term @ most)))
+    later = _tail(g.most, k, lambda term: 2 * symmetrised(most @ term))
+    rest = np.array([[1.01 * step * float((np.where(later > 0, M.most, 0.0) * later).sum())]])
+    return Interval(change, weight, noise.widened(later), c.widened(rest))
+
+
+def _tail(term: Array, k: int, following: Callable[[Array], Array]) -> Array:
+    """Return a bound on the sum of the terms after the k-th one, of which each is at most half of the one before."""
+    found = np.zeros_like(term)
+    for later in range(k + 1, k + _LATER + 1):
+        term = following(term) / later
+        found += term
+    return 1.01 * (found + 2 * float(term.sum()))
+
+
+def _overflowing(period: float, size: float) -> ProblemError:
+    """Return the error that the state overflows within a period."""
+    most = size if np.isfinite(size) else np.inf
+    return ProblemError(
+        f"period is {period:g}, over which the state overflows (‖A‖·period = {most:.3g}); shorten the period"
+    )

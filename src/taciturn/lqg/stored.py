@@ -1,24 +1,20 @@
-"""The average cost of a loop with the gains as they are stored, with a proof of its error.
+"""Stored gains: the average cost of their loop, and what their rounding adds to the cost of silence, with proofs.
 
-A controller with memory closes the loop around x⁺ = Ax + Bu + w, y = Cx + v. With the state ζ of plant and controller,
+**Average cost.** A controller with memory closes the loop around x⁺ = Ax + Bu + w, y = Cx + v. With the state ζ of
+plant and controller,
 
     ζ⁺ = F ζ + G w + J v,   u = T ζ + D v,
 
 and the stage cost ζ'Mζ + v'D'RDv, the average cost is tr(PΩ) + tr(D'RDV), with the covariance Ω = GWG' + JVJ' and the
 value P = M + F'PF. The matrices of the controller are the doubles that programs hold; A, B, the weights and W are
-enclosures of the exact ones, such as those of a sampled plant.
+enclosures of the exact ones, such as those of a sampled plant. The proof takes any P̃ and any X. If X ≻ 0, X − F'XF ≻ 0,
+and ε(X − F'XF) ± (M + F'P̃F − P̃) ≻ 0, the loop is stable and P̃ − εX ⪯ P ⪯ P̃ + εX. Then the cost is
+tr(P̃Ω) ± ε tr(XΩ), whatever terms of the trace cancel. States that the cost does not see, by the zeros of the matrices,
+are left out, and need not decay.
 
-The proof takes any P̃ and any X. If X ≻ 0, X − F'XF ≻ 0, and ε(X − F'XF) ± (M + F'P̃F − P̃) ≻ 0, the loop is stable and
-P̃ − εX ⪯ P ⪯ P̃ + εX. Then the cost is tr(P̃Ω) ± ε tr(XΩ), whatever terms of the trace cancel. The precision grows until
-the radius is small. States that the cost does not see, by the zeros of the matrices, are left out, and need not decay.
-
-Source: anderson1990optimal, rump2006
-
-The effect of the rounding of stored gains on the cost of silence, with a proof.
-
-The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so far, holds for the
-optimal gains. Programs hold doubles. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the
-mean of the state given the measurements, from which x̂ differs by d = x̂* − x̂. Completion of squares with K* gives
+**Cost of silence.** The theorem J ≤ J_all + E[e'He], for inputs u = Lx̂ + e whose error e depends on the measurements so
+far, holds for the optimal gains. Let K*, L*, H*, g* be the exact solutions, L and g the stored gains, and x̂* the mean
+of the state given the measurements, from which x̂ differs by d = x̂* − x̂. Completion of squares with K* gives
 
     J ≤ J* + E|e + (L − L*)x̂ − L*d|²   in the norm of H*,
 
@@ -26,21 +22,17 @@ since x − x̂* is independent of the measurements. J* is at most the cost of t
 rounding adds a = |(L − L*)x̂| and b = |L*d|, root mean squares, to s = |e|:  J ≤ J_all + (s + a + b)².
 
 Both are bounded along the stored loop ζ⁺ = Fζ + noise + Me, ζ = (x, x − x̂⁻), with x̂ = Sζ + gv. If X − F'XF ⪰ X/ν, then
-F contracts by √(1 − 1/ν) in the norm of X: |ζ| ≤ √(ν tr(XΩ)) + 2ν|Me|. With the innovation ι* of the exact filter, of
-covariance S*, and the differences ΔA, ΔB between the exact plant and the stored one,
+F contracts by √(1 − 1/ν) in the norm of X: |ζ| ≤ √(ν tr(XΩ)) + 2ν|Me|. With the innovation ι* of the exact filter, and
+the differences ΔA, ΔB between the exact plant and the stored one,
 
     d = (I − gC)d⁻ + (g* − g)ι*,   d⁻⁺ = A d + (ΔA + ΔB L)x̂ + ΔB e.
 
-Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop.
+Hence a + b ≤ fixed + slope·s, with numbers of the size of one rounding times the time constants of the loop. If several
+sensors filter apart, their sum differs from the stored filter by Δ, which counts as an error LΔ of the input. A trigger
+that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights, which are wrong by |d| in
+the norm of Q and by the rounding of the weights.
 
-If several sensors filter apart, programs add contributions ξˢ⁺ = Ωξˢ + g_s y_s with Ω ≈ (I − gC)A, and the estimate
-differs from that of the stored filter by Δ⁺ = (I − gC)AΔ + (roundings of Ω and I − gC)·(ξ, x̂, e). It counts as an error
-LΔ of the input.
-
-A trigger that limits e'He to a share of the stage cost computes this cost from x̂ and stored weights. Its mean is that
-of the true stage cost up to |d| in the norm of Q, and up to the rounding of the weights.
-
-Source: khashooei2017, anderson1990optimal
+Source: khashooei2017, anderson1990optimal, rump2006
 """
 
 from __future__ import annotations
@@ -66,8 +58,12 @@ from taciturn.lqg.riccati import Regulator
 from taciturn.lqg.sampling import Step
 from taciturn.model.controller import Controller
 
-SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
-MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
+_SMALL = 16  # most states of plant and controller for which balls are faster than doubles with bounds
+_MANY = 48  # states of plant and controller above which only doubles with bounds are tried: balls take seconds
+_MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
+_TRIALS = 40  # doublings of a bound until it is proved
+_SQUARINGS = 2  # of a matrix whose norm is sought
+_ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class Proved(NamedTuple):
@@ -137,8 +133,8 @@ class Stored(Displayed):
 
     def attempts(self, patient: bool = False) -> list[tuple[int, bool]]:
         """Return precisions in the order in which they are tried, and whether the arithmetic is that of doubles."""
-        doubles = [(PRECISIONS[0], True)] if self.states > SMALL else []
-        return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= MANY]
+        doubles = [(PRECISIONS[0], True)] if self.states > _SMALL else []
+        return doubles + [(bits, False) for bits in PRECISIONS if patient or self.states <= _MANY]
 
     def __call__(self, arithmetic: type[E], /) -> Valued[E]:
         """Return the loop and the proof of its cost, in the present precision."""
@@ -166,11 +162,9 @@ class Stored(Displayed):
 
 
 def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stored:
-    """Return the loop of u = L x̂ + e with the gains of a regulator and a steady filter.
-
-    The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
-    from the exact one by rounding.
-    """
+    """Return the loop of u = L x̂ + e with the gains of a regulator and a steady filter."""
+    # The loop has the state ζ = (x, x − x̂⁻) with the prediction x̂⁻, in which the stored model of the plant may differ
+    # from the exact one by rounding.
     plant = problem.plant
 
     def close(step: Step[E], arithmetic: type[E]) -> Closed[E]:
@@ -192,10 +186,8 @@ def filter_loop(problem: Discrete, steady: Filter, regulator: Regulator) -> Stor
 
 
 def controller_loop(problem: Discrete, controller: Controller) -> Stored:
-    """Return the loop of a linear controller, with every sample.
-
-    The loop has the state ζ = (x, z) with z⁺ = A z + B y + E u, u = C z + D y of the controller.
-    """
+    """Return the loop of a linear controller, with every sample."""
+    # The loop has the state ζ = (x, z) with z⁺ = A z + B y + E u, u = C z + D y of the controller.
     plant, c = problem.plant, controller
 
     def close(step: Step[E], arithmetic: type[E]) -> Closed[E]:
@@ -213,7 +205,7 @@ def controller_loop(problem: Discrete, controller: Controller) -> Stored:
 
 
 def _valued(problem: Discrete, close: Closing, near: Near | None, arithmetic: type[E]) -> Valued[E]:
-    step, V = step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
+    step, V = _step_of(problem, arithmetic), arithmetic.exact(problem.plant.V)
     loop = close(step, arithmetic)
     n, size = problem.plant.states, loop.F.shape[0]
     at = block([[arithmetic.exact(np.eye(n, size))], [loop.T]])
@@ -232,7 +224,7 @@ def _valued(problem: Discrete, close: Closing, near: Near | None, arithmetic: ty
     return Valued(cost, step, loop, keep, noise, X, falls)
 
 
-def step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
+def _step_of(problem: Discrete, arithmetic: type[E]) -> Step[E]:
     """Return enclosures of the plant and the weights of a step, without those of other parts of the cost."""
     p = problem.plant
     if problem.exact is None:
@@ -264,22 +256,14 @@ def _value(arithmetic: type[E], F: E, M: E, near: Near | None) -> tuple[E, E, E,
 
 
 def _guess(F: Array, M: Array, near: Near | None) -> Array:
-    """Return about the sum of F'^k M F^k.
-
-    If u = L x̂ with the best gain L, and F = [F₁ G; 0 F₂], the sum is that of K for x and of F₂'^k(M₂ + G'KG)F₂^k for
-    the error, without a cross term.
-    """
+    """Return about the sum of F'^k M F^k."""
+    # If u = L x̂ with the best gain L, and F = [F₁ G; 0 F₂], the sum is that of K for x and of F₂'^k(M₂ + G'KG)F₂^k for
+    # the error, without a cross term.
     if near is None:
         return summed(F.T, M)
     n, K = len(near.K), near.K
     across = F[:n, n:]
     return block_diagonal(K, summed(F[n:, n:].T, symmetrised(M[n:, n:] + across.T @ K @ across)))
-
-
-MORE = 1 + 1e-12  # above the rounding of the few sums, products and roots of non-negative numbers
-TRIALS = 40  # doublings of a bound until it is proved
-SQUARINGS = 2  # of a matrix whose norm is sought
-ENOUGH = 1e-8  # what rounding adds, relative to the cost, below which doubles suffice
 
 
 class Apart(NamedTuple):
@@ -290,11 +274,10 @@ class Apart(NamedTuple):
     moved: Array  # Ω, about (I − gC)A, (n, n)
 
 
-class StageError(NamedTuple):
-    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one.
+class _StageError(NamedTuple):
+    """How far the stage cost of a trigger, from x̂ and stored weights, may be above the mean of the true one."""
 
-    If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
-    """
+    # If the mean of the true one is y², that of the trigger is at most (y + fixed + slope·s)² + rest + share·s².
 
     fixed: float
     slope: float
@@ -308,7 +291,7 @@ class Allowance(NamedTuple):
     excess: float  # ε with H* ⪯ (1 + ε)H, of the exact weight and the stored one
     fixed: float  # root of a cost that rounding adds to silence
     slope: float  # the same in units of the root of the cost of silence
-    stage: StageError  # the error of the stage cost of a trigger
+    stage: _StageError  # the error of the stage cost of a trigger
 
     def within(self, share: float, cost: float) -> bool:
         """Return whether the rounding adds at most a share of a cost, J_all."""
@@ -318,27 +301,25 @@ class Allowance(NamedTuple):
     def raised(self, base: float, silence: float) -> tuple[float, float]:
         """Return a base and a factor of the cost of silence that allow for the rounding."""
         s = sqrt(silence)
-        added = (self.fixed + self.slope * s) * MORE
-        factor = (1 + self.excess) * (1 + added / s) * MORE if s > 0 else 1.0
-        return (base + added * (added + s)) * MORE, factor
+        added = (self.fixed + self.slope * s) * _MORE
+        factor = (1 + self.excess) * (1 + added / s) * _MORE if s > 0 else 1.0
+        return (base + added * (added + s)) * _MORE, factor
 
     def relative(self, base: Proved, theta: float) -> float | None:
-        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None.
-
-        With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
-        at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
-        """
+        """Return the bound on J of a trigger that limits e'He to the share θ/(1 + θ) of its stage cost, or None."""
+        # With y = √J, y² ≤ J_all + (k·y + h)². If y² is at least half of J_all, the root of the trigger's stage cost is
+        # at most y + fixed + slope·s + rest/√(2J_all), besides the share of s².
         stage, share = self.stage, theta / (1 + theta)
         if not base.lower > 0 or share * stage.share >= 1:
             return None
         turn = sqrt(1 - share * stage.share) - sqrt(share) * stage.slope
         along = sqrt(1 + self.excess) + self.slope
-        k = along * sqrt(share) / turn * MORE if turn > 0 else 1.0
+        k = along * sqrt(share) / turn * _MORE if turn > 0 else 1.0
         if not k < 1:
             return None
-        h = (k * (stage.fixed + stage.rest / sqrt(2 * base.lower)) + self.fixed) * MORE
-        free = (1 - k * k) / MORE
-        return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * MORE
+        h = (k * (stage.fixed + stage.rest / sqrt(2 * base.lower)) + self.fixed) * _MORE
+        free = (1 - k * k) / _MORE
+        return ((k * h + sqrt((k * h) ** 2 + free * (base.upper + h * h))) / free) ** 2 * _MORE
 
 
 def allowance(
@@ -353,7 +334,7 @@ def allowance(
             break
         with precision(bits), suppress(UnprovedError), np.errstate(all="ignore"):
             found = _allowance(Doubles, *given) if doubles else _allowance(Balls, *given)
-            if not doubles or found.within(ENOUGH, cost):  # what balls leave is the rounding of the gains
+            if not doubles or found.within(_ENOUGH, cost):  # what balls leave is the rounding of the gains
                 break
     return found if found is not None and found.within(COST_ERROR, cost) else None
 
@@ -449,13 +430,13 @@ def _allowance(
         more = float(most.middle[0, 0] + most.radius[0, 0])
         more += _most(step.Q, (left @ prior[1] @ left.T).symmetric()) + _spread(wrong, step.Q, innovation) ** 2
         rest += max(more, 0.0)
-    stage = StageError(float(d[0]) * MORE, float(d[1]) * MORE, float(rest) * MORE, float(squares) * MORE)
-    excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * MORE, float(a[1] + b[1]) * MORE
+    stage = _StageError(float(d[0]) * _MORE, float(d[1]) * _MORE, float(rest) * _MORE, float(squares) * _MORE)
+    excess, root, rise = _ratio(weight - H, H), float(a[0] + b[0]) * _MORE, float(a[1] + b[1]) * _MORE
     if apart is not None and not plant.full_state:
         # e + LΔ in place of e: s' ≤ (s + l₀)/(1 − l₁)
         first, more = _of_contributions(arithmetic, problem, regulator, steady, apart, norm, (fixed, slope))
         along = (sqrt(1 + excess) + rise) / (1 - more)
-        root, rise = (root + along * first) * MORE, (along - sqrt(1 + excess)) * MORE + ROUNDOFF * 8
+        root, rise = (root + along * first) * _MORE, (along - sqrt(1 + excess)) * _MORE + ROUNDOFF * 8
     return Allowance(excess, root, rise, stage)
 
 
@@ -476,7 +457,7 @@ def _of_contributions(
     turn = left @ A
     wrong, product = exact(apart.rest) - left, exact(moved) - turn
     errors = _norm(  # it contracts along Ω and along the exact product
-        arithmetic, turn.widened(np.abs(moved - turn.middle) * MORE), np.diag(steady.prior), L.most
+        arithmetic, turn.widened(np.abs(moved - turn.middle) * _MORE), np.diag(steady.prior), L.most
     )
     parts = np.zeros(2)
     for outputs in apart.outputs:
@@ -493,7 +474,7 @@ def _of_contributions(
     kept = 1 - errors.driven(errors.of(wrong @ A, errors.X))
     if not kept > 0.5:
         raise UnprovedError("the contributions of sensors are not proved to be accurate")
-    first, more = (errors.of(L, H) * errors.driven(part) / kept * MORE for part in pushed.tolist())
+    first, more = (errors.of(L, H) * errors.driven(part) / kept * _MORE for part in pushed.tolist())
     if not more < 0.5:
         raise UnprovedError("the contributions of sensors are not proved to be accurate")
     return first, more
@@ -505,14 +486,14 @@ def _unlike(problem: Discrete, step: Step[E], arithmetic: type[E]) -> E:
     if problem.exact is None:
         return exact(np.zeros((size, size)))
     stored = block([[exact(problem.Q), exact(problem.N)], [exact(problem.N.T), exact(problem.R)]])
-    return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * MORE))
+    return exact(np.diag((stored - block([[step.Q, step.N], [step.N.T, step.R]])).most.sum(axis=1) * _MORE))
 
 
 def _between(left: E, solution: tuple[E, E], right: E) -> E:
     """Return left'·X·right for all X between K − error and K + error: |x'ΔKy|² ≤ x'(error)x · y'(error)y."""
     K, error = solution
     sizes = [np.sqrt(np.diag(_squared(part, error).most)) for part in (left, right)]
-    return (left.T @ K @ right).widened(np.outer(*sizes) * MORE)
+    return (left.T @ K @ right).widened(np.outer(*sizes) * _MORE)
 
 
 def _squared(T: E, norm: E) -> E:
@@ -530,10 +511,8 @@ def _spread(T: E, norm: E, covariance: E) -> float:
 
 
 def _ratio(M: E, D: E) -> float:
-    """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative.
-
-    It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
-    """
+    """Return a number for which M ⪯ number·D is proved, near to the least one, and not negative."""
+    # It is a root of the trace of a power of D⁻¹M, which is at least the largest eigenvalue.
     if not M.most.any():
         return 0.0
     unit = 1 / np.sqrt(np.maximum(np.diag(D.middle), NO_VARIANCE))
@@ -544,11 +523,11 @@ def _ratio(M: E, D: E) -> float:
         raise UnprovedError("a weight is not definite") from error
     size = float(np.linalg.norm(power)) + NO_VARIANCE
     power = power / size
-    for _ in range(SQUARINGS):
+    for _ in range(_SQUARINGS):
         power = power @ power
     trace = max(float(np.vdot(power.T, power)), 0.0)
-    ratio = 1.001 * size * trace**2.0 ** -(SQUARINGS + 1) + 1e-200
-    for _ in range(TRIALS):
+    ratio = 1.001 * size * trace**2.0 ** -(_SQUARINGS + 1) + 1e-200
+    for _ in range(_TRIALS):
         if (D.times(ratio) - M).definite():
             return ratio
         ratio *= 2

@@ -7,20 +7,19 @@ has no effect.
 
 from __future__ import annotations
 
-DRIFT = 1e-3  # largest relative difference in speed of two wall clocks
+_DRIFT = 1e-3  # largest relative difference in speed of two wall clocks
 JUMPED = 16.0  # offset in steps beyond which a wall clock has jumped
 AGREED = 8  # consecutive packets that must show a jump before it is accepted
 LATE = 0.25  # offset in steps beyond which a packet is later than the drift of the clocks explains
 
 
 class Phase:
-    """An estimate of the time at which step 0 began, from the arrival times of packets.
+    """An estimate of the time at which step 0 began, from the arrival times of packets."""
 
-    A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
-    the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows the
-    earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive packets
-    agree. Until then, a packet of a step that cannot have begun is ignored.
-    """
+    # A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
+    # the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows
+    # the earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive
+    # packets agree. Until then, a packet of a step that cannot have begun is ignored.
 
     def __init__(self, tick: float) -> None:
         """Start without packets."""
@@ -58,7 +57,7 @@ class Phase:
         if off < 0:
             self.zero = found
         else:
-            self.zero += min(off, DRIFT * self.tick * max(tick - self._last, 0))
+            self.zero += min(off, _DRIFT * self.tick * max(tick - self._last, 0))
         self._last = max(self._last, tick)
         self._follow(off)
         return True

@@ -1,6 +1,8 @@
-"""Typed interface to python-control, an optional dependency; no other module imports it.
+"""Conversion of plants, policies and loops to systems of python-control, and of systems to plants.
 
-Conversion of plants, policies and loops to systems of python-control, and of systems to plants.
+No other module imports python-control, an optional dependency. A linear plant becomes a ``StateSpace``. A policy or a
+loop becomes a ``NonlinearIOSystem`` whose state holds the memories of its program and the number of the step, and whose
+functions run one step of the program (``together.StepFunction``): the numbers are those of the nodes, bit for bit.
 """
 
 from __future__ import annotations
@@ -29,46 +31,8 @@ from taciturn.program.ops import Entry, Sent
 
 Function: TypeAlias = Callable[[float, Array, Array, object], Array]
 """Function from time, state, input and parameters to the next state, or to the output."""
-
-
-def state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
-    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None."""
-    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
-
-
-def nonlinear_system(
-    update: Function,
-    output: Function,
-    states: Sequence[str],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    dt: float | bool,
-    name: str,
-) -> Any:
-    """Return the `control.NonlinearIOSystem` of two functions."""
-    return _control().NonlinearIOSystem(
-        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
-    )
-
-
-def is_linear(system: object) -> bool:
-    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
-    control = _control()
-    return isinstance(system, (control.StateSpace, control.TransferFunction))
-
-
-def _control() -> Any:
-    try:
-        return import_module("control")
-    except ImportError:
-        raise ProblemError(
-            "python-control is not installed, but to_control and from_control require it: "
-            "pip install 'taciturn[control]'"
-        ) from None
-
-
-NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
-CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
+_NAMES = {"applied": "u", REFERENCE: "setpoint"}  # of signals in python-control
+_CONVERTED = Coverage(PLANTS - POINT, "systems of python-control do not model")
 
 
 def to_control(
@@ -128,15 +92,15 @@ def to_control(
             "pass the network of a loop to `close`"
         )
     if isinstance(thing, Plant | ContinuousPlant):
-        CONVERTED.check(thing)
+        _CONVERTED.check(thing)
     if isinstance(thing, ContinuousPlant):
-        return state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
+        return _state_space(thing.A, thing.B, thing.C, thing.D, 0, "plant")
     if isinstance(thing, Plant) and thing.D is not None:
         thing = registered(thing, thing)
     if isinstance(thing, Plant) and thing.function is not None:
         return _moving(thing, thing.function)
     if isinstance(thing, Plant):
-        return state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
+        return _state_space(thing.A, thing.B, thing.C, None, _step(thing), "plant")
     if isinstance(thing, Policy):
         nodes, plant, links = Nodes(thing, network, seed), thing.model, thing.scheduled
         taken = {"y": plant.sensed, REFERENCE: plant.set_points}
@@ -186,7 +150,7 @@ def from_control(
         >>> from_control(control.ss([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
         0.1
     """
-    if not is_linear(system):
+    if not _is_linear(system):
         raise ProblemError(
             f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
             "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
@@ -203,10 +167,8 @@ def _system(
     name: str,
     given: int = 0,
 ) -> Any:
-    """Return the system of a program, with input and output signals of the given sizes.
-
-    The first ``given`` states are taken from the initial state; the others begin with their start values.
-    """
+    """Return the system of a program, with input and output signals of the given sizes."""
+    # The first ``given`` states are taken from the initial state; the others begin with their start values.
     places = [turns.outputs[Entry(signal, i)] for signal, size in shown.items() for i in range(size)]
     places += [turns.outputs[Sent(link)] for link in links]
 
@@ -225,7 +187,7 @@ def _system(
 
     outputs = _labels(shown)
     outputs += [f"sent_{link}" for link in links]
-    return nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
+    return _nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
 
 
 def _moving(plant: Plant, function: Dynamics) -> Any:
@@ -239,7 +201,7 @@ def _moving(plant: Plant, function: Dynamics) -> Any:
         return plant.C @ x
 
     taken, shown = _labels({"u": plant.inputs}), _labels({"y": plant.outputs})
-    return nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
+    return _nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
 
 
 def _step(plant: Plant) -> float | bool:
@@ -249,4 +211,40 @@ def _step(plant: Plant) -> float | bool:
 
 def _labels(signals: Mapping[str, int]) -> list[str]:
     """Return the names of the entries of signals in python-control, such as ``y[0]``."""
-    return [f"{NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]
+    return [f"{_NAMES.get(name, name)}[{i}]" for name, size in signals.items() for i in range(size)]
+
+
+def _state_space(A: Array, B: Array, C: Array, D: Array | None, dt: float | bool, name: str) -> Any:
+    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x + D u, with D = 0 for None."""
+    return _control().StateSpace(A, B, C, 0 if D is None else D, dt, name=name)
+
+
+def _nonlinear_system(
+    update: Function,
+    output: Function,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float | bool,
+    name: str,
+) -> Any:
+    """Return the `control.NonlinearIOSystem` of two functions."""
+    return _control().NonlinearIOSystem(
+        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
+    )
+
+
+def _is_linear(system: object) -> bool:
+    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
+    control = _control()
+    return isinstance(system, (control.StateSpace, control.TransferFunction))
+
+
+def _control() -> Any:
+    try:
+        return import_module("control")
+    except ImportError:
+        raise ProblemError(
+            "python-control is not installed, but to_control and from_control require it: "
+            "pip install 'taciturn[control]'"
+        ) from None

@@ -1,4 +1,9 @@
-"""A description of a policy's packets and nodes as JSON, from which a program in another language can be written."""
+"""A description of a policy's packets and nodes as JSON, from which a program in another language can be written.
+
+It has the layout of the header, the payload of each packet, and for each node its inputs, memories and outputs with the
+operations of its program (``program.ops``), in which constants and tables stand where they are read. So a few dozen
+kinds of operations, each of which rounds once, suffice for a node that agrees with those of this library bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,7 @@ from taciturn.program.ir import Program
 from taciturn.program.node import lay_out, lower_node
 from taciturn.program.ops import State, needed, text_of, tiles
 
-DESCRIBED = 1  # version of the description
+_DESCRIBED = 1  # version of the description
 
 
 def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, Any]:
@@ -51,7 +56,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
             "signals": [{"name": name, "size": policy.sizes[name]} for name in names],
         })  # fmt: skip
     return {
-        "description": DESCRIBED, "policy": policy.kind, "fingerprint": f"{fingerprint(policy, network):016x}",
+        "description": _DESCRIBED, "policy": policy.kind, "fingerprint": f"{fingerprint(policy, network):016x}",
         "seconds_per_step": policy.model.dt or policy.tick, "lossless": network.protocol == "ideal",
         "wire": {
             "version": VERSION, "byte_order": "big-endian", "header": header, "kinds": list(KINDS),
@@ -105,10 +110,8 @@ def _start(state: State) -> float | str:
 
 
 def _steps(program: Program) -> dict[str, Any]:
-    """Return the operations of a program, and which of them give the next memories and the outputs.
-
-    An unused operation is null. Constants, tables and rows of matrices are part of the operation that reads them.
-    """
+    """Return the operations of a program, and which of them give the next memories and the outputs."""
+    # An unused operation is null. Constants, tables and rows of matrices are part of the operation that reads them.
     roots = [*program.following, *program.outputs.values()]
     live = needed(program.ops, roots)
     operations: list[list[object] | None] = []

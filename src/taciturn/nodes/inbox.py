@@ -11,9 +11,8 @@
 | is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
 | is a mark: its sender is running and has finished a step | `marks` |
 
-The counter `received` is the sum of all other counters and the number of waiting packets.
-
-Detection of new packets of a sender by a window over their sequence numbers, as in IPsec [rfc4303].
+The counter `received` is the sum of all other counters and the number of waiting packets. Whether a packet is new is
+decided by a window over the sequence numbers of its sender, as in IPsec [rfc4303].
 """  # noqa: E501  # the rows of a table
 
 from __future__ import annotations
@@ -31,14 +30,16 @@ from taciturn.program.node import Arrival
 
 WIDTH = 1024  # width of the window in sequence numbers
 News: TypeAlias = Literal["new", "duplicate", "replayed"]
+AHEAD = 64  # largest number of steps by which a packet may be early
+Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
+USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
 class Window:
-    """A window over the received sequence numbers of one sender.
+    """A window over the received sequence numbers of one sender."""
 
-    The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
-    behind the newest packet by the width of the window or more.
-    """
+    # The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
+    # behind the newest packet by the width of the window or more.
 
     def __init__(self) -> None:
         """Start with an empty window."""
@@ -75,11 +76,6 @@ class Window:
     def restore(self, saved: list[int]) -> None:
         """Continue from a saved window."""
         self.epoch, self.newest, self.seen, self.distinct = saved
-
-
-AHEAD = 64  # largest number of steps by which a packet may be early
-Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
-USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
 @dataclass(repr=False)
@@ -171,10 +167,8 @@ class Inbox:
         return self.marked[link] >= tick or tick in self.streams["data", link].waiting
 
     def finished(self, link: str, tick: int) -> bool:
-        """Return whether the sender has finished a step, and every mark up to its newest one has arrived.
-
-        In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
-        """
+        """Return whether the sender has finished a step, and every mark up to its newest one has arrived."""
+        # In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
         return tick < 0 or (self.marked[link] >= tick and not self.marks[link].missing)
 
     def given(self, tick: int) -> bool:

@@ -17,10 +17,10 @@ from pathlib import Path
 from taciturn._files import read_text, why_unreadable
 from taciturn.errors import ProblemError
 
-KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
-LARGEST = 2**20  # bytes of a key file
-LOOKED = 1.0  # seconds between checks whether a key file has changed
-EVERY = ""  # name under which a key for all links is stored
+KEY, _LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
+_LARGEST = 2**20  # bytes of a key file
+_LOOKED = 1.0  # seconds between checks whether a key file has changed
+_EVERY = ""  # name under which a key for all links is stored
 
 
 class Keys:
@@ -45,15 +45,15 @@ class Keys:
         self._links = {link: tuple(keys) for link, keys in links.items()}
         self._source, self._used = source, dict[str, tuple[str, ...]]()
         for key in (key for keys in self._links.values() for key in keys):
-            if not LEAST_KEY <= len(key) <= MOST_KEY:
+            if not _LEAST_KEY <= len(key) <= MOST_KEY:
                 raise ProblemError(
-                    f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
+                    f"{source} holds {len(key)} bytes; expected {_LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
                 )
 
     @staticmethod
     def same(key: bytes) -> Keys:
         """Return one key for all links."""
-        return Keys({EVERY: (key,)})
+        return Keys({_EVERY: (key,)})
 
     @staticmethod
     def parse(text: str, source: str = "the text") -> Keys:
@@ -67,13 +67,13 @@ class Keys:
             if not line:
                 continue
             name, colon, digits = line.rpartition(":")
-            link = name.strip() if colon else EVERY
+            link = name.strip() if colon else _EVERY
             if link in links:
                 raise ProblemError(
                     f"{source} has two lines for {f'the {link} link' if link else 'all links'}; expected all keys of a "
                     "link on one line, separated by spaces"
                 )
-            if links and EVERY in (link, *links):
+            if links and _EVERY in (link, *links):
                 raise ProblemError(
                     f"{source} has a key for all links and keys of single links; expected one line KEY, or a line "
                     "LINK: KEY for each link"
@@ -85,7 +85,7 @@ class Keys:
 
     def of(self, link: str) -> tuple[bytes, ...]:
         """Return the keys of a link; none if it has no key."""
-        return next((self._links[one] for one in (link, link.partition("/")[0], EVERY) if one in self._links), ())
+        return next((self._links[one] for one in (link, link.partition("/")[0], _EVERY) if one in self._links), ())
 
     def expect(self, links: Sequence[str]) -> None:
         """Check that all keys belong to the links of a network.
@@ -93,7 +93,7 @@ class Keys:
         Raises:
             ProblemError: a key has the name of another link.
         """
-        for link in self._links.keys() - {*links, EVERY}:
+        for link in self._links.keys() - {*links, _EVERY}:
             raise ProblemError(f"{self._source} names the link {link!r}; expected one of {', '.join(links)}")
 
     def check(self, role: str, links: Iterable[str]) -> None:
@@ -139,7 +139,7 @@ class RenewedKeys(Keys, ABC):
 
     def renew(self) -> str | None:
         """Read the keys again if the source has changed; keep the former keys if it is not valid."""
-        if 0.0 <= self._clock() - self._looked < LOOKED:
+        if 0.0 <= self._clock() - self._looked < _LOOKED:
             return None
         self._looked = self._clock()
         stamp = self._stamped()
@@ -148,7 +148,7 @@ class RenewedKeys(Keys, ABC):
         self._stamp = stamp
         try:
             links = self._read()
-            former = [link for link, keys in self._links.items() if keys and link != EVERY]
+            former = [link for link, keys in self._links.items() if keys and link != _EVERY]
             for role, used in {"process": former, **self._used}.items():
                 Keys(links).check(role, used)
         except ProblemError as error:
@@ -183,7 +183,7 @@ class KeyFile(RenewedKeys):
     def _read(self) -> dict[str, tuple[bytes, ...]]:
         source = f"the key file {self._path}"
         try:
-            text, mode = read_text(self._path, LARGEST), self._path.stat().st_mode & 0o777
+            text, mode = read_text(self._path, _LARGEST), self._path.stat().st_mode & 0o777
         except (OSError, UnicodeDecodeError) as error:
             raise ProblemError(
                 f"{source} cannot be read ({why_unreadable(error)}); expected a file with hexadecimal digits"
@@ -205,7 +205,7 @@ def read_keys(path: str | Path | None = None, hosts: Iterable[str] = ()) -> Keys
     if not text and KEY in os.environ and other is not None:
         raise ProblemError(
             f"{source} is empty, so packets from and to {other} would not be authenticated; expected "
-            f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
+            f"{2 * _LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
             "variable to run without a key"
         )
     return Keys.parse(text, source) if text else None
@@ -217,7 +217,7 @@ def _key(digits: str, source: str) -> bytes:
         return bytes.fromhex(digits)
     except ValueError:
         raise ProblemError(
-            f"{source} contains other characters than hexadecimal digits; expected {2 * LEAST_KEY} to "
+            f"{source} contains other characters than hexadecimal digits; expected {2 * _LEAST_KEY} to "
             f"{2 * MOST_KEY} digits"
         ) from None
 

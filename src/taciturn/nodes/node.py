@@ -1,13 +1,17 @@
 """A node of a policy as a state machine: it receives packets, and returns packets and the plant input.
 
-The state machine uses no socket, no time and no thread. Packets may be late, duplicated, reordered or replayed;
-``taciturn.nodes.inbox`` defines how each case is handled. After an event that violates an assumption of the policy's
-theory, the node is *degraded* until the loop no longer depends on the event. ``Node.reasons`` counts these events.
+The state machine uses no socket, no time and no thread. A step runs the program of the node's site
+(``program.node``), in one or two parts:
 
-Digests of saved states, which show that a state is the one that was saved.
+    packets, measurement → part 0 → packets, plant input    …    packets of the step → part 1, when the next step begins
 
-A digest detects damage, such as a bad sector or an edited file. It is no signature: whoever can write the file can also
-write its digest.
+Packets may be late, duplicated, reordered or replayed; ``inbox`` defines how each case is handled. After an event that
+violates an assumption of the policy's theory, the node is *degraded* until the loop no longer depends on the event,
+seven time constants later. ``Node.reasons`` counts these events. A watchdog applies a safe input while all links are
+silent.
+
+A saved state has a digest, which shows that it is the state that was saved. It detects damage, such as a bad sector or
+an edited file. It is no signature: whoever can write the file can also write its digest.
 """
 
 from __future__ import annotations
@@ -35,29 +39,8 @@ from taciturn.program.node import Layout, NodeProgram, first_inputs, lay_out, lo
 from taciturn.program.ops import Option
 from taciturn.program.python import CompiledStep, compile_python
 
-SEAL = "digest"
-
-
-def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values that JSON can represent, with their digest."""
-    return {**content, SEAL: _digest(content)}
-
-
-def check_seal(saved: Mapping[str, Any], name: str) -> None:
-    """Check the digest of saved values."""
-    if saved.get(SEAL) != _digest({key: value for key, value in saved.items() if key != SEAL}):
-        raise ProblemError(
-            f"{name} is not a saved state of a node, or it was changed after it was saved (its digest differs); "
-            "expected the unchanged result of Node.save: start the node without it"
-        )
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    text = json.dumps(content, sort_keys=True)
-    return hashlib.blake2s(text.encode(), digest_size=16).hexdigest()
-
-
-CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
+_SEAL = "digest"
+_CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
 FORMAT = 4  # format version of a saved state
 Values: TypeAlias = tuple[float, ...]
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
@@ -258,7 +241,7 @@ class Node:
             else:
                 self.counters["missed"] += missed
             if not joins and not self.measures:
-                for behind in range(max(self.tick + 1, tick - CAUGHT_UP), tick):
+                for behind in range(max(self.tick + 1, tick - _CAUGHT_UP), tick):
                     sent += self._advance(behind, y, None)
             self._degrade("joined" if joins else "missed", tick)
         sent += self._advance(tick, y, draws)
@@ -472,3 +455,22 @@ def _safe_input(safe: Safe, inputs: int) -> Values | None:
     if isinstance(values, str) or len(values) != inputs or not fits(values):
         raise ProblemError(f"the safe input is {safe!r}; expected 'hold', 'zero' or {inputs} finite numbers")
     return tuple(float(value) for value in values)
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values that JSON can represent, with their digest."""
+    return {**content, _SEAL: _digest(content)}
+
+
+def check_seal(saved: Mapping[str, Any], name: str) -> None:
+    """Check the digest of saved values."""
+    if saved.get(_SEAL) != _digest({key: value for key, value in saved.items() if key != _SEAL}):
+        raise ProblemError(
+            f"{name} is not a saved state of a node, or it was changed after it was saved (its digest differs); "
+            "expected the unchanged result of Node.save: start the node without it"
+        )
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.blake2s(text.encode(), digest_size=16).hexdigest()

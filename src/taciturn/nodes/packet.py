@@ -1,6 +1,10 @@
 """Packets as bytes: encoding, checking and decoding; ``taciturn.model.wire`` contains a table of the layout.
 
-A datagram that is not a valid packet is rejected with a one-word reason, and has no other effect.
+    datagram = header | payload | CRC | tag, with a key
+
+The payload has the encoding of its link: numbers, or multiples of a resolution. The tag is a keyed digest (BLAKE2s) of
+all that stands before it. A datagram that is not a valid packet is rejected with a one-word reason, and has no other
+effect: its length, version, CRC and tag are checked before a field is used, and its numbers before they are returned.
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
-"""All nodes of a policy in one process: each step takes a measurement and returns the plant input.
+"""All nodes of a policy and their links as one pure function, for a plant that is simulated or measured elsewhere.
 
-In ``taciturn.nodes.node``, each node is separate and packets arrive at arbitrary times. In this module, one program
-computes a step of all nodes and links. Its random draws depend only on the seed and the number of the step. A step is
-therefore a pure function: its result is the same if the step is repeated or executed in another order.
+The program of all nodes (``program.controller``) is compiled to a Python function of the memory and the inputs: the
+measurement, set-points, and what becomes of each packet. The random draws of a step depend only on the seed and the
+number of the step, so that any step can be repeated. The results are those of separate nodes, bit for bit.
 
-Start values of a policy's nodes in a loop of one's own: an initial estimate, and a start without a jump.
+A loop may take over without a jump: from a given input before the first step, inputs that are held start with it, and
+the estimates of constant disturbances are those for which the first command is this input. The command depends on them
+linearly but for the packets of sensors, so a linear equation, solved a few times, gives them.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from taciturn.model.steps import ONE, Received, Send
 from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.node import Values
 from taciturn.program.controller import (
+    HELD,
     MEASURED,
     TOLD,
     Informed,
@@ -41,175 +44,9 @@ from taciturn.program.lower import APPLIED, link_state
 from taciturn.program.ops import Entry, Name, Sent, is_entry
 from taciturn.program.python import compile_python
 
-HELD = "held"  # name, or its beginning, of the copy of an actuator's input at another node
-NEAR = 1e-9  # relative difference of two inputs
-TRIES = 4
-
-
-def started(
-    policy: Policy, network: Network, estimate: ArrayLike | None, start_input: ArrayLike | None
-) -> tuple[Policy, tuple[str, ...]]:
-    """Return a policy whose nodes start from an estimate of the state, or from an input, and remarks on this start."""
-    if estimate is not None:
-        n = policy.model.states
-        wanted = array("estimate", estimate, (n,), "(states,), those of disturbances and set-points included")
-        policy = _from_estimate(policy, network, wanted)
-    if start_input is None:
-        return policy, ()
-    u, limit = array("start_input", start_input, (policy.model.inputs,), "(inputs,)"), policy.model.input_limit
-    if limit is not None and ((u < limit[:, 0]) | (u > limit[:, 1])).any():
-        raise ProblemError(
-            f"start_input is {u.tolist()}, beyond the input_limit {limit.tolist()}; expected an input within the limits"
-        )
-    return _from_input(policy, network, u)
-
-
-def _from_estimate(policy: Policy, network: Network, estimate: Array) -> Policy:
-    prior, n = _prior(policy), policy.model.states
-    before = _command(policy, network, measured=True)
-    if prior and before is not None:
-        moved = np.sqrt(2.0 + np.arange(n)) - policy.model.mean  # a direction in which no gain vanishes by chance
-        after = _command(_shifted(policy, prior, moved), network, measured=True)
-        if after is not None and not np.array_equal(before, after):
-            return _shifted(policy, prior, estimate - policy.model.mean)
-    raise ProblemError(
-        f"estimate is given, but the commands of this {policy.kind} do not follow from a filter's estimate; expected a "
-        "policy whose controller filters measurements with noise, or no estimate"
-    )
-
-
-def _from_input(policy: Policy, network: Network, u: Array) -> tuple[Policy, tuple[str, ...]]:
-    """Return the policy that starts with an input, with the constant disturbances for which this is the command."""
-    model, memories = policy.model, dict(policy.initial)
-    if policy.targets or policy.disturbance is not None:
-        raise ProblemError(
-            f"start_input is given, but this {policy.kind} keeps a given controller or follows a stored reference; "
-            "expected start_input of the controller ([controller] pid), or no start_input"
-        )
-    for signal, (node, rows) in policy.applied.items():
-        copies = dict.fromkeys((signal, f"{HELD}_{node}"))  # in one order: fingerprints contain the start values
-        memories |= {name: u[[*rows]] for name in copies if name in policy.sizes}
-    if HELD in policy.sizes:
-        memories[HELD] = u
-    policy, prior = replace(policy, initial=memories), _prior(policy)
-    unknown, scale = _constants(policy) if prior else [], NEAR * max(1.0, float(np.abs(u).max()))
-    found = _command(policy, network)
-    for _ in range(TRIES if unknown else 0):  # one suffices, unless the packets of sensors change
-        if found is None or np.abs(found - u).max() <= scale:
-            break
-        units = [_command(_shifted(policy, prior, unit), network) for unit in np.eye(model.states)[unknown]]
-        effect = np.array([found if one is None else one - found for one in units]).T
-        moved = np.zeros(model.states)
-        moved[unknown] = np.linalg.lstsq(effect, u - found, rcond=None)[0]
-        policy = _shifted(policy, prior, moved)
-        found = _command(policy, network)
-    if found is not None and np.abs(found - u).max() <= scale:
-        return policy, ()
-    got = "depends on the first measurement" if found is None else f"is {found.round(6).tolist()}"
-    return policy, (
-        f"the model has no constant disturbances that account for start_input, so the first command {got}; only "
-        "inputs that are held start at start_input",
-    )
-
-
-def _prior(policy: Policy) -> str:
-    """Return the name of the predicted state in the filter of a policy, or an empty name."""
-    predicted, C = predicted_outputs(policy) or {}, policy.model.C
-    found = [name for name, weight in predicted.items() if name != ONE and np.array_equal(np.asarray(weight), C)]
-    return found[0] if found else ""
-
-
-def _constants(policy: Policy) -> list[int]:
-    """Return the indices of the states that are unknown constants, as neither inputs nor other states move them.
-
-    A state that moves another state of this kind is no constant disturbance, but for example the slope of a ramp.
-    """
-    A, B, W = policy.model.A, policy.model.B, policy.model.W
-    apart = ~B.any(axis=1)
-    while (moved := apart & A[:, ~apart].any(axis=1)).any():  # by a state that inputs move
-        apart &= ~moved
-    unit = np.eye(len(A))
-    return [
-        int(i)
-        for i in np.flatnonzero(apart)
-        if np.array_equal(A[i], unit[i]) and np.array_equal(A[apart, i], unit[apart, i]) and W[i, i]
-    ]
-
-
-def _shifted(policy: Policy, prior: str, moved: Array) -> Policy:
-    """Return the policy whose first prediction of the state is changed by a vector."""
-    start = policy.initial.get(prior, np.zeros(policy.model.states))
-    return replace(policy, initial={**policy.initial, prior: start + moved})
-
-
-def _command(policy: Policy, network: Network, measured: bool = False) -> Array | None:
-    """Return the first command if all outputs are as predicted or are measured as 0, or None if this is not known.
-
-    Packets arrive, and the draws of the policy do not matter to a command.
-    """
-    program = None if predicted_outputs(policy) is None else lower_command(policy, network)
-    if program is None:
-        return None
-    given: dict[Name, float] = {Entry(fate_of(link), 0): 1.0 for link in network.links}
-    given[Entry(TOLD, 0)] = 0.0
-    outputs = range(policy.model.sensed)
-    given |= {Entry(REFERENCE, i): value for i, value in enumerate(policy.model.given.tolist())}
-    given |= {Entry(name, i): value for name, value in (("y", 0.0), (MEASURED, float(measured))) for i in outputs}
-    start: list[float] = [0.0 if isinstance(state.start, tuple) else state.start for state in program.states]
-    values = compile_python(program)(start, [given.get(name, 0.5) for name in program.inputs])[1]
-    return np.array(values) + 0.0
-
-
-BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
-
-
-class StepFunction:
-    """The step of a program as a pure function of the step number, the memory and the inputs."""
-
-    def __init__(self, program: Program, taken: Mapping[str, int], network: Network, seed: int) -> None:
-        """Compile the program, and draw its initial memory."""
-        self._made_of = program, dict(taken), network, seed
-        self._seed = count("seed", seed, 0)
-        self._turn = compile_python(program)
-        draws = np.random.default_rng(seed)
-        drawn: dict[str, float] = {}
-        for link in network.links:
-            burst, chance = network.burst(link), draws.random(1)
-            drawn[link_state(link)] = 0.0 if burst is None else float(burst.pick(chance)[0])
-        self.states = tuple(f"{state.name}[{state.index}]" for state in program.states)
-        # a start value is a number, or the name of a link state drawn above; the caller sets the state of a plant
-        self.start: Values = tuple(
-            drawn.get(state.start[0], 0.0) if isinstance(state.start, tuple) else state.start
-            for state in program.states
-        )
-        self.outputs = {name: i for i, name in enumerate(program.outputs)}
-        numbers = [name.index for name in program.inputs if is_entry(name, UNIFORM)]
-        number = max(numbers, default=-1) + 1  # count unread numbers too, so that draws do not depend on them
-        supplied = [Entry(signal, i) for signal, size in {**taken, UNIFORM: number}.items() for i in range(size)]
-        places: dict[Name, int] = {name: i for i, name in enumerate(supplied)}
-        self._read = [places[name] for name in program.inputs]
-        self._draw = compile_python(draw_uniforms(number)) if number else None
-        self._block: tuple[int, list[list[int]]] = -1, []
-
-    def __reduce__(self) -> tuple[type[StepFunction], tuple[Program, dict[str, int], Network, int]]:
-        """Return what a pickle contains: the program, as compiled functions cannot be stored."""
-        return type(self), self._made_of
-
-    def drawn(self, tick: int) -> Values:
-        """Return the uniform random numbers of a step, in (0, 1)."""
-        if self._draw is None:
-            return ()
-        block, place = divmod(tick, BLOCK)
-        known, words = self._block
-        if known != block:
-            words = seed_generators(self._seed, BLOCK, block * BLOCK).view(np.uint64).T.tolist()
-            self._block = block, words
-        return self._draw(words[place], ())[1]
-
-    def turn(self, tick: int, memory: Sequence[float], inputs: Sequence[float]) -> tuple[Values, Values]:
-        """Return the memory after a step, and the outputs of the step, given the entries of the signals ``taken``."""
-        supplied = [*inputs, *self.drawn(tick)]
-        return self._turn(memory, [supplied[place] for place in self._read])
+_NEAR = 1e-9  # relative difference of two inputs
+_TRIES = 4
+_BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 
 
 @runtime_checkable
@@ -277,7 +114,7 @@ class Nodes:
         instance("network", self.network, Network)
         self.policy = with_intervals(policy, self.network).in_units
         check_network(self.policy, self.network)
-        begun, self.notes = started(self.policy, self.network, estimate, start_input)
+        begun, self.notes = _started(self.policy, self.network, estimate, start_input)
         self.links = tuple(step.link for step in policy.steps if isinstance(step, Send))
         self._predicts, model = predicted_outputs(self.policy) is not None, self.policy.model
         self._copies = copies_of_inputs(self.policy)
@@ -411,3 +248,162 @@ def _checked(name: str, given: ArrayLike, size: int) -> Array:
 
 def _values(values: Values, places: Iterable[tuple[Name, int]], signal: str) -> Array:
     return np.array([values[i] for name, i in places if is_entry(name, signal)])
+
+
+class StepFunction:
+    """The step of a program as a pure function of the step number, the memory and the inputs."""
+
+    def __init__(self, program: Program, taken: Mapping[str, int], network: Network, seed: int) -> None:
+        """Compile the program, and draw its initial memory."""
+        self._made_of = program, dict(taken), network, seed
+        self._seed = count("seed", seed, 0)
+        self._turn = compile_python(program)
+        draws = np.random.default_rng(seed)
+        drawn: dict[str, float] = {}
+        for link in network.links:
+            burst, chance = network.burst(link), draws.random(1)
+            drawn[link_state(link)] = 0.0 if burst is None else float(burst.pick(chance)[0])
+        self.states = tuple(f"{state.name}[{state.index}]" for state in program.states)
+        # a start value is a number, or the name of a link state drawn above; the caller sets the state of a plant
+        self.start: Values = tuple(
+            drawn.get(state.start[0], 0.0) if isinstance(state.start, tuple) else state.start
+            for state in program.states
+        )
+        self.outputs = {name: i for i, name in enumerate(program.outputs)}
+        numbers = [name.index for name in program.inputs if is_entry(name, UNIFORM)]
+        number = max(numbers, default=-1) + 1  # count unread numbers too, so that draws do not depend on them
+        supplied = [Entry(signal, i) for signal, size in {**taken, UNIFORM: number}.items() for i in range(size)]
+        places: dict[Name, int] = {name: i for i, name in enumerate(supplied)}
+        self._read = [places[name] for name in program.inputs]
+        self._draw = compile_python(draw_uniforms(number)) if number else None
+        self._block: tuple[int, list[list[int]]] = -1, []
+
+    def __reduce__(self) -> tuple[type[StepFunction], tuple[Program, dict[str, int], Network, int]]:
+        """Return what a pickle contains: the program, as compiled functions cannot be stored."""
+        return type(self), self._made_of
+
+    def drawn(self, tick: int) -> Values:
+        """Return the uniform random numbers of a step, in (0, 1)."""
+        if self._draw is None:
+            return ()
+        block, place = divmod(tick, _BLOCK)
+        known, words = self._block
+        if known != block:
+            words = seed_generators(self._seed, _BLOCK, block * _BLOCK).view(np.uint64).T.tolist()
+            self._block = block, words
+        return self._draw(words[place], ())[1]
+
+    def turn(self, tick: int, memory: Sequence[float], inputs: Sequence[float]) -> tuple[Values, Values]:
+        """Return the memory after a step, and the outputs of the step, given the entries of the signals ``taken``."""
+        supplied = [*inputs, *self.drawn(tick)]
+        return self._turn(memory, [supplied[place] for place in self._read])
+
+
+def _started(
+    policy: Policy, network: Network, estimate: ArrayLike | None, start_input: ArrayLike | None
+) -> tuple[Policy, tuple[str, ...]]:
+    """Return a policy whose nodes start from an estimate of the state, or from an input, and remarks on this start."""
+    if estimate is not None:
+        n = policy.model.states
+        wanted = array("estimate", estimate, (n,), "(states,), those of disturbances and set-points included")
+        policy = _from_estimate(policy, network, wanted)
+    if start_input is None:
+        return policy, ()
+    u, limit = array("start_input", start_input, (policy.model.inputs,), "(inputs,)"), policy.model.input_limit
+    if limit is not None and ((u < limit[:, 0]) | (u > limit[:, 1])).any():
+        raise ProblemError(
+            f"start_input is {u.tolist()}, beyond the input_limit {limit.tolist()}; expected an input within the limits"
+        )
+    return _from_input(policy, network, u)
+
+
+def _from_estimate(policy: Policy, network: Network, estimate: Array) -> Policy:
+    prior, n = _prior(policy), policy.model.states
+    before = _command(policy, network, measured=True)
+    if prior and before is not None:
+        moved = np.sqrt(2.0 + np.arange(n)) - policy.model.mean  # a direction in which no gain vanishes by chance
+        after = _command(_shifted(policy, prior, moved), network, measured=True)
+        if after is not None and not np.array_equal(before, after):
+            return _shifted(policy, prior, estimate - policy.model.mean)
+    raise ProblemError(
+        f"estimate is given, but the commands of this {policy.kind} do not follow from a filter's estimate; expected a "
+        "policy whose controller filters measurements with noise, or no estimate"
+    )
+
+
+def _from_input(policy: Policy, network: Network, u: Array) -> tuple[Policy, tuple[str, ...]]:
+    """Return the policy that starts with an input, with the constant disturbances for which this is the command."""
+    model, memories = policy.model, dict(policy.initial)
+    if policy.targets or policy.disturbance is not None:
+        raise ProblemError(
+            f"start_input is given, but this {policy.kind} keeps a given controller or follows a stored reference; "
+            "expected start_input of the controller ([controller] pid), or no start_input"
+        )
+    for signal, (node, rows) in policy.applied.items():
+        copies = dict.fromkeys((signal, f"{HELD}_{node}"))  # in one order: fingerprints contain the start values
+        memories |= {name: u[[*rows]] for name in copies if name in policy.sizes}
+    if HELD in policy.sizes:
+        memories[HELD] = u
+    policy, prior = replace(policy, initial=memories), _prior(policy)
+    unknown, scale = _constants(policy) if prior else [], _NEAR * max(1.0, float(np.abs(u).max()))
+    found = _command(policy, network)
+    for _ in range(_TRIES if unknown else 0):  # one suffices, unless the packets of sensors change
+        if found is None or np.abs(found - u).max() <= scale:
+            break
+        units = [_command(_shifted(policy, prior, unit), network) for unit in np.eye(model.states)[unknown]]
+        effect = np.array([found if one is None else one - found for one in units]).T
+        moved = np.zeros(model.states)
+        moved[unknown] = np.linalg.lstsq(effect, u - found, rcond=None)[0]
+        policy = _shifted(policy, prior, moved)
+        found = _command(policy, network)
+    if found is not None and np.abs(found - u).max() <= scale:
+        return policy, ()
+    got = "depends on the first measurement" if found is None else f"is {found.round(6).tolist()}"
+    return policy, (
+        f"the model has no constant disturbances that account for start_input, so the first command {got}; only "
+        "inputs that are held start at start_input",
+    )
+
+
+def _prior(policy: Policy) -> str:
+    """Return the name of the predicted state in the filter of a policy, or an empty name."""
+    predicted, C = predicted_outputs(policy) or {}, policy.model.C
+    found = [name for name, weight in predicted.items() if name != ONE and np.array_equal(np.asarray(weight), C)]
+    return found[0] if found else ""
+
+
+def _constants(policy: Policy) -> list[int]:
+    """Return the indices of the states that are unknown constants, as neither inputs nor other states move them."""
+    # A state that moves another state of this kind is no constant disturbance, but for example the slope of a ramp.
+    A, B, W = policy.model.A, policy.model.B, policy.model.W
+    apart = ~B.any(axis=1)
+    while (moved := apart & A[:, ~apart].any(axis=1)).any():  # by a state that inputs move
+        apart &= ~moved
+    unit = np.eye(len(A))
+    return [
+        int(i)
+        for i in np.flatnonzero(apart)
+        if np.array_equal(A[i], unit[i]) and np.array_equal(A[apart, i], unit[apart, i]) and W[i, i]
+    ]
+
+
+def _shifted(policy: Policy, prior: str, moved: Array) -> Policy:
+    """Return the policy whose first prediction of the state is changed by a vector."""
+    start = policy.initial.get(prior, np.zeros(policy.model.states))
+    return replace(policy, initial={**policy.initial, prior: start + moved})
+
+
+def _command(policy: Policy, network: Network, measured: bool = False) -> Array | None:
+    """Return the first command if all outputs are as predicted or are measured as 0, or None if this is not known."""
+    # Packets arrive, and the draws of the policy do not matter to a command.
+    program = None if predicted_outputs(policy) is None else lower_command(policy, network)
+    if program is None:
+        return None
+    given: dict[Name, float] = {Entry(fate_of(link), 0): 1.0 for link in network.links}
+    given[Entry(TOLD, 0)] = 0.0
+    outputs = range(policy.model.sensed)
+    given |= {Entry(REFERENCE, i): value for i, value in enumerate(policy.model.given.tolist())}
+    given |= {Entry(name, i): value for name, value in (("y", 0.0), (MEASURED, float(measured))) for i in outputs}
+    start: list[float] = [0.0 if isinstance(state.start, tuple) else state.start for state in program.states]
+    values = compile_python(program)(start, [given.get(name, 0.5) for name in program.inputs])[1]
+    return np.array(values) + 0.0

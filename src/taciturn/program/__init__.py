@@ -28,18 +28,14 @@ library, because the last digits of such libraries differ between platforms.
 Read the modules in this order:
 
 1. ``ops`` and ``ir``: the operations, ``Program``, and ``Builder``, which simplifies and merges.
-2. ``lower``: translates policy steps to operations. A signal that is read before it is assigned becomes a state; a
-   condition becomes selections. ``node`` (one site, with packets as inputs, in up to two parts per step) and
-   ``controller`` (all nodes and links of a policy) use it. ``taciturn.loop`` adds the plant.
+2. ``lower``: translates policy steps to operations. ``node`` (one site, with packets as inputs, in up to two parts per
+   step) and ``controller`` (all nodes and links of a policy) use it. ``taciturn.loop`` adds the plant.
 3. ``numpy``: the reference implementation, one operation after the other over all paths.
-4. ``llvm``: vectors with one lane per path, in loops over paths and steps. ``_llvm_lines`` emits instructions,
-   ``_llvm_body`` maps operations to them, and ``_llvm_ahead`` moves random numbers one step ahead. ``target`` is the
-   processor, ``machine`` compiles, caches and runs on threads. The bit-exact build agrees with NumPy; the fast build
-   fuses products and sums. ``engine`` chooses between LLVM and NumPy.
-5. ``draws`` and ``single``: random numbers (xoshiro256++, Box–Muller) in double and single precision. ``jumps``:
-   Poisson jumps within a step. ``controls``: control variates.
-6. ``bits``, ``exponential``, ``circular`` and ``elementary``: elementary functions with the names of NumPy's functions.
-7. ``trace``, ``symbols``, ``arrays`` and ``rebound``: call a NumPy function of a policy or plant once with symbols, and
-   record its operations.
-8. ``python``, ``c`` and ``layout``: source code for nodes and devices, and the positions of inputs and outputs.
+4. ``llvm``: vectors with one lane per path, in loops over paths and steps. ``machine`` compiles, caches and runs on
+   threads. ``engine`` chooses between LLVM and NumPy.
+5. ``draws`` and ``single``: random numbers in double and single precision, and control variates. ``signals``: Poisson
+   jumps within a step, and changes of set-points.
+6. ``functions``: elementary functions with the names of NumPy's functions. ``tracing``: calls a NumPy function of a
+   policy or plant once with symbols, and records its operations.
+7. ``python`` and ``c``: source code for nodes and devices. ``quadratic``: programs as quadratic forms.
 """

@@ -1,8 +1,11 @@
 """Translation of a program to a C99 function for embedded devices, which computes one time step of one path.
 
-Each operation rounds once, in the order of the program. If the compiler does not fuse operations
-(``-ffp-contract=off``), the results are bit-identical to those of ``program.numpy``. Numbers have the type
-``tac_real``. The code calls no mathematical library.
+    static void name(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs)
+
+Each operation is one line, in the order of the program, and rounds once. If the compiler does not fuse operations
+(``-ffp-contract=off``), the results are bit-identical to those of ``program.numpy``. All numbers but 0 and 1, tables
+and matrices are in one array of constants. A generator of random numbers has words as its memory, and no inputs. The
+code calls no mathematical library: bits are copied with ``memcpy``, and the square root is computed digit by digit.
 """
 
 from __future__ import annotations
@@ -27,10 +30,7 @@ _SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
 
 
 def print_c(program: Program, name: str, places: Sequence[int], constants: list[float]) -> str:
-    """Return the source of the function ``static void name(constants, inputs, memory, outputs)``.
-
-    The function updates its memory in place. It reads all numbers but 0 and 1 from the array ``constants``.
-    """
+    """Return the source of the function ``static void name(constants, inputs, memory, outputs)``."""
     return _Printer(program, name, places, constants).text()
 
 

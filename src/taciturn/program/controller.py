@@ -1,4 +1,13 @@
-"""Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs."""
+"""Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs.
+
+``lower_policy`` walks through the policy steps of all nodes in order. The program reads the measurement and uniform
+numbers, and gives the input of the plant, the nodes' copies of it, and whether a packet is sent and arrives on each
+link. ``taciturn.loop`` walks through the same steps between its own of the plant (``begin_time_step``, ``measure``,
+``gather_input``).
+
+A program for real plants is informed of more (``Informed``): which outputs are not measured and are to be predicted,
+which input was really applied, and what becomes of a packet. ``lower_command`` stops at the command of the controller.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +29,14 @@ from taciturn.program.lower import APPLIED, Operands, TimeStep, encode_payloads,
 from taciturn.program.node import NODES
 from taciturn.program.ops import Precision, named
 
-FILTER, REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
+_FILTER, _REGISTERS, HELD = "prior", ("register", "next register"), "held"  # names of signals of all designs
 
 Begin: TypeAlias = Callable[..., TimeStep]
-MEASURED, COMMAND, TOLD = "measured", "command", "the applied input is known"
+MEASURED, _COMMAND, TOLD = "measured", "command", "the applied input is known"
 
 
 def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> Program:
-    """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
-
-    Inputs: the measurement ``y``, and uniform numbers. Outputs: the input ``applied``, within the limits of the model's
-    inputs, the nodes' copies of it, and whether a packet is sent and received on each link.
-    """
+    """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input."""
     policy = policy.in_units
     tick = _measured(policy, network, begin)
     for step in policy.steps:
@@ -44,7 +49,7 @@ def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> P
 
 
 @dataclass(frozen=True, eq=False)
-class CopiedInput:
+class _CopiedInput:
     """A signal of a filter or controller into which the copy of an input enters at the end of a step."""
 
     signal: str  # the signal
@@ -53,18 +58,20 @@ class CopiedInput:
     inputs: tuple[int, ...]  # indices of the inputs
 
 
-def copies_of_inputs(policy: Policy) -> tuple[CopiedInput, ...]:
+def copies_of_inputs(policy: Policy) -> tuple[_CopiedInput, ...]:
     """Return the copies of inputs that filters and given controllers use, apart from models of the actuator."""
     names = {HELD: tuple(range(policy.model.inputs))} | {
         f"{HELD}_{node}": rows for node, rows in policy.applied.values()
     }
-    found = list[CopiedInput]()
+    found = list[_CopiedInput]()
     for step in (step for step in policy.steps if isinstance(step, Assign) and step.on is None):
-        told = step.signal == FILTER or (step.signal in REGISTERS and step.at in policy.site(policy.network.controller))
+        told = step.signal == _FILTER or (
+            step.signal in _REGISTERS and step.at in policy.site(policy.network.controller)
+        )
         for held in (name for name in step.branches[0] if told and name in names):
             effect = step.branches[0][held]
             if isinstance(effect, np.ndarray):
-                found.append(CopiedInput(step.signal, held, effect, names[held]))
+                found.append(_CopiedInput(step.signal, held, effect, names[held]))
     return tuple(found)
 
 
@@ -86,13 +93,13 @@ def _measured(policy: Policy, network: Network, begin: Begin) -> TimeStep:
 
 
 class Informed(TimeStep):
-    """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets.
+    """A time step whose program has inputs for outputs that are not measured, applied inputs, and fates of packets."""
 
-    Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter predicts
-    the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is drawn;
-    ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into which a copy
-    enters its ``change_of``. These are inputs, because a memory may be merged with another one or be left out.
-    """
+    # Inputs of the program besides those of ``lower_policy``: for each output ``measured``, 1 or 0, if a filter
+    # predicts the outputs; for each link its ``fate_of``, 1 if a packet arrives, −1 if it is dropped, and 0 if that is
+    # drawn; ``TOLD``, 1 if the input that was applied differs from the nodes' copies, and then for each signal into
+    # which a copy enters its ``change_of``. These are inputs, because a memory may be merged with another one or be
+    # left out.
 
     def correct(self, signals: Iterable[str]) -> None:
         """Add the change to memories into which copies of inputs have entered, if the applied input is known."""
@@ -149,10 +156,7 @@ def predicted_outputs(policy: Policy) -> Terms | None:
 
 
 def lower_command(policy: Policy, network: Network) -> Program | None:
-    """Return the program that computes the command of the controller in a step; None if no signal is a command.
-
-    Its inputs and outputs are those of ``lower_policy``, apart from packets, with the command in place of ``applied``.
-    """
+    """Return the program that computes the command of the controller in a step; None if no signal is a command."""
     names = {index: (name, i) for name, rows in _commands(policy).items() for i, index in enumerate(rows)}
     tick = _measured(policy, network, Informed)
     for step in policy.steps:
@@ -167,9 +171,9 @@ def lower_command(policy: Policy, network: Network) -> Program | None:
 
 def _commands(policy: Policy) -> Mapping[str, Sequence[int]]:
     """Return the signals of the controller that are the commands for some inputs, and these inputs."""
-    if COMMAND in policy.sizes:
-        return {COMMAND: range(policy.model.inputs)}
-    found = {f"{COMMAND}_{node}": rows for node, rows in policy.applied.values()}
+    if _COMMAND in policy.sizes:
+        return {_COMMAND: range(policy.model.inputs)}
+    found = {f"{_COMMAND}_{node}": rows for node, rows in policy.applied.values()}
     return {name: rows for name, rows in found.items() if name in policy.sizes}
 
 
@@ -197,10 +201,8 @@ def begin_time_step(
     precision: Precision = "float64",
     begin: Begin = TimeStep,
 ) -> TimeStep:
-    """Return a new time step of all nodes of a policy, before its first policy step is translated.
-
-    ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
-    """
+    """Return a new time step of all nodes of a policy, before its first policy step is translated."""
+    # ``sizes`` and ``initial`` add further signals; ``begin`` is the class of the time step.
     held = [link_state(link) for link in network.links]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}

@@ -1,16 +1,23 @@
-"""Random numbers as operations of a program, bit-identical in every back end, without a mathematical library.
+"""Random numbers as operations of a program, bit-identical in every back end, and control variates for simulations.
 
-One 64-bit word of xoshiro256++ [blackman2021] gives two normal numbers by the Box–Muller method [box1958]: 32 bits for
-the radius, 30 for the angle from the nearest axis (up to an eighth of the circle on either side), one for the sign, and
-one for the axis. The largest radius is sqrt(66 ln 2) = 6.76. Logarithm, cosine and sine are polynomials (Chebyshev
-interpolation) with the absolute errors 2.3e-11, 4.8e-11 and 3.4e-12, which are below the resolution of the radius. In
-single precision the same bits give the same normal numbers, to seven digits (`single`).
+Each path has a generator of its own, whose four words are states of the program; they are seeded by SplitMix64
+[steele2014] from the seed and the number of the path. One 64-bit word of xoshiro256++ [blackman2021] gives two normal
+numbers √(−2 log u)·(cos φ, sin φ) by the Box–Muller method [box1958]: 32 bits for the radius, 30 for the angle from the
+nearest axis (up to an eighth of the circle on either side), one for the sign, and one for the axis. The largest radius
+is sqrt(66 ln 2) = 6.76.
 
-Control variates for simulations: sums with mean 0 that explain most of the variance of a path's average cost.
+Logarithm, cosine and sine are polynomials (Chebyshev interpolation) with the absolute errors 2.3e-11, 4.8e-11 and
+3.4e-12, which are below the resolution of the radius. With u = 2^e m, m in [1, 2), and c ≈ 1/m from a table of eight
+entries, m·c = 1 + r with |r| ≤ 1/17 and
 
-A normal number n_i that is drawn in a step is independent of the states s_j at the start of the step. So n_i s_j and
-n_i n_j − [i = j] have the conditional mean 0 given the past: they are martingale differences. Those of a quadratic
-value function are linear combinations of them [henderson2002].
+    −2 log u = −2e log 2 + 2 log c − 2 log(1 + r).
+
+In single precision the same bits give the same normal numbers, to seven digits (``single``).
+
+Control variates are sums with mean 0 that explain most of the variance of a path's average cost. A normal number n_i
+that is drawn in a step is independent of the states s_j at the start of the step. So n_i s_j and n_i n_j − [i = j] have
+the conditional mean 0 given the past: they are martingale differences. Those of a quadratic value function are linear
+combinations of them [henderson2002].
 """
 
 from __future__ import annotations
@@ -45,10 +52,10 @@ _INVERSES = tuple(16 / (17 + 2 * i) for i in range(8))  # 1/m at the middle of e
 # 2 log c_i, plus the offset from the encoding of the exponent in ``minus_two_log``
 _LOGARITHMS = tuple(2 * math.log(inverse) + (4096 + 2046) * _LOG_TWO for inverse in _INVERSES)
 _SIGN = 1 << 63
-_WORD = (1 << 64) - 1
 
 GENERATOR = "generator"  # name of the four words of xoshiro256++
 NORMAL, UNIFORM = "normal", "uniform"  # an input that is a random number has the name Entry(NORMAL, i)
+MOST = 64  # most controls; more would take longer than the rest of a step
 
 
 def with_draws(program: Program) -> Program:
@@ -76,30 +83,6 @@ def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
     builder, supplied = Builder(precision), dict[Name, int]()
     following = draw_numbers(builder, [Entry(UNIFORM, i) for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
-
-
-def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
-    """Return the initial state of each path's random generator: four words, stored as the bits of doubles.
-
-    They are computed by SplitMix64 [steele2014] from the seed and the number of the path. So path i of a seed does not
-    depend on which other paths are run.
-    """
-    # the increment 2^64/φ of SplitMix64, and an odd multiplier that separates the counters of the paths
-    key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
-    index = np.arange(first, first + paths, dtype=np.uint64)
-    counter = _mix(index * np.uint64(0xD1342543DE82EF95) + key)
-    words = np.empty((4, paths), dtype=np.uint64)
-    for row in words:
-        counter = counter + np.uint64(0x9E3779B97F4A7C15)
-        row[:] = _mix(counter)
-    return words.view(np.float64)
-
-
-def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Return the output function of SplitMix64, a bijection of words."""
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
 
 
 def draw_numbers(builder: Builder, names: Sequence[Name], supplied: dict[Name, int]) -> list[int]:
@@ -166,12 +149,7 @@ def _upper_half_as_fraction(b: Builder, word: int) -> int:
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u for a number u in (0, 1), the squared radius of the Box–Muller method.
-
-    With u = 2^e m, m in [1, 2), and c ≈ 1/m from a table of eight entries, m·c = 1 + r with |r| ≤ 1/17 and
-
-        −2 log u = −2e log 2 + 2 log c − 2 log(1 + r).
-    """
+    """Return −2 log u for a number u in (0, 1), the squared radius of the Box–Muller method."""
     if b.precision == "float32":
         return single.minus_two_log(b, u)
     # the first three bits of the mantissa select the eighth of [1, 2), and so c
@@ -188,14 +166,30 @@ def minus_two_log(b: Builder, u: int) -> int:
     return b.emit("add", b.emit("mul", b.polynomial(_MINUS_TWO_LOG, r), r), whole)
 
 
-MOST = 64  # most controls; more would take longer than the rest of a step
+def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
+    """Return the initial state of each path's random generator: four words, stored as the bits of doubles."""
+    # from the seed and the number of the path alone, so path i does not depend on which other paths are run
+    # the increment 2^64/φ of SplitMix64, and an odd multiplier that separates the counters of the paths
+    key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
+    index = np.arange(first, first + paths, dtype=np.uint64)
+    counter = _mix(index * np.uint64(0xD1342543DE82EF95) + key)
+    words = np.empty((4, paths), dtype=np.uint64)
+    for row in words:
+        counter = counter + np.uint64(0x9E3779B97F4A7C15)
+        row[:] = _mix(counter)
+    return words.view(np.float64)
+
+
+def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Return the output function of SplitMix64, a bijection of words."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
 
 
 def with_controls(program: Program) -> Program:
-    """Return a simulation program with control variates as additional sums.
-
-    If there were more than MOST of them, the program is returned unchanged.
-    """
+    """Return a simulation program with control variates as additional sums."""
+    # If there were more than MOST of them, the program is returned unchanged.
     ops, sums = list(program.ops), dict(program.sums)
     normals = [
         i for i, op in enumerate(ops) if op.name == "input" and is_entry(program.inputs[op.arguments[0]], NORMAL)
@@ -219,10 +213,8 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``.
-
-    Its states are those of ``lean``, entry by entry, so that a run may go on with it.
-    """
+    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``."""
+    # Its states are those of ``lean``, entry by entry, so that a run may go on with it.
     remembered = {Entry(state.name, state.index) for state in lean.states}
     controls = [name for name in program.sums if isinstance(name, Control)]
     fit = {name for name in controls if isinstance(name.other, int) or name.other in remembered}

@@ -1,7 +1,8 @@
 """Execution of programs on the fastest available back end: LLVM, or NumPy if llvmlite is missing.
 
 There are three drivers. ``prepare`` runs many steps of one program. ``Stepper`` runs many programs that differ only in
-their constants. ``StepwiseRunner`` runs programs that receive inputs at each step.
+their constants, one path each. ``StepwiseRunner`` runs programs that receive inputs at each step: consecutive programs
+with few paths run together, with constants per path, and a program with many paths runs alone.
 """
 
 from __future__ import annotations
@@ -56,11 +57,7 @@ class Stepper:
 
 
 class StepwiseRunner:
-    """Runner for simulated paths of programs that advances step by step, with new inputs at each step.
-
-    Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
-    with constants shared by its paths. The results do not depend on this.
-    """
+    """Runner for simulated paths of programs that advances step by step, with new inputs at each step."""
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
         """Group the programs and compile each group."""

@@ -1,25 +1,26 @@
-"""Elementary NumPy functions as operations of a program; arguments are constants or indices of operations.
+"""Elementary functions as operations of a program, bit-identical in every back end, without a mathematical library.
 
-Constant expressions are evaluated in advance; additions of zero and multiplications by one are removed. ``floor``,
-``ceil`` and ``round_off`` are exact. The error of ``remainder`` is the rounding error of y·floor(x/y). ``minimum`` and
-``maximum`` of NaN are NaN, as in NumPy.
+``NUMBERS``, ``COMPARISONS`` and ``LOGIC`` list them by the names of NumPy's functions. Arguments are constants or
+indices of operations. Constant expressions are evaluated in advance; additions of zero and multiplications by one are
+removed. Numbers of IEEE 754 are taken apart and put together by their bits (``_FloatFormat``).
 
-Operations on the bits of floating-point numbers: signs, magnitudes, rounding to integers and powers of two.
+**Exponentials and logarithms.** e^x = 2^k e^r with integer k and |r| ≤ ½ log 2, where r = x − k log 2 is computed in
+two parts (Cody and Waite); log x = k log 2 + log(1 + f) for x = 2^k (1 + f), 1 + f in [√½, √2).
 
-Exponentials and logarithms as operations of a program, bit-identical in every back end, without a library.
+**Circular functions.** An angle is reduced to |x| − k·π/2 in the same way: π/2 is a sum of parts. The first parts have
+so few bits that their products with k < 2^25 (2^16 in single precision) and the differences are exact. The last parts
+are rounded, and the rounding error is stored in a second number.
 
-Largest errors in units in the last place: e^x 1.5, log x 1, e^x − 1 2.25, tanh x 2.75. The fast build, which fuses
-some products with sums, has the same bounds.
+| function | largest error in units in the last place |
+|---|---|
+| e^x, log x, e^x − 1, tanh x | 1.5, 1, 2.25, 2.75 |
+| sine and cosine, tangent, inverses, for abs(x) ≤ 5e7 (1e5 in single precision) | 1, 2.75, 2 |
+| ``floor``, ``ceil``, rounding to integers | exact |
+| ``remainder`` | the rounding of y·floor(x/y) |
 
-Sine, cosine, tangent and their inverses as operations of a program, bit-identical in every back end.
-
-An angle is reduced to |x| − k·π/2 by the method of Cody and Waite: π/2 is a sum of parts. The first parts have so few
-bits that their products with k < 2^25 (2^16 in single precision) and the differences are exact. The last parts are
-rounded, and the rounding error is stored in a second number.
-
-Largest errors in units in the last place, for |x| ≤ 5e7 (1e5 in single precision): sine and cosine 1, tangent 2.75,
-inverses 2. Within 1e-9 (1e-5) of a multiple of π/2 the error is absolute, at most 1e-25 (1e-12). For a larger |x| the
-reduction would be inaccurate, so that the result is NaN.
+Within 1e-9 (1e-5) of a multiple of π/2 the error is absolute, at most 1e-25 (1e-12). For a larger angle the reduction
+would be inaccurate, so that the result is NaN. ``minimum`` and ``maximum`` of NaN are NaN, as in NumPy. The fast build,
+which fuses some products with sums, has the same bounds.
 """
 
 from __future__ import annotations
@@ -32,11 +33,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.program.ir import Builder, Coefficient, Truth
+from taciturn.program.ir import Builder, Coefficient, Truth, equals
 from taciturn.program.ops import Precision
 
+_HALF_TURN = (3.141592653589793, 1.2246467991473532e-16)  # π as a double and the remainder
+_QUARTER_TURN = (1.5707963267948966, 6.123233995736766e-17)
+_KNOTS = (  # least ratio a/d for the knot c, c, and arctan c as a double and the remainder
+    (0.1640625, 0.25, (0.24497866312686414, 1.0698755618734451e-17)),
+    (0.375, 0.5, (0.4636476090008061, 2.2698777452961687e-17)),
+    (0.71875, 1.0, (0.7853981633974483, 3.061616997868383e-17)),
+)
 
-class FloatFormat(NamedTuple):
+
+class _FloatFormat(NamedTuple):
     """Binary format of single-precision or double-precision numbers (IEEE 754)."""
 
     word: str  # the operation for constant bits, ``word`` or ``half``
@@ -45,10 +54,8 @@ class FloatFormat(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """Constant whose addition rounds a number to an integer, because the sum has no fraction bits.
-
-        The last bits of the sum are those of the integer.
-        """
+        """Constant whose addition rounds a number to an integer, because the sum has no fraction bits."""
+        # The last bits of the sum are those of the integer.
         return 1.5 * 2.0**self.mantissa
 
     @property
@@ -77,26 +84,26 @@ class FloatFormat(NamedTuple):
         return 2 << self.sign
 
 
-LAYOUTS: Mapping[Precision, FloatFormat] = {
-    "float64": FloatFormat("word", 52, 1023),
-    "float32": FloatFormat("half", 23, 127),
+LAYOUTS: Mapping[Precision, _FloatFormat] = {
+    "float64": _FloatFormat("word", 52, 1023),
+    "float32": _FloatFormat("half", 23, 127),
 }
 
 
-def word_of_bits(b: Builder, bits: int) -> int:
+def _word_of_bits(b: Builder, bits: int) -> int:
     """Return the operation that gives a constant word of bits; a negative integer becomes its two's complement."""
     layout = LAYOUTS[b.precision]
     return b.emit(layout.word, bits % layout.modulus)
 
 
-def absolute_value(b: Builder, x: int) -> int:
+def _absolute_value(b: Builder, x: int) -> int:
     """Return |x|."""
-    return b.emit("number", b.emit("word_and", b.emit("bits", x), word_of_bits(b, LAYOUTS[b.precision].magnitude)))
+    return b.emit("number", b.emit("word_and", b.emit("bits", x), _word_of_bits(b, LAYOUTS[b.precision].magnitude)))
 
 
-def sign_bit(b: Builder, x: int) -> int:
+def _sign_bit(b: Builder, x: int) -> int:
     """Return the bits of a number with all but the sign bit cleared."""
-    return b.emit("word_and", b.emit("bits", x), word_of_bits(b, 1 << LAYOUTS[b.precision].sign))
+    return b.emit("word_and", b.emit("bits", x), _word_of_bits(b, 1 << LAYOUTS[b.precision].sign))
 
 
 def signed(b: Builder, x: int, sign: int) -> int:
@@ -116,11 +123,11 @@ def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
     return b.emit("sub", shifted, shift), b.emit("bits", shifted)
 
 
-def power_of_two(b: Builder, whole: int) -> int:
+def _power_of_two(b: Builder, whole: int) -> int:
     """Return the floating-point number 2^k for an integer k that is given by the last bits of a word."""
     # k + bias, shifted to the field of the exponent; higher bits of the word are shifted out
     layout = LAYOUTS[b.precision]
-    biased = b.emit("word_add", whole, word_of_bits(b, layout.bias))
+    biased = b.emit("word_add", whole, _word_of_bits(b, layout.bias))
     return b.emit("number", b.emit("shift_left", biased, layout.mantissa))
 
 
@@ -155,7 +162,7 @@ def falling(b: Builder, x: int) -> int:
     exponent = b.emit("sub", zero, b.emit("select", b.emit("greater", x, zero), x, zero))
     exponent = b.emit("select", b.emit("greater", exponent, least), exponent, least)
     r, whole = _reduced_exponent(b, exponent)
-    return b.emit("mul", b.polynomial(_series(b, 0), r), power_of_two(b, whole))
+    return b.emit("mul", b.polynomial(_series(b, 0), r), _power_of_two(b, whole))
 
 
 def exponential_of(b: Builder, x: int) -> int:
@@ -164,7 +171,7 @@ def exponential_of(b: Builder, x: int) -> int:
     # comparisons with NaN are false, so that these selections return NaN for NaN
     x = b.emit("select", b.emit("greater", low, x), low, x)
     r, whole = _reduced_exponent(b, b.emit("select", b.emit("greater", x, high), high, x))
-    return b.emit("mul", b.polynomial(_series(b, 0), r), power_of_two(b, whole))
+    return b.emit("mul", b.polynomial(_series(b, 0), r), _power_of_two(b, whole))
 
 
 def exponential_less_one(b: Builder, x: int) -> int:
@@ -178,35 +185,32 @@ def hyperbolic_tangent(b: Builder, x: int) -> int:
     """Return tanh x = E/(E + 2), where E = e^{2x} − 1."""
     # computed for |x|, where E ≥ 0 and nothing cancels; the sign of x is set at the end. 2|x| is limited to ``flat``,
     # from which on the quotient rounds to 1.
-    twice, flat = b.scale(2.0, absolute_value(b, x)), b.constant(_EXPONENTIALS[b.precision].flat)
+    twice, flat = b.scale(2.0, _absolute_value(b, x)), b.constant(_EXPONENTIALS[b.precision].flat)
     grown = _less_one(b, b.emit("select", b.emit("greater", twice, flat), flat, twice))
-    return signed(b, b.emit("div", grown, b.emit("add", grown, b.constant(2.0))), sign_bit(b, x))
+    return signed(b, b.emit("div", grown, b.emit("add", grown, b.constant(2.0))), _sign_bit(b, x))
 
 
 def logarithm(b: Builder, x: int) -> int:
-    """Return log x, which is −∞ for 0 and NaN for negative x.
-
-    For x = 2^k (1 + f) with 1 + f in [√½, √2), log x = k log 2 + log(1 + f), and log(1 + f) = 2 artanh s with
-    s = f/(2 + f).
-    """
+    """Return log x, which is −∞ for 0 and NaN for negative x."""
+    # with the f of the header, log(1 + f) = 2 artanh s, s = f/(2 + f)
     f, layout, zero = _EXPONENTIALS[b.precision], LAYOUTS[b.precision], b.constant(0.0)
     # a subnormal x has fewer bits: it is multiplied by 2^lift, and lift is subtracted from k below
     lift = float(layout.mantissa + 2)
     small = b.emit("greater", b.constant(f.tiny), x)
     lifted = b.emit("select", small, b.scale(2.0**lift, x), x)
     # adding bits(1) − bits(√½) moves the boundary between exponents from 1 down to √½: k = 0 for 1 + f in [√½, √2)
-    offset = b.emit("word_add", b.emit("bits", lifted), word_of_bits(b, layout.one - f.root_half))
+    offset = b.emit("word_add", b.emit("bits", lifted), _word_of_bits(b, layout.one - f.root_half))
     # the exponent field E = k + bias becomes a number without a conversion: inserted into the last bits of 2^mantissa,
     # it gives 2^mantissa + E exactly
     counter = (layout.bias + layout.mantissa) << layout.mantissa
     raised = b.emit(
-        "number", b.emit("word_or", b.emit("shift_right", offset, layout.mantissa), word_of_bits(b, counter))
+        "number", b.emit("word_or", b.emit("shift_right", offset, layout.mantissa), _word_of_bits(b, counter))
     )
     k = b.emit("sub", raised, b.constant(2.0**layout.mantissa + layout.bias))
     k = b.emit("select", small, b.emit("sub", k, b.constant(lift)), k)
     # ``part`` is f, exact; s = f/(2 + f), |s| ≤ 0.172
-    fraction = b.emit("word_and", offset, word_of_bits(b, layout.fraction))
-    part = b.emit("sub", b.emit("number", b.emit("word_add", fraction, word_of_bits(b, f.root_half))), b.constant(1.0))
+    fraction = b.emit("word_and", offset, _word_of_bits(b, layout.fraction))
+    part = b.emit("sub", b.emit("number", b.emit("word_add", fraction, _word_of_bits(b, f.root_half))), b.constant(1.0))
     s = b.emit("div", part, b.emit("add", b.constant(2.0), part))
     # log(1 + f) = f − f²/2 + s (f²/2 + R), R = s² (2/3 + 2s²/5 + …): f is exact and by far the largest term for small
     # f, so that the rounding errors of the other terms are negligible
@@ -243,12 +247,8 @@ def _less_one(b: Builder, x: int) -> int:
     """Return e^x − 1 = 2^k (e^r − 1) + (2^k − 1), with e^r − 1 = r + r² (1/2! + r/3! + …), accurate for small r."""
     r, whole = _reduced_exponent(b, x)
     less = b.emit("add", r, b.emit("mul", b.emit("mul", r, r), b.polynomial(_series(b, 2), r)))
-    power = power_of_two(b, whole)
+    power = _power_of_two(b, whole)
     return b.emit("add", b.emit("mul", power, less), b.emit("sub", power, b.constant(1.0)))
-
-
-_HALF_TURN = (3.141592653589793, 1.2246467991473532e-16)  # π as a double and the remainder
-_QUARTER_TURN = (1.5707963267948966, 6.123233995736766e-17)
 
 
 class _Circular(NamedTuple):
@@ -272,18 +272,13 @@ _CIRCULAR = {
         4, 4, 4, 2.0**124,
     ),
 }  # fmt: skip
-_KNOTS = (  # least ratio a/d for the knot c, c, and arctan c as a double and the remainder
-    (0.1640625, 0.25, (0.24497866312686414, 1.0698755618734451e-17)),
-    (0.375, 0.5, (0.4636476090008061, 2.2698777452961687e-17)),
-    (0.71875, 1.0, (0.7853981633974483, 3.061616997868383e-17)),
-)
 
 
 def sine(b: Builder, x: int) -> int:
     """Return sin x."""
     # |x| = k·π/2 + r: sin |x| = ±sin r or ±cos r, depending on the last two bits of k
     r, rest, quarter = _reduced_angle(b, x)
-    sign = b.emit("word_xor", _moved(b, quarter), sign_bit(b, x))
+    sign = b.emit("word_xor", _moved(b, quarter), _sign_bit(b, x))
     return signed(b, b.emit("select", _odd(b, quarter), _cosine(b, r, rest), _sine(b, r, rest)), sign)
 
 
@@ -291,7 +286,7 @@ def cosine(b: Builder, x: int) -> int:
     """Return cos x."""
     # cos |x| = sin(|x| + π/2), so that k + 1 determines the sign
     r, rest, quarter = _reduced_angle(b, x)
-    sign = _moved(b, b.emit("word_add", quarter, word_of_bits(b, 1)))
+    sign = _moved(b, b.emit("word_add", quarter, _word_of_bits(b, 1)))
     return signed(b, b.emit("select", _odd(b, quarter), _sine(b, r, rest), _cosine(b, r, rest)), sign)
 
 
@@ -302,12 +297,12 @@ def tangent(b: Builder, x: int) -> int:
     odd, (over, under) = _odd(b, quarter), (_sine(b, r, rest), _cosine(b, r, rest))
     ratio = b.emit("div", b.emit("select", odd, under, over), b.emit("select", odd, over, under))
     turned = b.emit("shift_left", quarter, LAYOUTS[b.precision].sign)
-    return signed(b, ratio, b.emit("word_xor", turned, sign_bit(b, x)))
+    return signed(b, ratio, b.emit("word_xor", turned, _sign_bit(b, x)))
 
 
 def arctangent(b: Builder, x: int) -> int:
     """Return arctan x, in [−π/2, π/2]."""
-    return signed(b, _angle(b, absolute_value(b, x), b.constant(1.0)), sign_bit(b, x))
+    return signed(b, _angle(b, _absolute_value(b, x), b.constant(1.0)), _sign_bit(b, x))
 
 
 def direction(b: Builder, y: int, x: int) -> int:
@@ -315,17 +310,17 @@ def direction(b: Builder, y: int, x: int) -> int:
 
     Larger coordinates are replaced by 2^1020 (2^124 in single precision), so that two infinities give π/4.
     """
-    angle = _angle(b, absolute_value(b, y), absolute_value(b, x))
+    angle = _angle(b, _absolute_value(b, y), _absolute_value(b, x))
     # π − angle in the left half-plane; then the sign of y
-    left = b.emit("any_bit", sign_bit(b, x))
+    left = b.emit("any_bit", _sign_bit(b, x))
     behind = _subtracted(b, _HALF_TURN, angle)
-    return signed(b, b.emit("select", left, behind, angle), sign_bit(b, y))
+    return signed(b, b.emit("select", left, behind, angle), _sign_bit(b, y))
 
 
 def _reduced_angle(b: Builder, x: int) -> tuple[int, int, int]:
     """Return r, rest, and a word that ends in the bits of the integer k, where |x| = k·π/2 + r + rest, |r| ≤ π/4."""
     # an angle beyond the limit is replaced by ∞, and ∞ − ∞ makes the result NaN
-    f, size = _CIRCULAR[b.precision], absolute_value(b, x)
+    f, size = _CIRCULAR[b.precision], _absolute_value(b, x)
     size = b.emit("select", b.emit("greater", size, b.constant(f.limit)), b.constant(inf), size)
     k, quarter = nearest(b, size, 2 / pi)
     # the exact parts have so few bits that nothing is rounded
@@ -344,12 +339,12 @@ def _reduced_angle(b: Builder, x: int) -> tuple[int, int, int]:
 
 def _odd(b: Builder, quarter: int) -> int:
     """Return whether k is odd."""
-    return b.emit("any_bit", b.emit("word_and", quarter, word_of_bits(b, 1)))
+    return b.emit("any_bit", b.emit("word_and", quarter, _word_of_bits(b, 1)))
 
 
 def _moved(b: Builder, quarter: int) -> int:
     """Return the second-last bit of k as a sign bit: half a turn changes the sign."""
-    second = b.emit("word_and", quarter, word_of_bits(b, 2))
+    second = b.emit("word_and", quarter, _word_of_bits(b, 2))
     return b.emit("shift_left", second, LAYOUTS[b.precision].sign - 1)
 
 
@@ -377,14 +372,12 @@ def _cosine(b: Builder, r: int, rest: int) -> int:
 
 
 def _angle(b: Builder, y: int, x: int) -> int:
-    """Return the angle of a point with x, y ≥ 0.
-
-    Let a ≤ d be the two coordinates and α = arctan(a/d). A knot c reduces the argument of the series:
-
-        tan(α − arctan c) = (a − cd)/(d + ca).
-
-    c is a power of two, so that cd is exact; the difference a − cd is exact where it is small.
-    """
+    """Return the angle of a point with x, y ≥ 0."""
+    # Let a ≤ d be the two coordinates and α = arctan(a/d). A knot c reduces the argument of the series:
+    #
+    #     tan(α − arctan c) = (a − cd)/(d + ca).
+    #
+    # c is a power of two, so that cd is exact; the difference a − cd is exact where it is small.
     f = _CIRCULAR[b.precision]
     steep = b.emit("greater", y, x)
     a, d = (_clipped(b, b.emit("select", steep, *sides), f.largest) for sides in ((x, y), (y, x)))
@@ -435,35 +428,35 @@ def _clipped(b: Builder, x: int, most: float) -> int:
 
 def add(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x + y."""
-    if _is(x, 0.0) or _is(y, 0.0):
-        return y if _is(x, 0.0) else x
+    if equals(x, 0.0) or equals(y, 0.0):
+        return y if equals(x, 0.0) else x
     return b.emit("add", b.value(x), b.value(y))
 
 
 def subtract(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x − y."""
-    if _is(x, 0.0) or _is(y, 0.0):
-        return x if _is(y, 0.0) else negate(b, y)
+    if equals(x, 0.0) or equals(y, 0.0):
+        return x if equals(y, 0.0) else _negate(b, y)
     return b.emit("sub", b.value(x), b.value(y))
 
 
 def multiply(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x·y."""
-    if _is(x, 0.0) or _is(y, 0.0):
+    if equals(x, 0.0) or equals(y, 0.0):
         return 0.0
     return b.scale(y, x) if isinstance(x, int) and isinstance(y, float) else b.scale(x, b.value(y))
 
 
 def divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return x/y; a division by a power of two is an exact multiplication."""
-    if _is(x, 0.0) or _is(y, 1.0):
+    if equals(x, 0.0) or equals(y, 1.0):
         return x
     if isinstance(y, float) and y.hex().lstrip("-").startswith("0x1.0000000000000p") and 2**-1000 < abs(y) < 2**1000:
         return multiply(b, 1 / y, x)
     return b.emit("div", b.value(x), b.value(y))
 
 
-def negate(b: Builder, x: Coefficient) -> Coefficient:
+def _negate(b: Builder, x: Coefficient) -> Coefficient:
     """Return −x."""
     return multiply(b, -1.0, x)
 
@@ -509,24 +502,24 @@ def clip(b: Builder, x: Coefficient, low: Coefficient, high: Coefficient) -> Coe
     return minimum(b, maximum(b, x, low), high)
 
 
-def round_off(b: Builder, x: Coefficient) -> Coefficient:
+def _round_off(b: Builder, x: Coefficient) -> Coefficient:
     """Return the integer nearest to x; ties are rounded to even."""
     # all numbers from 2^mantissa on are integers, so that adding this number rounds a sum to an integer
     value, most = b.value(x), b.constant(2.0 ** LAYOUTS[b.precision].mantissa)
-    size = absolute_value(b, value)
+    size = _absolute_value(b, value)
     whole = b.emit("sub", b.emit("add", size, most), most)
-    return b.emit("select", b.emit("greater", most, size), signed(b, whole, sign_bit(b, value)), value)
+    return b.emit("select", b.emit("greater", most, size), signed(b, whole, _sign_bit(b, value)), value)
 
 
 def floor(b: Builder, x: Coefficient) -> Coefficient:
     """Return the largest integer not above x."""
-    value, whole = b.value(x), b.value(round_off(b, x))
+    value, whole = b.value(x), b.value(_round_off(b, x))
     return b.emit("select", b.emit("greater", whole, value), b.emit("sub", whole, b.constant(1.0)), whole)
 
 
 def ceil(b: Builder, x: Coefficient) -> Coefficient:
     """Return the smallest integer not below x."""
-    value, whole = b.value(x), b.value(round_off(b, x))
+    value, whole = b.value(x), b.value(_round_off(b, x))
     return b.emit("select", b.emit("greater", value, whole), b.emit("add", whole, b.constant(1.0)), whole)
 
 
@@ -540,7 +533,7 @@ def floor_divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     return floor(b, divide(b, x, y))
 
 
-def hypotenuse(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
+def _hypotenuse(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
     """Return the hypotenuse sqrt(x² + y²); the squares must not overflow."""
     return b.emit("sqrt", b.value(add(b, square(b, x), square(b, y))))
 
@@ -550,27 +543,27 @@ def square(b: Builder, x: Coefficient) -> Coefficient:
     return x * x if isinstance(x, float) else b.emit("mul", x, x)
 
 
-def arcsine(b: Builder, x: Coefficient) -> Coefficient:
+def _arcsine(b: Builder, x: Coefficient) -> Coefficient:
     """Return arcsin x, computed as the angle of the point (√(1 − x²), x); NaN for |x| > 1."""
     return direction(b, b.value(x), _other_side(b, x))
 
 
-def arccosine(b: Builder, x: Coefficient) -> Coefficient:
+def _arccosine(b: Builder, x: Coefficient) -> Coefficient:
     """Return arccos x, computed as the angle of the point (x, √(1 − x²)); NaN for |x| > 1."""
     return direction(b, _other_side(b, x), b.value(x))
 
 
-def hyperbolic_sine(b: Builder, x: Coefficient) -> Coefficient:
+def _hyperbolic_sine(b: Builder, x: Coefficient) -> Coefficient:
     """Return sinh x = ±½(E + E/(E + 1)), where E = e^{|x|} − 1, accurate for small x."""
     value = b.value(x)
-    grown = exponential_less_one(b, absolute_value(b, value))
+    grown = exponential_less_one(b, _absolute_value(b, value))
     both = b.emit("add", grown, b.emit("div", grown, b.emit("add", grown, b.constant(1.0))))
-    return signed(b, b.scale(0.5, both), sign_bit(b, value))
+    return signed(b, b.scale(0.5, both), _sign_bit(b, value))
 
 
-def hyperbolic_cosine(b: Builder, x: Coefficient) -> Coefficient:
+def _hyperbolic_cosine(b: Builder, x: Coefficient) -> Coefficient:
     """Return cosh x = ½(e^{|x|} + e^{−|x|})."""
-    grown = exponential_of(b, absolute_value(b, b.value(x)))
+    grown = exponential_of(b, _absolute_value(b, b.value(x)))
     return b.scale(0.5, b.emit("add", grown, b.emit("div", b.constant(1.0), grown)))
 
 
@@ -635,10 +628,6 @@ def _other_side(b: Builder, x: Coefficient) -> int:
     return b.emit("sqrt", b.emit("mul", b.emit("sub", one, value), b.emit("add", one, value)))
 
 
-def _is(coefficient: Coefficient, number: float) -> bool:
-    return isinstance(coefficient, float) and coefficient == number
-
-
 def _of(rule: Callable[..., int]) -> Callable[..., Coefficient]:
     """Return a rule for operations that also accepts constants."""
 
@@ -674,15 +663,15 @@ def _itself(b: Builder, x: Coefficient) -> Coefficient:
 
 NUMBERS: Mapping[str, Callable[..., Coefficient]] = {  # by the names of NumPy's functions
     "add": add, "subtract": subtract, "multiply": multiply, "divide": divide, "power": power, "float_power": power,
-    "negative": negate, "positive": _itself, "conjugate": _itself,
-    "absolute": _of(absolute_value), "fabs": _of(absolute_value), "sign": sign, "square": square,
+    "negative": _negate, "positive": _itself, "conjugate": _itself,
+    "absolute": _of(_absolute_value), "fabs": _of(_absolute_value), "sign": sign, "square": square,
     "sqrt": partial(_swapped, power, 0.5), "reciprocal": partial(_swapped, power, -1.0),
     "exp": _of(exponential_of), "expm1": _of(exponential_less_one), "log": _of(logarithm),
-    "sinh": hyperbolic_sine, "cosh": hyperbolic_cosine, "tanh": _of(hyperbolic_tangent),
+    "sinh": _hyperbolic_sine, "cosh": _hyperbolic_cosine, "tanh": _of(hyperbolic_tangent),
     "sin": _of(sine), "cos": _of(cosine), "tan": _of(tangent),
-    "arcsin": arcsine, "arccos": arccosine, "arctan": _of(arctangent), "arctan2": _of(direction),
-    "hypot": hypotenuse, "minimum": minimum, "maximum": maximum, "clip": clip,
-    "floor": floor, "ceil": ceil, "rint": round_off, "remainder": remainder, "floor_divide": floor_divide,
+    "arcsin": _arcsine, "arccos": _arccosine, "arctan": _of(arctangent), "arctan2": _of(direction),
+    "hypot": _hypotenuse, "minimum": minimum, "maximum": maximum, "clip": clip,
+    "floor": floor, "ceil": ceil, "rint": _round_off, "remainder": remainder, "floor_divide": floor_divide,
     "deg2rad": _times(pi / 180), "radians": _times(pi / 180), "rad2deg": _times(180 / pi), "degrees": _times(180 / pi),
 }  # fmt: skip
 COMPARISONS: Mapping[str, Callable[..., Truth]] = {

@@ -1,7 +1,14 @@
 """Straight-line programs of one time step of a loop or a node, in single-assignment form, and their builder.
 
-``Builder`` collects operations and stores equal ones once. ``Builder.finish`` merges states that agree at every step
-and removes operations without effect. The result is a ``Program``, the data that every back end reads.
+``Builder`` collects operations. Equal ones are stored once, and what is known in advance is not computed: products with
+zero and one, sums of nothing, rows of a matrix that are zero. Large constant matrices become one operation.
+``Builder.finish`` merges states that agree at every step and removes operations without effect. The result is a
+``Program``, the data that every back end reads.
+
+States are merged as in the minimisation of automata. States with equal start values begin in one class. A class is
+split if the next values of its states differ while each state is read from its class leader. At the fixed point, the
+states of a class are equal at the start, and equal at step k + 1 if they are equal at step k; so they are always equal.
+A program that became smaller is merged again: its operations may have been simplified.
 """
 
 from __future__ import annotations
@@ -14,7 +21,7 @@ from itertools import compress
 from taciturn.program.ops import EIGHT, LITERAL, MatrixRows, Name, Named, Op, Precision, State, Total, needed, tiles
 
 BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
-FULL = 4  # least number of nonzero coefficients of a column that takes part in the loop
+_FULL = 4  # least number of nonzero coefficients of a column that takes part in the loop
 Coefficient = float | int  # a float is a known constant; an int is the index of an operation
 Truth = int | bool  # an operation, or a truth value that is known during the translation
 
@@ -168,7 +175,7 @@ class Builder:
         """Return coefficient · x."""
         if x == self.constant(1.0):
             return self.value(coefficient)
-        return x if _is(coefficient, 1.0) else self.emit("mul", self.value(coefficient), x)
+        return x if equals(coefficient, 1.0) else self.emit("mul", self.value(coefficient), x)
 
     def add(self, *terms: int | None) -> int | None:
         """Return the sum of all terms that are not None, added from the left; None if all terms are None."""
@@ -183,9 +190,9 @@ class Builder:
         # a single chain of sums, which become fused multiply-adds in the fast build; two half chains were 6 % slower
         total: int | None = None
         for coefficient, value in zip(coefficients, values, strict=True):
-            if _is(coefficient, 0.0):
+            if equals(coefficient, 0.0):
                 continue
-            if total is not None and _is(coefficient, -1.0):
+            if total is not None and equals(coefficient, -1.0):
                 total = self.emit("sub", total, value)
             else:
                 total = self.add(total, self.scale(coefficient, value))
@@ -194,7 +201,7 @@ class Builder:
     def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
         """Return the product of a matrix and a vector, row by row, or as one operation for a large constant matrix."""
         # M v = M_full v_full (one product) + M_few v_few: columns with few coefficients are cheaper term by term
-        full = [sum(not _is(c, 0.0) for c in column) >= FULL for column in zip(*matrix, strict=True)]
+        full = [sum(not equals(c, 0.0) for c in column) >= _FULL for column in zip(*matrix, strict=True)]
         rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
         known = all(len(row) == sum(full) for row in rows)
         if not known or sum(c != 0.0 for row in rows for c in row) < BLOCK:
@@ -228,9 +235,9 @@ class Builder:
         total: int | None = None
         for i, value in enumerate(values):
             row = [c if j == i else self._twice(c) for j, c in enumerate(Psi[i][i:], start=i)]
-            if all(_is(c, 0.0) for c in row):
+            if all(equals(c, 0.0) for c in row):
                 continue
-            if all(_is(c, 0.0) for c in row[1:]):
+            if all(equals(c, 0.0) for c in row[1:]):
                 alone.setdefault(self.value(row[0]), []).append(self.emit("mul", value, value))
             else:
                 mixed.append((value, [0.0] * i + row))
@@ -307,13 +314,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
 
 
 def merge_states(program: Program) -> Program:
-    """Return a program without redundant states: equal states are merged, and states without effect are removed.
-
-    A partition of the states is refined as in the minimisation of automata. States with equal start values begin in
-    one class. A class is split if the next values of its states differ while each state is read from its class leader.
-    At the fixed point, the states of a class are equal at the start, and equal at step k + 1 if they are equal at step
-    k; so they are always equal. A program that became smaller is merged again: its operations may have been simplified.
-    """
+    """Return a program without redundant states: equal states are merged, and states without effect are removed."""
     found = _merged_once(program)
     while (len(found.states), len(found.ops)) != (len(program.states), len(program.ops)):
         program, found = found, _merged_once(found)
@@ -401,6 +402,6 @@ def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int
     return builder.emit(op.name, *(a if i == LITERAL[op.name] else new[a] for i, a in enumerate(op.arguments)))
 
 
-def _is(coefficient: Coefficient, number: float) -> bool:
+def equals(coefficient: Coefficient, number: float) -> bool:
     """Return whether a coefficient is a constant and equals a number."""
     return isinstance(coefficient, float) and coefficient == number

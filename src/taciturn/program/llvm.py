@@ -8,37 +8,29 @@ The generated function runs blocks of ``lanes`` paths for any number of steps:
 The arrays are state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, steps, inputs, lanes) and
 outputs (blocks, steps, outputs, lanes). They contain doubles for both precisions of the program; only constants that
 all lanes share have the precision of the program. The sums of a window of steps are added to the sums in memory at its
-end. Constants and tables are read from memory, so that programs of equal structure share machine code.
+end. Constants, tables and matrices are one array in memory, so that programs of equal structure share machine code.
 
-Software pipelining: random numbers, and operations that depend only on them, are computed one time step ahead.
+``_CodeLines`` emits single instructions, access to memory and table lookups; ``_Body`` maps every operation of a time
+step to one or a few of them, selects fused operations, and writes large matrix products as loops; ``_Printer`` adds the
+loops over blocks, windows of steps, and steps. This module, not the compiler, selects the fused operations, so that
+the result does not depend on the processor; the bit-exact build fuses none.
 
-A time step is one long chain of dependent operations: a random word, a logarithm and a root, which give a normal
-number, the next state, and the decision that depends on it. A processor reorders instructions within a window of some
-250 to 500 instructions, which is less than two steps, so that it would mostly wait for this chain. Random numbers
-depend only on the words of the generator. They are computed one step ahead, while the previous step computes its state.
+**One step ahead.** A time step is one long chain of dependent operations: a random word, a logarithm and a root, which
+give a normal number, the next state, and the decision that depends on it. A processor reorders instructions within a
+window of some 250 to 500 instructions, which is less than two steps, so that it would mostly wait for this chain.
+Random numbers depend only on the words of the generator. They are computed one step ahead, while the previous step
+computes its state.
 
-Target processor of a program in LLVM IR, with its vector features.
-
-Any program can be translated with any number of lanes for any processor. Only the instruction for lookups in small
-tables depends on the processor. LLVM terminates the process if a function uses an instruction that the features do not
-include. Therefore the text contains the features, and is compiled for exactly these.
-
-Generation of LLVM IR for vectors: single instructions, access to memory, and table lookups.
-
-``CodeLines`` collects lines of LLVM IR. Each value is a vector with one lane per path. Constants, tables and matrices
-are in one array in memory, so that programs that differ only in their numbers share machine code.
-
-Translation of the operations of one time step to LLVM IR, on vectors with one lane per simulated path.
-
-``Body`` maps every operation of a program to one or a few instructions. ``Body`` also selects fused operations,
-records which values are words and halves, and writes large matrix products as loops. ``llvm`` adds the loops over paths
-and steps.
+**Processors.** Any program can be translated with any number of lanes for any processor (``Target``). Only the
+instruction for lookups in small tables depends on the processor. LLVM terminates the process if a function uses an
+instruction that the features do not include. Therefore the text contains the features, and is compiled for exactly
+these.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -46,57 +38,27 @@ from taciturn.errors import ProblemError
 from taciturn.program.ir import Program
 from taciturn.program.ops import EIGHT, WINDOW, MatrixRows, Op, Precision, Tile, needed, tiles
 
-FREE_OPERATIONS = ("const", "word", "half")  # operations that need no instructions in the step
-
-
-@dataclass(frozen=True)
-class Ahead:
-    """The operations of a time step that are computed one step ahead."""
-
-    operations: tuple[int, ...] = ()  # the operations in the order of the program
-    carried: tuple[int, ...] = ()  # operations whose values the step itself reads
-
-
-def find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int], summed: Set[int]) -> Ahead:
-    """Return the operations of a program that can run one step ahead.
-
-    They depend only on words of the random generator. The result is empty if the step itself also reads these words.
-    """
-    # an operation runs ahead if each operand is a constant, a word in memory, or an operation that runs ahead
-    found, words = set[int](), set[int]()
-    reads = {index: _reads(program, index, fused) for index in printed}
-    for index in printed:
-        op = program.ops[index]
-        if op.name == "state" and program.states[op.arguments[0]].word:
-            words.add(index)
-        elif op.name not in (*FREE_OPERATIONS, "state", "input", "product", "entry"):
-            computed = [i for i in reads[index] if program.ops[i].name not in FREE_OPERATIONS]
-            if computed and found.union(words).issuperset(computed):
-                found.add(index)
-    # values that the step itself reads: for next states, outputs, sums, and operations that do not run ahead
-    numbers = [i for i, state in zip(program.following, program.states, strict=True) if not state.word]
-    totals = {total.op for total in program.totals.values()}
-    read = {*numbers, *program.outputs.values(), *totals - summed}
-    read.update(i for product in totals & summed for i in program.ops[product].reads)
-    read.update(i for index in printed if index not in found for i in reads[index])
-    # The words must be advanced together with the random numbers. This is impossible if the step itself reads a word,
-    # or if the next value of a word does not run ahead.
-    moved = {i for i, state in zip(program.following, program.states, strict=True) if state.word}
-    carried = tuple(sorted(found & read))
-    if not carried or words & read or not moved <= found | words:
-        return Ahead()
-    return Ahead(tuple(sorted(found)), carried)
-
-
-def _reads(program: Program, index: int, fused: Mapping[int, int]) -> tuple[int, ...]:
-    """Return the operations that an operation reads, with the operands of a fused product instead of the product."""
-    reads, product = program.ops[index].reads, fused.get(index)
-    if product is None:
-        return reads
-    return (*program.ops[product].reads, *(i for i in reads if i != product))
-
-
+_FREE_OPERATIONS = ("const", "word", "half")  # operations that need no instructions in the step
 VECTORS = "TACITURN_VECTORS"
+# The function and the types of numbers and positions, by the number of doubles that one instruction permutes. AVX2 has
+# no permutation of doubles by computed positions; the permutation of their halves, as floats, replaces it.
+_PERMUTES = {
+    8: ("llvm.x86.avx512.permvar.df.512", "<8 x double>", "<8 x i64>"),
+    4: ("llvm.x86.avx2.permps", "<8 x float>", "<8 x i32>"),
+}
+_NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "float32": ("float", 32)}
+Build = Literal["parity", "fast"]
+_FLAGS: Mapping[Build, str] = {
+    "parity": "",  # every operation rounds once, as in NumPy
+    "fast": "nsz ",  # zeros may change sign; no reassociation, which would break the bit operations of random numbers
+}
+# In programs with at most this many operations, constants are copied to all lanes once, before the first step. In a
+# larger program these vectors would be spilled to the stack, whose alignment changes the speed by a fifth; so its
+# constants are copied where they are used.
+SMALL = 256
+_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
+_SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
 
 
 @dataclass(frozen=True)
@@ -155,36 +117,20 @@ class Target:
         return f"+{feature}" in flags and not any(f"-{name}" in flags for name in below[: below.index(feature) + 1])
 
 
-# The function and the types of numbers and positions, by the number of doubles that one instruction permutes. AVX2 has
-# no permutation of doubles by computed positions; the permutation of their halves, as floats, replaces it.
-PERMUTES = {
-    8: ("llvm.x86.avx512.permvar.df.512", "<8 x double>", "<8 x i64>"),
-    4: ("llvm.x86.avx2.permps", "<8 x float>", "<8 x i32>"),
-}
-_NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "float32": ("float", 32)}
+def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
+    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths."""
+    return _Printer(program, target, lanes, build, own).text()
 
 
 def constants_of(program: Program) -> list[float]:
-    """Return all constants of a program in the order in which the machine code reads them.
-
-    These are the constants, the tables, and the tiles of the matrices column by column.
-    """
+    """Return all constants of a program in the order in which the machine code reads them."""
+    # These are the constants, the tables, and the tiles of the matrices column by column.
     tables = (value for table in program.tables for value in table)
-    matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in tile_columns(matrix, tile))
+    matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in _tile_columns(matrix, tile))
     return [*program.constants, *tables, *matrices]
 
 
-def tile_columns(matrix: MatrixRows, tile: Tile) -> list[float]:
-    """Return the coefficients of a tile (block) of a matrix, column by column."""
-    return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
-
-
-def filled_lanes(kind: str, literal: object, lanes: int) -> str:
-    """Return an LLVM vector constant with the same number in every lane."""
-    return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"
-
-
-class CodeLines:
+class _CodeLines:
     """Lines of LLVM IR for a program, and the types and addresses that they use."""
 
     def __init__(self, program: Program, target: Target, lanes: int, own: bool) -> None:
@@ -209,7 +155,7 @@ class CodeLines:
         return name
 
     def _every(self, kind: str, literal: str) -> str:
-        return filled_lanes(kind, literal, self.lanes)
+        return _filled_lanes(kind, literal, self.lanes)
 
     def _splat(self, scalar: str, kind: str) -> str:
         """Return a vector with a scalar in every lane."""
@@ -260,13 +206,13 @@ class CodeLines:
         """Return the entries of a table at the last three bits of words, as many as one instruction permutes."""
         wide = self.permutes
         U, V = f"<{wide} x i64>", f"<{wide} x double>"
-        function, numbers, places = PERMUTES[wide]
+        function, numbers, places = _PERMUTES[wide]
         if wide == EIGHT:
             entries = self._new(f"load {V}, ptr {base}, align 8")
             return self._new(f"call {V} @{function}({V} {entries}, {U} {words})")
         # AVX2 permutes eight floats. Entry k of four doubles is the pair of floats 2k and 2k + 1, so position k becomes
         # the pair (2k, 2k + 1). Both halves of the table are permuted by the last two bits; the third bit selects one.
-        twice = self._new(f"shl {U} {words}, {filled_lanes('i64', 1, wide)}")
+        twice = self._new(f"shl {U} {words}, {_filled_lanes('i64', 1, wide)}")
         parts = self._new(f"bitcast {U} {twice} to {places}")
         evens = ", ".join(f"i32 {2 * (k // 2)}" for k in range(8))
         pairs = self._new(f"shufflevector {places} {parts}, {places} poison, {places} <{evens}>")
@@ -279,7 +225,7 @@ class CodeLines:
             found = self._new(f"call {numbers} @{function}({numbers} {entries}, {places} {chosen})")
             halves.append(self._new(f"bitcast {numbers} {found} to {V}"))
         # bit 2 is shifted to bit 63, the sign
-        sign = self._new(f"shl {U} {words}, {filled_lanes('i64', 61, wide)}")
+        sign = self._new(f"shl {U} {words}, {_filled_lanes('i64', 61, wide)}")
         upper = self._new(f"icmp slt {U} {sign}, zeroinitializer")
         return self._new(f"select <{wide} x i1> {upper}, {V} {halves[1]}, {V} {halves[0]}")
 
@@ -317,45 +263,7 @@ class CodeLines:
         return parts[0]
 
 
-Build = Literal["parity", "fast"]
-_FLAGS: Mapping[Build, str] = {
-    "parity": "",  # every operation rounds once, as in NumPy
-    "fast": "nsz ",  # zeros may change sign; no reassociation, which would break the bit operations of random numbers
-}
-# In programs with at most this many operations, constants are copied to all lanes once, before the first step. In a
-# larger program these vectors would be spilled to the stack, whose alignment changes the speed by a fifth; so its
-# constants are copied where they are used.
-SMALL = 256
-_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
-_INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
-_SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
-
-
-def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
-    """Return the fused products of the fast build: by sum or difference, and the set of those summed over steps.
-
-    A product is fused only if no other operation reads it; otherwise it would be computed twice. This module, not the
-    compiler, selects the fused operations, so that the result does not depend on the processor.
-    """
-    uses = Counter([*(i for index in live for i in program.ops[index].reads), *_roots(program)])
-    found: dict[int, int] = {}
-    for index in sorted(live):
-        op = program.ops[index]
-        if op.name in ("add", "sub"):
-            # of two products the later operand is fused, so that a chain a + b·c + d·e fuses each with the sum so far
-            alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
-            found |= {index: alone[0]} if alone else {}
-    totals = {total.op for total in program.totals.values()}
-    return found, {index for index in totals if program.ops[index].name == "mul" and uses[index] == 1}
-
-
-def _roots(program: Program) -> list[int]:
-    """Return the operations whose values a step stores: next states, outputs and sums."""
-    totals = (total.op for total in program.totals.values())
-    return [*program.following, *program.outputs.values(), *totals]
-
-
-class Body(CodeLines):
+class _Body(_CodeLines):
     """Writer of the LLVM IR of one time step, which records the name of each operation's value."""
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
@@ -502,7 +410,7 @@ class Body(CodeLines):
         # memory order: constants, tables, matrices; ``before`` is the position of this matrix's first coefficient
         V, program = self.numbers, self.program
         before = len(program.constants) + sum(len(table) for table in program.tables)
-        before += sum(len(tile_columns(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
+        before += sum(len(_tile_columns(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
         # the vector is stored in memory, so that the loop can index it
         column = self._new(f"getelementptr {V}, ptr %column, i64 0")
         for i, value in enumerate(values):
@@ -561,12 +469,7 @@ class Body(CodeLines):
         return self._gathered(self._table(table), integers, offsets)
 
 
-def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
-    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths."""
-    return _Printer(program, target, lanes, build, own).text()
-
-
-class _Printer(Body):
+class _Printer(_Body):
     """Writes a time step inside the loops over blocks, windows of steps, and steps."""
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
@@ -574,7 +477,7 @@ class _Printer(Body):
         self.target = target
         # random numbers run ahead, unless a run has few steps (``own``, inputs), or a step fills the processor's window
         alone = own or self.alone or bool(program.inputs)
-        self.ahead = Ahead() if alone else find_ahead(program, self.printed, self.fused, self.summed)
+        self.ahead = _Ahead() if alone else _find_ahead(program, self.printed, self.fused, self.summed)
 
     def text(self) -> str:
         program, V, U, L = self.program, self.numbers, self.words, self.lanes
@@ -646,8 +549,7 @@ class _Printer(Body):
             ]
         )
 
-    def _section(self, write: object) -> list[str]:
-        assert callable(write)
+    def _section(self, write: Callable[[], None]) -> list[str]:
         self.lines = []
         write()
         return self.lines
@@ -656,7 +558,7 @@ class _Printer(Body):
         """Return the declaration of the instruction that permutes tables."""
         if not self.permutes:
             return []
-        function, numbers, places = PERMUTES[self.permutes]
+        function, numbers, places = _PERMUTES[self.permutes]
         return [f"declare {numbers} @{function}({numbers}, {places})"]
 
     def _load_constants(self) -> None:
@@ -676,7 +578,7 @@ class _Printer(Body):
         """Write the operations that run ahead; return the names of the values that the step reads."""
         ahead = {*self.ahead.operations}
         if ahead:
-            free = (*FREE_OPERATIONS, "state")
+            free = (*_FREE_OPERATIONS, "state")
             self.operations(i for i in self.printed if i in ahead or self.program.ops[i].name in free)
         return [self.names[i] for i in self.ahead.carried]
 
@@ -735,3 +637,78 @@ class _Printer(Body):
             self.lines.append(f"  store {self.doubles} {self._widen(self.names[index])}, ptr {address}, align 8")
         for i, total in enumerate(program.totals.values()):
             self.lines.append(f"  %next_sum{i} = {self.added_up(total.op, f'%sum{i}')}")
+
+
+def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
+    """Return the fused products of the fast build: by sum or difference, and the set of those summed over steps."""
+    # a product is fused only if no other operation reads it; otherwise it would be computed twice
+    uses = Counter([*(i for index in live for i in program.ops[index].reads), *_roots(program)])
+    found: dict[int, int] = {}
+    for index in sorted(live):
+        op = program.ops[index]
+        if op.name in ("add", "sub"):
+            # of two products the later operand is fused, so that a chain a + b·c + d·e fuses each with the sum so far
+            alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
+            found |= {index: alone[0]} if alone else {}
+    totals = {total.op for total in program.totals.values()}
+    return found, {index for index in totals if program.ops[index].name == "mul" and uses[index] == 1}
+
+
+def _roots(program: Program) -> list[int]:
+    """Return the operations whose values a step stores: next states, outputs and sums."""
+    totals = (total.op for total in program.totals.values())
+    return [*program.following, *program.outputs.values(), *totals]
+
+
+@dataclass(frozen=True)
+class _Ahead:
+    """The operations of a time step that are computed one step ahead."""
+
+    operations: tuple[int, ...] = ()  # the operations in the order of the program
+    carried: tuple[int, ...] = ()  # operations whose values the step itself reads
+
+
+def _find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int], summed: Set[int]) -> _Ahead:
+    """Return the operations that can run one step ahead: those that depend only on words of the random generator."""
+    # an operation runs ahead if each operand is a constant, a word in memory, or an operation that runs ahead
+    found, words = set[int](), set[int]()
+    reads = {index: _reads(program, index, fused) for index in printed}
+    for index in printed:
+        op = program.ops[index]
+        if op.name == "state" and program.states[op.arguments[0]].word:
+            words.add(index)
+        elif op.name not in (*_FREE_OPERATIONS, "state", "input", "product", "entry"):
+            computed = [i for i in reads[index] if program.ops[i].name not in _FREE_OPERATIONS]
+            if computed and found.union(words).issuperset(computed):
+                found.add(index)
+    # values that the step itself reads: for next states, outputs, sums, and operations that do not run ahead
+    numbers = [i for i, state in zip(program.following, program.states, strict=True) if not state.word]
+    totals = {total.op for total in program.totals.values()}
+    read = {*numbers, *program.outputs.values(), *totals - summed}
+    read.update(i for product in totals & summed for i in program.ops[product].reads)
+    read.update(i for index in printed if index not in found for i in reads[index])
+    # The words must be advanced together with the random numbers. This is impossible if the step itself reads a word,
+    # or if the next value of a word does not run ahead.
+    moved = {i for i, state in zip(program.following, program.states, strict=True) if state.word}
+    carried = tuple(sorted(found & read))
+    if not carried or words & read or not moved <= found | words:
+        return _Ahead()
+    return _Ahead(tuple(sorted(found)), carried)
+
+
+def _reads(program: Program, index: int, fused: Mapping[int, int]) -> tuple[int, ...]:
+    """Return the operations that an operation reads, with the operands of a fused product instead of the product."""
+    reads, product = program.ops[index].reads, fused.get(index)
+    if product is None:
+        return reads
+    return (*program.ops[product].reads, *(i for i in reads if i != product))
+
+
+def _tile_columns(matrix: MatrixRows, tile: Tile) -> list[float]:
+    """Return the coefficients of a tile (block) of a matrix, column by column."""
+    return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
+
+
+def _filled_lanes(kind: str, literal: object, lanes: int) -> str:
+    """Return an LLVM vector constant with the same number in every lane."""
+    return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"

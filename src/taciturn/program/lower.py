@@ -6,7 +6,12 @@ with the plant) and a single site (with its packets as inputs, ``node``) use thi
 * A signal that is read before it is assigned has its value of the previous step. Such a signal becomes a state.
 * A condition becomes selections. Every branch is computed, and a truth value selects one of the results.
 
-Truth values in a program: their combination, selections by them, and the label that a trigger selects.
+A decision for the label of the least value V_i among labels 0, 1, … is a truth value for each label but the last:
+
+    label i  ⇔  V_i ≤ V_j for every later j that is allowed, i is allowed, and no earlier label is chosen.
+
+For an earlier label that is not chosen there is a later one with a smaller value, so by induction the chosen value is
+the minimum. The last label is chosen if no other one is.
 """
 
 from __future__ import annotations
@@ -39,13 +44,18 @@ from taciturn.model.steps import (
 from taciturn.model.trigger import Form, GaussianTerm, Matrix, Scheduled
 from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
-from taciturn.program.functions import falling
+from taciturn.program.functions import both, falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.ops import Entry, Name, Named, Option, Sent, State
 from taciturn.program.tracing import trace
 
+Operands = list[int]
+APPLIED = "applied"  # the input that the actuators apply
+Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
+LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
 
-class Truths:
+
+class _Truths:
     """Operations on truth values; a truth value that is known before the program runs is a ``bool``."""
 
     def __init__(self, builder: Builder) -> None:
@@ -64,8 +74,6 @@ class Truths:
 
     def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
         """Return for each value but the last whether it is the first of the least allowed values."""
-        # label i is chosen if V_i ≤ V_j for every later j, and no earlier label is chosen. For an earlier label that is
-        # not chosen there is a later one with a smaller value, so by induction the chosen value is the minimum.
         truths: list[Truth] = []
         for i, value in enumerate(values[:-1]):
             truth = allowed[i]
@@ -78,10 +86,8 @@ class Truths:
         return truths
 
     def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
-        """Return for each value but the last whether it is the first allowed value that is at most the limit.
-
-        If there is none, it is the last allowed value.
-        """
+        """Return for each value but the last whether it is the first allowed value that is at most the limit."""
+        # If there is none, it is the last allowed value.
         within = [self.builder.emit("less_equal", value, self.builder.constant(limit)) for value in values[:-1]]
         truths: list[Truth] = []
         for i, low in enumerate(within):
@@ -96,11 +102,7 @@ class Truths:
 
     def both(self, one: Truth, other: Truth) -> Truth:
         """Return whether both are true."""
-        if isinstance(one, bool):
-            return other if one else False
-        if isinstance(other, bool):
-            return one if other else False
-        return self.builder.emit("and", one, other)
+        return both(self.builder, one, other)
 
     def either(self, one: Truth, other: Truth) -> Truth:
         """Return whether one of the two is true."""
@@ -118,13 +120,6 @@ class Truths:
         return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
 
 
-Operands = list[int]
-APPLIED = "applied"  # the input that the actuators apply
-Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
-
-LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
-
-
 def first_input(policy: Policy, plant: Plant) -> Array:
     """Return the input of a plant before the first step: that of the policy, or 0, within the limits."""
     found = np.zeros(plant.inputs)
@@ -133,11 +128,8 @@ def first_input(policy: Policy, plant: Plant) -> Array:
     return found if plant.saturation is None else plant.saturation.begun(found)
 
 
-class TimeStep(Truths):
-    """Translation of one time step: the operations that give the value of each signal after each policy step.
-
-    A signal that is read before it is assigned becomes a memory, which is a state of the program.
-    """
+class TimeStep(_Truths):
+    """Translation of one time step: the operations that give the value of each signal after each policy step."""
 
     def __init__(
         self,

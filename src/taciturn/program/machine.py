@@ -1,16 +1,14 @@
 """Compilation of programs in LLVM IR with llvmlite, a cache of their object code, and execution on several threads.
 
-The cache is in memory and on disk (``cache``, some hundred files). Its key consists of the text of the program, which
-includes the processor, and the version of llvmlite. Only this module calls llvmlite.
+Only this module calls llvmlite. ``Kernel`` is the machine code of all programs of one structure. It runs blocks of
+paths, which do not interact, on as many threads as are worth starting. Programs use the widest vectors of the
+processor, or those that the environment variable ``TACITURN_VECTORS`` selects: ``avx512``, ``avx2``, or ``baseline``
+(present in every processor of the architecture). Results of the bit-exact build do not depend on the choice.
 
-Programs use the widest vectors of the processor, or those that the environment variable ``TACITURN_VECTORS`` selects:
-``avx512``, ``avx2``, or ``baseline`` (present in every processor of the architecture). Results of the bit-exact build
-do not depend on the choice.
-
-Cache of compiled programs on disk: a folder that only this user can write, with one file per program.
-
-A cached file is executed, so it is used only if no other user can have written it: file and folder belong to this user
-or to root, and neither the group nor others may write to them.
+Object code is cached in memory and on disk, in a folder with one file per program, some hundred files. The key consists
+of the text of the program, which includes the processor, and the version of llvmlite. A cached file is executed, so it
+is used only if no other user can have written it: file and folder belong to this user or to root, and neither the group
+nor others may write to them.
 """
 
 from __future__ import annotations
@@ -39,116 +37,14 @@ from taciturn.program.ir import Program
 from taciturn.program.llvm import VECTORS, Build, Target, constants_of, print_llvm
 from taciturn.program.numpy import Run
 
-SPARE = 8  # files are deleted when the limit is exceeded by 1/8, since deletion reads the age of each file
-LARGEST = 2**28  # bytes of a compiled program
-PRIVATE = 0o700  # mode of the folder
-LAYOUT = "digest of key and code, code"  # of a file; part of its key
-
-
-def cache_folder() -> Path | None:
-    """Return the folder of the cache, created with mode 0700 if needed, or None if no folder can be trusted."""
-    folder = _place()
-    if folder is None:
-        return None
-    try:
-        folder.mkdir(PRIVATE, parents=True, exist_ok=True)
-        found = folder.stat()
-        if _is_ours(found) and stat.S_IMODE(found.st_mode) & ~PRIVATE:
-            folder.chmod(PRIVATE)
-            if _why_not(found) is not None:  # others could have written the files, too
-                _warn(f"other users could write to the cache folder {folder}; its compiled programs were deleted")
-                for path in folder.glob("*.o"):
-                    path.unlink(missing_ok=True)
-            found = folder.stat()
-    except OSError:
-        return None
-    if (reason := _why_not(found)) is not None:
-        _warn(
-            f"the cache folder {folder} {reason}, so it is not used and every process compiles its programs; expected "
-            "a folder of this user in XDG_CACHE_HOME"
-        )
-        return None
-    return folder
-
-
-def read_code(folder: Path, key: str) -> bytes | None:
-    """Return the cached object code of a program, or None if no complete and trusted file exists."""
-    path = folder / f"{key}.o"
-    try:
-        with open_regular(path) as file:
-            found = os.fstat(file.fileno())
-            reason = "is larger than any program" if found.st_size > LARGEST else _why_not(found)
-            content = file.read() if reason is None else b""
-    except OSError:
-        return None
-    with contextlib.suppress(OSError):  # the time of use cannot be recorded in a read-only folder
-        os.utime(path)
-    digest, code = content[:32], content[32:]
-    if reason is None and (not code or _digest(key, code) != digest):
-        reason = "is damaged"
-    if reason is not None:
-        _warn(f"the cached machine code {path} {reason}; the program is compiled again")
-        return None
-    return code
-
-
-def write_code(folder: Path, key: str, code: bytes, most: int) -> None:
-    """Store object code in the cache atomically; delete the least recently used files beyond ``most``."""
-    with contextlib.suppress(OSError):  # without a writable folder, every process compiles its programs
-        write_whole(folder / f"{key}.o", _digest(key, code) + code, private=True)
-        if len(os.listdir(folder)) > most + most // SPARE:
-            kept = sorted(folder.glob("*.o"), key=lambda file: file.stat().st_mtime)
-            for oldest in kept[:-most]:
-                oldest.unlink()
-
-
-def _place() -> Path | None:
-    """Return the path of the folder: in XDG_CACHE_HOME if this path is absolute, or else that of the platform."""
-    import platformdirs  # imported only when a program is compiled
-
-    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if given.is_absolute():
-        return given / "taciturn"
-    try:
-        if sys.platform == "win32":
-            found = platformdirs.user_cache_path("taciturn", appauthor=False)
-        else:  # platformdirs would use a relative XDG_CACHE_HOME
-            found = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "taciturn"
-    except RuntimeError:
-        return None  # no home folder: compile each time, since other users could write to a shared folder
-    return found if found.is_absolute() else None
-
-
-def _digest(key: str, code: bytes) -> bytes:
-    """Return the digest of a file, which differs for the same code under another name."""
-    return hashlib.sha256(key.encode() + code).digest()
-
-
-def _is_ours(found: os.stat_result) -> bool:
-    """Return whether a file belongs to this user; False on Windows, which has no user numbers."""
-    user = getattr(os, "geteuid", None)
-    return user is not None and found.st_uid == user()
-
-
-def _why_not(found: os.stat_result) -> str | None:
-    """Return why another user may have written a file or folder, or None; on Windows, the profile folder is private."""
-    if not hasattr(os, "geteuid"):
-        return None
-    if not _is_ours(found) and found.st_uid != 0:
-        return "belongs to another user"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return "can be written by other users"
-    return None
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, stacklevel=3)
-
-
-PASSES = "combine"  # the compiler passes, which are part of the cache key
+_SPARE = 8  # files are deleted when the limit is exceeded by 1/8, since deletion reads the age of each file
+_LARGEST = 2**28  # bytes of a compiled program
+_PRIVATE = 0o700  # mode of the folder
+_LAYOUT = "digest of key and code, code"  # of a file; part of its key
+_PASSES = "combine"  # the compiler passes, which are part of the cache key
 MOST_KEPT = 512  # most compiled programs on disk, some 10 kB each; the least recently used are deleted
-MOST_PRINTED = 256  # most texts of programs in memory
-WORTH_A_THREAD = 2_000_000  # operations per thread, which take about 0.5 ms; starting a thread takes 0.1 ms
+_MOST_PRINTED = 256  # most texts of programs in memory
+_WORTH_A_THREAD = 2_000_000  # operations per thread, which take about 0.5 ms; starting a thread takes 0.1 ms
 _ALONE = ContextVar("alone", default=False)
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
@@ -173,7 +69,7 @@ class Kernel:
         assert self.own == (constants is not None), (
             "constants per path are supplied to a kernel with shared constants, or are missing"
         )
-        return shared_constants(program) if constants is None else constants
+        return np.array(constants_of(program), dtype=program.precision) if constants is None else constants
 
     def run(
         self,
@@ -200,14 +96,16 @@ class Kernel:
             )
         state = _into_blocks(states, lanes)
         sums = np.zeros((blocks, len(program.sums), lanes))
-        supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
+        supplied = np.zeros(1)
+        if inputs is not None and program.inputs:  # (steps, inputs, paths) as (blocks, steps, inputs, lanes)
+            supplied = _into_blocks(inputs.reshape(ticks * len(program.inputs), paths), lanes)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
         arrays = (state, sums, self.known(program, constants), supplied, outputs)
 
         def work(part: tuple[int, int]) -> None:
             self.call(*part, ticks, arrays)
 
-        worthwhile = program.operations * ticks * paths // WORTH_A_THREAD
+        worthwhile = program.operations * ticks * paths // _WORTH_A_THREAD
         workers = max(1, min(threads or min(available_processors(), worthwhile), blocks))
         cuts = [blocks * i // workers for i in range(workers + 1)]
         parts = list(pairwise(cuts))
@@ -306,11 +204,6 @@ def host() -> Target:
     return whole.limited(os.environ.get(VECTORS, ""))
 
 
-def shared_constants(program: Program) -> Array:
-    """Return the constants of a program that all paths share, as an array in memory layout."""
-    return np.array(constants_of(program), dtype=program.precision)
-
-
 @dataclass(frozen=True)
 class _Printable:
     """A program as a cache key: all programs of equal structure compare equal."""
@@ -319,7 +212,7 @@ class _Printable:
     program: Program = field(compare=False)
 
 
-@lru_cache(maxsize=MOST_PRINTED)
+@lru_cache(maxsize=_MOST_PRINTED)
 def _print(printable: _Printable, target: Target, lanes: int, build: Build, own: bool) -> str:
     """Return the LLVM IR of a module, which is the same for all programs of equal structure."""
     return print_llvm(printable.program, target, lanes, build, own)
@@ -339,17 +232,12 @@ class _Code:
         self.function = _SIGNATURE(engine.get_function_address("run"))
 
 
-def _llvm() -> Any:
-    """Return llvmlite's binding, imported on first use because the import takes 20 ms; it has no type information."""
-    return importlib.import_module("llvmlite.binding")
-
-
 @cache
 def _load(text: str) -> _Code:
     """Return the machine code of a module for this processor, from the cache on disk if possible."""
     llvm = _llvm()
     release: str = importlib.import_module("llvmlite").__version__
-    key = hashlib.sha256("\n".join([text, release, PASSES, LAYOUT]).encode()).hexdigest()
+    key = hashlib.sha256("\n".join([text, release, _PASSES, _LAYOUT]).encode()).hexdigest()
     folder = cache_folder()
     stored = None if folder is None else read_code(folder, key)
     if stored is None:
@@ -360,12 +248,6 @@ def _load(text: str) -> _Code:
     engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
     engine.finalize_object()
     return _Code(engine)
-
-
-def _machine(target: Target) -> Any:
-    """Return the target machine of LLVM; an architecture other than the host's must be initialised before."""
-    made = _llvm().Target.from_triple(target.triple)
-    return made.create_target_machine(cpu=target.cpu, features=target.features, opt=3, jit=True)
 
 
 def compile_object(text: str, target: Target) -> bytes:
@@ -383,6 +265,17 @@ def compile_object(text: str, target: Target) -> bytes:
     return machine.emit_object(module)
 
 
+def _machine(target: Target) -> Any:
+    """Return the target machine of LLVM; an architecture other than the host's must be initialised before."""
+    made = _llvm().Target.from_triple(target.triple)
+    return made.create_target_machine(cpu=target.cpu, features=target.features, opt=3, jit=True)
+
+
+def _llvm() -> Any:
+    """Return llvmlite's binding, imported on first use because the import takes 20 ms; it has no type information."""
+    return importlib.import_module("llvmlite.binding")
+
+
 def _into_blocks(rows: Array, lanes: int) -> Array:
     """Return (rows, paths) as (blocks, rows, lanes); copies of the first path fill the last block."""
     count, paths = rows.shape
@@ -397,7 +290,101 @@ def _from_blocks(blocks: Array, paths: int) -> Array:
     return blocks.transpose(1, 0, 2).reshape(rows, count * lanes)[:, :paths]
 
 
-def _ticks_into_blocks(inputs: Array, lanes: int) -> Array:
-    """Return (steps, inputs, paths) as (blocks, steps, inputs, lanes)."""
-    ticks, count, paths = inputs.shape
-    return _into_blocks(inputs.reshape(ticks * count, paths), lanes)
+def cache_folder() -> Path | None:
+    """Return the folder of the cache, created with mode 0700 if needed, or None if no folder can be trusted."""
+    folder = _place()
+    if folder is None:
+        return None
+    try:
+        folder.mkdir(_PRIVATE, parents=True, exist_ok=True)
+        found = folder.stat()
+        if _is_ours(found) and stat.S_IMODE(found.st_mode) & ~_PRIVATE:
+            folder.chmod(_PRIVATE)
+            if _why_not(found) is not None:  # others could have written the files, too
+                _warn(f"other users could write to the cache folder {folder}; its compiled programs were deleted")
+                for path in folder.glob("*.o"):
+                    path.unlink(missing_ok=True)
+            found = folder.stat()
+    except OSError:
+        return None
+    if (reason := _why_not(found)) is not None:
+        _warn(
+            f"the cache folder {folder} {reason}, so it is not used and every process compiles its programs; expected "
+            "a folder of this user in XDG_CACHE_HOME"
+        )
+        return None
+    return folder
+
+
+def read_code(folder: Path, key: str) -> bytes | None:
+    """Return the cached object code of a program, or None if no complete and trusted file exists."""
+    path = folder / f"{key}.o"
+    try:
+        with open_regular(path) as file:
+            found = os.fstat(file.fileno())
+            reason = "is larger than any program" if found.st_size > _LARGEST else _why_not(found)
+            content = file.read() if reason is None else b""
+    except OSError:
+        return None
+    with contextlib.suppress(OSError):  # the time of use cannot be recorded in a read-only folder
+        os.utime(path)
+    digest, code = content[:32], content[32:]
+    if reason is None and (not code or _digest(key, code) != digest):
+        reason = "is damaged"
+    if reason is not None:
+        _warn(f"the cached machine code {path} {reason}; the program is compiled again")
+        return None
+    return code
+
+
+def write_code(folder: Path, key: str, code: bytes, most: int) -> None:
+    """Store object code in the cache atomically; delete the least recently used files beyond ``most``."""
+    with contextlib.suppress(OSError):  # without a writable folder, every process compiles its programs
+        write_whole(folder / f"{key}.o", _digest(key, code) + code, private=True)
+        if len(os.listdir(folder)) > most + most // _SPARE:
+            kept = sorted(folder.glob("*.o"), key=lambda file: file.stat().st_mtime)
+            for oldest in kept[:-most]:
+                oldest.unlink()
+
+
+def _place() -> Path | None:
+    """Return the path of the folder: in XDG_CACHE_HOME if this path is absolute, or else that of the platform."""
+    import platformdirs  # imported only when a program is compiled
+
+    given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if given.is_absolute():
+        return given / "taciturn"
+    try:
+        if sys.platform == "win32":
+            found = platformdirs.user_cache_path("taciturn", appauthor=False)
+        else:  # platformdirs would use a relative XDG_CACHE_HOME
+            found = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache") / "taciturn"
+    except RuntimeError:
+        return None  # no home folder: compile each time, since other users could write to a shared folder
+    return found if found.is_absolute() else None
+
+
+def _digest(key: str, code: bytes) -> bytes:
+    """Return the digest of a file, which differs for the same code under another name."""
+    return hashlib.sha256(key.encode() + code).digest()
+
+
+def _is_ours(found: os.stat_result) -> bool:
+    """Return whether a file belongs to this user; False on Windows, which has no user numbers."""
+    user = getattr(os, "geteuid", None)
+    return user is not None and found.st_uid == user()
+
+
+def _why_not(found: os.stat_result) -> str | None:
+    """Return why another user may have written a file or folder, or None; on Windows, the profile folder is private."""
+    if not hasattr(os, "geteuid"):
+        return None
+    if not _is_ours(found) and found.st_uid != 0:
+        return "belongs to another user"
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "can be written by other users"
+    return None
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, stacklevel=3)

@@ -2,14 +2,21 @@
 
 A time step has one or two parts. The first part ends with the last output of the node, a packet or the input of the
 plant. Later policy steps that read a packet or an acknowledgement form the second part. This part runs when the next
-time step begins, so that a packet has a whole sampling period to arrive.
+time step begins, so that a packet has a whole sampling period to arrive. Both parts have the same states; the outcome
+of a decision in the first part is a state that the second part reads.
 
-Positions of all inputs and outputs in the time step of a node, for the back ends that run nodes.
+Nodes can be separated if each packet holds what its Send found: no signal of the packet changes before it is read, all
+steps read a packet before it is sent or all after it, and no two places wait for each other within a step.
+
+``lay_out`` gives the positions of all inputs and outputs in the time step of a node, for the back ends that run nodes:
+
+    inputs:  measurement | step counters | for each link: arrived, payload | acknowledgements | set-points | draws
+    outputs: for each link: sent, payload | input of the plant | values of the options of triggers
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Literal, NamedTuple
@@ -27,16 +34,17 @@ from taciturn.program.lower import APPLIED, Operands, Payloads, TimeStep, encode
 from taciturn.program.ops import Entry, Name, Option, Precision, Sent, State, StepCounter, named
 
 NODES = Coverage(LOOPS, "nodes do not carry out")
+_FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
+_NEVER = 1 << 62
 
 
 @dataclass(frozen=True, eq=False)
 class NodeProgram:
-    """Programs of one time step of the nodes at one site of a policy.
+    """Programs of one time step of the nodes at one site of a policy."""
 
-    Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a link,
-    the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a link, its
-    payload (entries named by the link), the plant's ``input``, and the values of the triggers' options.
-    """
+    # Inputs of the parts: the measurement ``y``, step counters, whether a packet or an acknowledgement arrived on a
+    # link, the signals of the packet, and uniform numbers. Outputs of the first part: whether a packet is sent on a
+    # link, its payload (entries named by the link), the plant's ``input``, and the values of the triggers' options.
 
     site: frozenset[str]  # the nodes at the site
     parts: tuple[Program, ...]  # the time step up to the last output of the node and, if any, the part after it
@@ -53,66 +61,115 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
     """Return the programs of one time step of the nodes at one site of a policy."""
     policy = policy.in_units
     NODES.check(policy.parts, policy.designed_for, network)
-    check_separable(policy)
-    expect_order(policy)
+    _check_separable(policy)
+    _expect_order(policy)
     return _Lowering(policy, site, network, precision).result()
 
 
-def check_separable(policy: Policy) -> None:
-    """Raise an error if the nodes of a policy cannot run separately."""
-    places: dict[str, int] = {}
-    for place, step in enumerate(policy.steps):
-        if not isinstance(step, Send):
-            continue
-        if policy.network.receiver(step.link) in policy.site(step.at):
-            raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
-                "site; expected different sites at its two ends, or no packets on this link"
-            )
-        places[step.link] = place
-    for place, step in enumerate(policy.steps):
-        if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):
-            continue
-        on = step.on
-        if on.link not in places:
-            raise ProblemError(
-                f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
-            )
-        sent, count = places[on.link], len(policy.steps)
-        between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
-        for name in told_by(policy, on.link):
-            if any(name in assigned(policy.steps[i]) for i in between):
-                raise ProblemError(
-                    f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
-                    f"that computes {step.signal} from the packet; expected the Send after the change"
-                )
+class _Lowering:
+    """The policy steps of one site, and their division into parts."""
 
+    def __init__(self, policy: Policy, site: frozenset[str], network: Network, precision: Precision) -> None:
+        self.policy, self.site = policy, site
+        self.precision: Precision = precision
+        self.applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
+        self.payloads = encode_payloads(policy, network)
+        self.steps = [step for step in policy.steps if step.at in site]
+        if not self.steps:
+            raise ProblemError(
+                f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node"
+            )
+        # the cut: the first policy step after the last output that waits for a packet or an acknowledgement
+        leaves = [i for i, step in enumerate(self.steps) if _is_output(step, self.applied.keys())]
+        behind = range(leaves[-1] + 1 if leaves else len(self.steps), len(self.steps))
+        waits = [i for i in behind if isinstance(_condition(self.steps[i]), Received | Acknowledged)]
+        cut = waits[0] if waits else len(self.steps)
+        self.parts = [part for part in (self.steps[:cut], self.steps[cut:]) if part]
+        if any(isinstance(_condition(step), Acknowledged) for step in self.steps[:cut]):
+            raise ProblemError(
+                f"the nodes of {policy.kind} cannot be separated: a node needs an acknowledgement before its last "
+                "output; expected policy steps that depend on an acknowledgement after the last Send of the node"
+            )
+        # locations that depend on an outcome are states; step counters are inputs, set from the number of the step
+        self.places = [place for place in policy.locations if place.on is not None and place.at in site]
 
-def expect_order(policy: Policy) -> None:
-    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other."""
-    sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
-    waits: dict[frozenset[str], set[frozenset[str]]] = {}
-    for i, step in enumerate(policy.steps):
-        on, here = _condition(step), policy.site(step.at)
-        if isinstance(on, Received) and sent.get(on.link, i) < i and _needed_for_output(policy, here, i):
-            waits.setdefault(here, set()).add(policy.site(policy.steps[sent[on.link]].at))
-    left = dict(waits)
-    while ready := [place for place, others in left.items() if not others & left.keys()]:
-        for place in ready:
-            del left[place]
-    if left:
-        names = " and ".join(sorted("+".join(sorted(place)) for place in left))
-        raise ProblemError(
-            f"the nodes of {policy.kind} cannot be separated: within a step, {names} wait for packets of each other; "
-            "expected nodes at different places"
+    def result(self) -> NodeProgram:
+        """Return the programs of the site, one for each part of its time step, with equal states."""
+        walked: list[_Part] = []
+        for part in self.parts:
+            walked.append(_Part(self.policy, self.payloads, walked[0].drawn if walked else 0, self.precision))
+            for step in part:
+                walked[-1].take(step)
+        limits, first = self.policy.model.saturation, walked[0]
+        for signal, inputs in self.applied.items():
+            own = None if limits is None else limits.of(inputs)
+            first.limited(first.recall(signal), own, _applied(signal))
+        for place in self.places:
+            walked[-1].move(place)
+        states = list(dict.fromkeys(state for tick in walked for state in tick.builder.states))
+        programs = tuple(self._program(i, tick, states) for i, tick in enumerate(walked))
+        inputs_of = [set(program.inputs) for program in programs]
+        read = {name for names in inputs_of for name in names}
+        hears: dict[str, tuple[str, ...]] = {
+            link: self._order(link) for link in self.payloads if Received(link) in read
+        }
+        late = frozenset[str](link for link in hears if Received(link) not in inputs_of[0])
+        return NodeProgram(
+            site=self.site,
+            parts=programs,
+            draws=draw_uniforms(walked[-1].drawn, self.precision) if walked[-1].drawn else None,
+            clocks=tuple(place for place in self.policy.locations if StepCounter(place.name) in read),
+            hears=hears,
+            lag={link: self._before(link) + (link in late) for link in hears},
+            late=late,
+            acknowledged=tuple(link for link in self.payloads if Acknowledged(link) in read),
+            sends={step.link: step.payload for step in self.steps if isinstance(step, Send)},
         )
 
+    def _order(self, link: str) -> tuple[str, ...]:
+        return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
 
-def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool:
-    """Return whether a place has an output in a step after an operation, which then cannot wait for the next step."""
-    applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
-    later = (step for step in policy.steps[place:] if step.at in site)
-    return any(isinstance(step, Send) or not applied.isdisjoint(assigned(step)) for step in later)
+    def _before(self, link: str) -> int:
+        """Return 1 if a step reads a packet before its Send, so that it is the packet of the previous step; else 0."""
+        steps = self.policy.steps
+        sent = next(i for i, step in enumerate(steps) if isinstance(step, Send) and step.link == link)
+        conditions = [_condition(step) for step in steps]
+        read = [i for i, on in enumerate(conditions) if isinstance(on, Received) and on.link == link]
+        if read[0] < sent < read[-1]:
+            raise ProblemError(
+                f"the nodes of {self.policy.kind} cannot be separated: the packet of the {link} link is read "
+                "both before and after it is sent; expected that all steps read it before the send, or all after it"
+            )
+        return int(read[0] < sent)
+
+    def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
+        """Return a part as a program over the states of all parts."""
+        # a state that this part does not assign keeps its value, also the flags of decisions for the second part
+        builder, last = tick.builder, index == len(self.parts) - 1
+        outputs = self._outputs(tick) if index == 0 else {}
+        for state in states:
+            builder.state(state)
+        signals = dict(tick.signals)
+        signals |= {
+            _flags(name): [tick.as_number(t) for t in truths]
+            for name, truths in tick.outcomes.items()
+            if isinstance(name, str)
+        }
+        signals |= {place.name: [tick.move(place)] for place in self.places if last}
+        following = [
+            signals[state.name][state.index] if state.name in signals else builder.state(state) for state in states
+        ]
+        order = [builder.states.index(state) for state in states]
+        program = builder.collect([following[states.index(state)] for state in builder.states], {}, outputs)
+        return rebuild(program, lambda builder, op: None, order)
+
+    def _outputs(self, tick: _Part) -> dict[Name, int]:
+        outputs: dict[Name, int] = {}
+        for link, truth in tick.sent.items():
+            outputs |= {Sent(link): tick.as_number(truth), **named(link, tick.payload[link])}
+        for signal in self.applied:
+            outputs |= named(signal, tick.recall(_applied(signal)))
+        return outputs | tick.option_values()
 
 
 class _Part(TimeStep):
@@ -161,121 +218,66 @@ class _Part(TimeStep):
         return self.builder.emit("greater", flag, self.builder.constant(0.0))
 
 
-class _Lowering:
-    """The policy steps of one site, and their division into parts."""
-
-    def __init__(self, policy: Policy, site: frozenset[str], network: Network, precision: Precision) -> None:
-        self.policy, self.site = policy, site
-        self.precision: Precision = precision
-        self.applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
-        self.payloads = encode_payloads(policy, network)
-        self.steps = [step for step in policy.steps if step.at in site]
-        if not self.steps:
+def _check_separable(policy: Policy) -> None:
+    """Raise an error if the nodes of a policy cannot run separately."""
+    places: dict[str, int] = {}
+    for place, step in enumerate(policy.steps):
+        if not isinstance(step, Send):
+            continue
+        if policy.network.receiver(step.link) in policy.site(step.at):
             raise ProblemError(
-                f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node"
+                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
+                "site; expected different sites at its two ends, or no packets on this link"
             )
-        # the cut: the first policy step after the last output that waits for a packet or an acknowledgement
-        leaves = [i for i, step in enumerate(self.steps) if self._leaves(step)]
-        behind = range(leaves[-1] + 1 if leaves else len(self.steps), len(self.steps))
-        waits = [i for i in behind if isinstance(_condition(self.steps[i]), Received | Acknowledged)]
-        cut = waits[0] if waits else len(self.steps)
-        self.parts = [part for part in (self.steps[:cut], self.steps[cut:]) if part]
-        if any(isinstance(_condition(step), Acknowledged) for step in self.steps[:cut]):
+        places[step.link] = place
+    for place, step in enumerate(policy.steps):
+        if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):
+            continue
+        on = step.on
+        if on.link not in places:
             raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: a node needs an acknowledgement before its last "
-                "output; expected policy steps that depend on an acknowledgement after the last Send of the node"
+                f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
             )
-        # locations that depend on an outcome are states; step counters are inputs, set from the number of the step
-        self.places = [place for place in policy.locations if place.on is not None and place.at in site]
+        sent, count = places[on.link], len(policy.steps)
+        between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
+        for name in told_by(policy, on.link):
+            if any(name in assigned(policy.steps[i]) for i in between):
+                raise ProblemError(
+                    f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
+                    f"that computes {step.signal} from the packet; expected the Send after the change"
+                )
 
-    def result(self) -> NodeProgram:
-        """Return the programs of the site, one for each part of its time step, with equal states."""
-        walked: list[_Part] = []
-        for part in self.parts:
-            walked.append(self._walk(part, walked[0].drawn if walked else 0))
-        self._apply(walked[0])
-        for place in self.places:
-            walked[-1].move(place)
-        states = list(dict.fromkeys(state for tick in walked for state in tick.builder.states))
-        programs = tuple(self._program(i, tick, states) for i, tick in enumerate(walked))
-        inputs = [set(program.inputs) for program in programs]
-        read = {name for names in inputs for name in names}
-        hears: dict[str, tuple[str, ...]] = {
-            link: self._order(link) for link in self.payloads if Received(link) in read
-        }
-        late = frozenset[str](link for link in hears if Received(link) not in inputs[0])
-        return NodeProgram(
-            site=self.site,
-            parts=programs,
-            draws=draw_uniforms(walked[-1].drawn, self.precision) if walked[-1].drawn else None,
-            clocks=tuple(place for place in self.policy.locations if StepCounter(place.name) in read),
-            hears=hears,
-            lag={link: self._before(link) + (link in late) for link in hears},
-            late=late,
-            acknowledged=tuple(link for link in self.payloads if Acknowledged(link) in read),
-            sends={step.link: step.payload for step in self.steps if isinstance(step, Send)},
+
+def _expect_order(policy: Policy) -> None:
+    """Raise an error if places wait for each other within a step: a packet of each depends on a packet of the other."""
+    sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
+    waits: dict[frozenset[str], set[frozenset[str]]] = {}
+    for i, step in enumerate(policy.steps):
+        on, here = _condition(step), policy.site(step.at)
+        if isinstance(on, Received) and sent.get(on.link, i) < i and _needed_for_output(policy, here, i):
+            waits.setdefault(here, set()).add(policy.site(policy.steps[sent[on.link]].at))
+    left = dict(waits)
+    while ready := [place for place, others in left.items() if not others & left.keys()]:
+        for place in ready:
+            del left[place]
+    if left:
+        names = " and ".join(sorted("+".join(sorted(place)) for place in left))
+        raise ProblemError(
+            f"the nodes of {policy.kind} cannot be separated: within a step, {names} wait for packets of each other; "
+            "expected nodes at different places"
         )
 
-    def _leaves(self, step: Step) -> bool:
-        """Return whether a policy step produces an output of the node."""
-        return isinstance(step, Send) or not self.applied.keys().isdisjoint(assigned(step))
 
-    def _order(self, link: str) -> tuple[str, ...]:
-        return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
+def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool:
+    """Return whether a place has an output in a step after an operation, which then cannot wait for the next step."""
+    applied = {signal for signal, (node, _) in policy.applied.items() if node in site}
+    later = (step for step in policy.steps[place:] if step.at in site)
+    return any(_is_output(step, applied) for step in later)
 
-    def _before(self, link: str) -> int:
-        """Return 1 if a step reads a packet before its Send, so that it is the packet of the previous step; else 0."""
-        steps = self.policy.steps
-        sent = next(i for i, step in enumerate(steps) if isinstance(step, Send) and step.link == link)
-        conditions = [_condition(step) for step in steps]
-        read = [i for i, on in enumerate(conditions) if isinstance(on, Received) and on.link == link]
-        if read[0] < sent < read[-1]:
-            raise ProblemError(
-                f"the nodes of {self.policy.kind} cannot be separated: the packet of the {link} link is read "
-                "both before and after it is sent; expected that all steps read it before the send, or all after it"
-            )
-        return int(read[0] < sent)
 
-    def _walk(self, steps: Sequence[Step], drawn: int) -> _Part:
-        tick = _Part(self.policy, self.payloads, drawn, self.precision)
-        for step in steps:
-            tick.take(step)
-        return tick
-
-    def _apply(self, tick: _Part) -> None:
-        """Bring the inputs that the site applies within the limits of the plant."""
-        limits = self.policy.model.saturation
-        for signal, inputs in self.applied.items():
-            tick.limited(tick.recall(signal), None if limits is None else limits.of(inputs), _applied(signal))
-
-    def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
-        """Return a part as a program over the states of all parts."""
-        # a state that this part does not assign keeps its value, also the flags of decisions for the second part
-        builder, last = tick.builder, index == len(self.parts) - 1
-        outputs = self._outputs(tick) if index == 0 else {}
-        for state in states:
-            builder.state(state)
-        signals = dict(tick.signals)
-        signals |= {
-            _flags(name): [tick.as_number(t) for t in truths]
-            for name, truths in tick.outcomes.items()
-            if isinstance(name, str)
-        }
-        signals |= {place.name: [tick.move(place)] for place in self.places if last}
-        following = [
-            signals[state.name][state.index] if state.name in signals else builder.state(state) for state in states
-        ]
-        order = [builder.states.index(state) for state in states]
-        program = builder.collect([following[states.index(state)] for state in builder.states], {}, outputs)
-        return rebuild(program, lambda builder, op: None, order)
-
-    def _outputs(self, tick: _Part) -> dict[Name, int]:
-        outputs: dict[Name, int] = {}
-        for link, truth in tick.sent.items():
-            outputs |= {Sent(link): tick.as_number(truth), **named(link, tick.payload[link])}
-        for signal in self.applied:
-            outputs |= named(signal, tick.recall(_applied(signal)))
-        return outputs | tick.option_values()
+def _is_output(step: Step, applied: Set[str]) -> bool:
+    """Return whether a policy step sends a packet, or computes an input that the node applies."""
+    return isinstance(step, Send) or not applied.isdisjoint(assigned(step))
 
 
 def _condition(step: Step) -> Condition | None:
@@ -290,10 +292,6 @@ def _applied(signal: str) -> str:
 def _flags(decision: str) -> str:
     """Return the name of the memory that stores the outcome of a decision for the second part."""
     return f"decided {decision}"
-
-
-FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
-NEVER = 1 << 62
 
 
 class Arrival(NamedTuple):
@@ -392,4 +390,4 @@ def first_inputs(policy: Policy, layout: Layout) -> list[float]:
 def steps_of_a_fault(policy: Policy) -> int:
     """Return the number of steps after which the effect of a fault, which the theory excludes, is negligible."""
     horizon = None if policy.cost is None else policy.cost.horizon
-    return ceil(FORGOTTEN * policy.theory.recovers) or horizon or NEVER
+    return ceil(_FORGOTTEN * policy.theory.recovers) or horizon or _NEVER

@@ -1,6 +1,7 @@
 """Execution of a program over many paths with NumPy: the reference implementation, also used without llvmlite.
 
-Each operation rounds once, in the order of the program. The bit-exact builds are bit-identical to it.
+Each operation rounds once, in the order of the program. The bit-exact builds are bit-identical to it. The sums of
+``WINDOW`` steps have the precision of the program, and the sums of windows are added as doubles.
 """
 
 from __future__ import annotations
@@ -18,90 +19,6 @@ from taciturn.program.ir import Program
 from taciturn.program.ops import EIGHT, WINDOW, Name, Op, Tile, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
-
-
-def _lookup(table: Value, x: Value) -> Value:
-    return table[x.astype(np.int64)]
-
-
-def _pick(table: Value, word: Value) -> Value:
-    return table[word & np.uint64(EIGHT - 1)]
-
-
-def _entry(vector: Value, k: int) -> Value:
-    return vector[k]
-
-
-def _shift_left(x: Value, k: int) -> Value:
-    return x << x.dtype.type(k)
-
-
-def _shift_right(x: Value, k: int) -> Value:
-    return x >> x.dtype.type(k)
-
-
-def _rotate_left(x: Value, k: int) -> Value:
-    return _shift_left(x, k) | _shift_right(x, 8 * x.itemsize - k)
-
-
-def _bits(x: Value) -> Value:
-    return np.ascontiguousarray(x).view(f"u{x.itemsize}")
-
-
-def _number(x: Value) -> Value:
-    return np.ascontiguousarray(x).view(f"f{x.itemsize}")
-
-
-def _upper(x: Value) -> Value:
-    return (x >> np.uint64(32)).astype(np.uint32)
-
-
-def _lower(x: Value) -> Value:
-    return x.astype(np.uint32)
-
-
-def _count(x: Value) -> Value:
-    return x.astype(np.float32)
-
-
-def _any_bit(x: Value) -> Value:
-    return x != 0
-
-
-def _narrow(x: Value) -> Value:
-    return x.astype(np.float32).astype(x.dtype)
-
-
-_RULES: Mapping[str, Callable[..., Value]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "sqrt": np.sqrt,
-    "narrow": _narrow,
-    "select": np.where,
-    "greater": np.greater,
-    "less_equal": np.less_equal,
-    "and": np.logical_and,
-    "not": np.logical_not,
-    "word_add": np.add,
-    "word_and": np.bitwise_and,
-    "word_or": np.bitwise_or,
-    "word_xor": np.bitwise_xor,
-    "lookup": _lookup,
-    "pick": _pick,
-    "entry": _entry,
-    "shift_left": _shift_left,
-    "shift_right": _shift_right,
-    "rotate_left": _rotate_left,
-    "bits": _bits,
-    "number": _number,
-    "upper": _upper,
-    "lower": _lower,
-    "count": _count,
-    "any_bit": _any_bit,
-}
-
 _GIVEN = ("const", "word", "half", "state", "input")  # operations without a computation
 
 
@@ -185,3 +102,65 @@ def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
         for j in range(tile.begin, tile.end):
             result[rows] += matrix[rows, j, None] * values[j]
     return result
+
+
+def _lookup(table: Value, x: Value) -> Value:
+    return table[x.astype(np.int64)]
+
+
+def _pick(table: Value, word: Value) -> Value:
+    return table[word & np.uint64(EIGHT - 1)]
+
+
+def _entry(vector: Value, k: int) -> Value:
+    return vector[k]
+
+
+def _shift_left(x: Value, k: int) -> Value:
+    return x << x.dtype.type(k)
+
+
+def _shift_right(x: Value, k: int) -> Value:
+    return x >> x.dtype.type(k)
+
+
+def _rotate_left(x: Value, k: int) -> Value:
+    return _shift_left(x, k) | _shift_right(x, 8 * x.itemsize - k)
+
+
+def _bits(x: Value) -> Value:
+    return np.ascontiguousarray(x).view(f"u{x.itemsize}")
+
+
+def _number(x: Value) -> Value:
+    return np.ascontiguousarray(x).view(f"f{x.itemsize}")
+
+
+def _upper(x: Value) -> Value:
+    return (x >> np.uint64(32)).astype(np.uint32)
+
+
+def _lower(x: Value) -> Value:
+    return x.astype(np.uint32)
+
+
+def _count(x: Value) -> Value:
+    return x.astype(np.float32)
+
+
+def _any_bit(x: Value) -> Value:
+    return x != 0
+
+
+def _narrow(x: Value) -> Value:
+    return x.astype(np.float32).astype(x.dtype)
+
+
+_RULES: Mapping[str, Callable[..., Value]] = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "sqrt": np.sqrt, "narrow": _narrow,
+    "select": np.where, "greater": np.greater, "less_equal": np.less_equal, "and": np.logical_and,
+    "not": np.logical_not, "word_add": np.add, "word_and": np.bitwise_and, "word_or": np.bitwise_or,
+    "word_xor": np.bitwise_xor, "lookup": _lookup, "pick": _pick, "entry": _entry, "shift_left": _shift_left,
+    "shift_right": _shift_right, "rotate_left": _rotate_left, "bits": _bits, "number": _number, "upper": _upper,
+    "lower": _lower, "count": _count, "any_bit": _any_bit,
+}  # fmt: skip

@@ -1,4 +1,4 @@
-"""The operations of a program.
+"""The operations of a program, and the names of the values that go into and come out of it.
 
 An operation is a name with the indices of earlier operations, or with literals where the table below says so.
 Values are numbers (doubles, or floats in single precision), truth values, 64-bit words, or half words of 32 bits.
@@ -24,8 +24,6 @@ Programs have no vectors of paths and no loops; the back ends add them.
 | `narrow` | number | number: the nearest one of single precision |
 | `bits` / `number` | number / word (double), half (single precision) | the same bits as a word or half / as a number |
 | `any_bit` | word or half | truth value: not zero |
-
-Names of the values that go into and come out of a program, as keys with typed parts.
 """
 
 from __future__ import annotations
@@ -38,24 +36,15 @@ from taciturn._arrays import Array
 from taciturn.model.steps import Acknowledged, Received
 
 Precision = Literal["float64", "float32"]
-TILE = 8  # rows of a product that are computed together
+_TILE = 8  # rows of a product that are computed together
 WINDOW = 256  # steps that are summed in the precision of the program; the sums of windows are added as doubles
 EIGHT = 8  # entries of a ``pick`` table, as many as the widest vector (AVX-512) has
 
 LITERAL: Mapping[str, int] = {  # position (from 0) of the argument that is a literal, not an operation
-    "const": 0,
-    "state": 0,
-    "input": 0,
-    "word": 0,
-    "half": 0,
-    "lookup": 0,
-    "pick": 0,
-    "product": 0,
-    "entry": 1,
-    "shift_left": 1,
-    "shift_right": 1,
-    "rotate_left": 1,
-}
+    "const": 0, "state": 0, "input": 0, "word": 0, "half": 0, "lookup": 0, "pick": 0, "product": 0,
+    "entry": 1, "shift_left": 1, "shift_right": 1, "rotate_left": 1,
+}  # fmt: skip
+MatrixRows = tuple[tuple[float, ...], ...]
 
 
 class Op(NamedTuple):
@@ -110,10 +99,9 @@ class State:
 
 
 class Tile(NamedTuple):
-    """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero.
+    """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero."""
 
-    Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
-    """
+    # Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
 
     first: int  # first row
     rows: int  # number of rows
@@ -121,14 +109,11 @@ class Tile(NamedTuple):
     end: int  # column after the last one
 
 
-MatrixRows = tuple[tuple[float, ...], ...]
-
-
 def tiles(matrix: MatrixRows) -> list[Tile]:
     """Return the tiles (blocks of rows) of a matrix, without blocks of zero rows."""
     found: list[Tile] = []
-    for first in range(0, len(matrix), TILE):
-        rows = matrix[first : first + TILE]
+    for first in range(0, len(matrix), _TILE):
+        rows = matrix[first : first + _TILE]
         used = [j for j, column in enumerate(zip(*rows, strict=True)) if any(column)]
         found += [Tile(first, len(rows), used[0], used[-1] + 1)] if used else []
     return found

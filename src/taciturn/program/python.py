@@ -1,7 +1,8 @@
 """Translation of a program to a Python function for nodes, which computes one step of one path without NumPy.
 
-Each operation rounds once, in the order of the program. Therefore results are bit-identical to those of
-``program.numpy``. A step takes about 10 microseconds.
+Each operation is one assignment ``v7 = v3 * v2``, in the order of the program, and rounds once, since numbers of Python
+are doubles. Where Python raises an exception, for x/0 and √ of a negative number, a function returns what IEEE 754
+says. Therefore results are bit-identical to those of ``program.numpy``. A step takes about 10 microseconds.
 """
 
 from __future__ import annotations
@@ -24,25 +25,19 @@ _INFIX: Mapping[str, str] = {
 }  # fmt: skip
 
 
-def print_python(program: Program) -> str:
-    """Return the Python source of a program as a function ``tick(s, u)`` of states s and inputs u."""
-    assert program.precision == "float64", "nodes compute in double precision"
-    roots = [*program.following, *program.outputs.values()]
-    live = needed(program.ops, roots)
-    lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]
-    states = "".join(f"v{i}, " for i in program.following)
-    outputs = "".join(f"v{i}, " for i in program.outputs.values())
-    return "\n    ".join(["def tick(s, u):", *lines, f"return ({states}), ({outputs})"]) + "\n"
-
-
 def compile_python(program: Program) -> CompiledStep:
     """Return a program as a Python function of its states and inputs."""
+    assert program.precision == "float64", "nodes compute in double precision"
+    live = needed(program.ops, [*program.following, *program.outputs.values()])
+    lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]
+    states, outputs = ("".join(f"v{i}, " for i in part) for part in (program.following, program.outputs.values()))
+    text = "\n    ".join(["def tick(s, u):", *lines, f"return ({states}), ({outputs})"]) + "\n"
     names: dict[str, Any] = {
         "_divide": _divide, "_sqrt": _sqrt, "_bits": _bits, "_number": _number, "_narrow": _narrow,
         "_rotate": _rotate, "inf": math.inf, "nan": math.nan,
     }  # fmt: skip
     names |= {f"table{i}": table for i, table in enumerate(program.tables)}
-    exec(compile(print_python(program), "<a step of a node>", "exec"), names)
+    exec(compile(text, "<a step of a node>", "exec"), names)
     return names["tick"]
 
 

@@ -1,7 +1,8 @@
 """Programs as linear maps and quadratic forms: an interpreter whose values are polynomials of degree at most two.
 
 A linear value ℓ'q is stored as the row ℓ, and a quadratic form q'Hq as the symmetric matrix H, for a vector q of
-coordinates that ends with the number 1.
+coordinates that ends with the number 1. So sums and products of such values are sums and products of matrices, and a
+step without branches is known as a map of q, with its cost as a quadratic form.
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""Noise of a plant that is not white and Gaussian, as operations of a program: jumps, and set-points that change.
+"""Process noise that is not Gaussian, as operations of a program: Poisson jumps, and set-points that change.
 
-Poisson jumps. Between jumps, the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a
-jump, and ξ has independent entries of mean 0 and variance 1. At the end τ of a step, its contribution is
+**Jumps.** Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a jump,
+and ξ has independent entries of mean 0 and variance 1. At the end τ of the step its contribution is
 
-    e^{A(τ − t)} G ξ.
+    e^{A(τ − t)} G ξ = e^{Aτ/2} e^{A(τ/2 − t)} G ξ.
 
-A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step has
+|τ/2 − t| ≤ τ/2 halves the argument of the power series, and e^{Aτ/2} is applied once, to the sum of all jumps. A
+program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step has
 more jumps than this number with a probability below 1e-14.
 
-Set-points that change are the last states. A random step is drawn with its probability; a timetable is a table that a
-step counter reads. The other states have Gaussian noise.
+**Set-points** are the last states of a plant. They move by a normal step with a certain probability in each time step,
+or by the next row of a timetable, which a step counter selects.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ from taciturn.program.ir import Builder
 from taciturn.program.lower import Operands, TimeStep
 from taciturn.program.ops import Entry
 
-MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
-MOST = 100  # most jumps drawn per step
-ROUNDING = 1e-16  # size below which a term of the power series has no effect
+_MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
+_MOST = 100  # most jumps drawn per step
+_ROUNDING = 1e-16  # size below which a term of the power series has no effect
+TIMETABLE = "timetable"  # step counter of set-points that change at known times
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
@@ -46,8 +48,6 @@ def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
         inside = b.emit("greater", end, time)
         size = [jump_size(b, law, _draw(tick, law)) for _ in range(spread.shape[1])]
         jump = [tick.value(b.combine([float(g) for g in row], size)) for row in spread]
-        # e^{A(τ−t)} = e^{Aτ/2} e^{A(τ/2−t)}: |τ/2 − t| ≤ τ/2 halves the argument of the series, and e^{Aτ/2} is applied
-        # once, to the sum of all jumps
         moved = _flow(b, noise.A, half, jump, b.emit("sub", b.constant(half), time))
         total = [b.emit("add", old, tick.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
     middle = _scipy.matrix_exponential(noise.A * half)
@@ -68,25 +68,26 @@ def _flow(b: Builder, A: Array, reach: float, start: Operands, time: int) -> Ope
 
 def _terms(A: Array, reach: float) -> int:
     """Return the last power of the series of e^{As}, |s| ≤ reach, after which its terms are below rounding."""
-    power, k = np.abs(A) * reach, 1  # (|A|·reach)^k/k! bounds the terms; the series of a nilpotent A is finite
+    # The terms are bounded entry by entry by (|A|·reach)^k/k!. The series of a nilpotent A is finite.
+    power, k = np.abs(A) * reach, 1
     term = power
     # continue while a term is not negligible, or while terms may still grow
-    while term.any() and (term.max() > ROUNDING or k < term.max()):
+    while term.any() and (term.max() > _ROUNDING or k < term.max()):
         k += 1
         term = term @ power / k
     return k - 1 if not term.any() else k
 
 
 def _drawn(noise: JumpNoise) -> int:
-    """Return the number of jumps that a step exceeds with a probability of at most MISSED (Poisson distribution)."""
+    """Return the number of jumps that a step exceeds with a probability of at most _MISSED (Poisson distribution)."""
     mean = noise.jumps.rate * noise.period
     chance, count = np.exp(-mean), 0
     seen = chance
-    while seen < 1 - MISSED:
+    while seen < 1 - _MISSED:
         count += 1
         chance *= mean / count
         seen += chance
-        if count > MOST:
+        if count > _MOST:
             raise ProblemError(
                 f"a step of {noise.period:g} s has {mean:.3g} jumps on average, too many to draw one by one; "
                 "expected shorter steps, or Wiener noise W = rate · covariance, which approximates the jumps"
@@ -110,9 +111,6 @@ def _draw(tick: TimeStep, distribution: JumpDistribution) -> int:
     return b.input(Entry(NORMAL, len(b.inputs))) if distribution == "normal" else tick.uniform()
 
 
-TIMETABLE = "timetable"  # step counter of set-points that change at known times
-
-
 def draw_noise(tick: TimeStep, spread: Array) -> Operands:
     """Return the product of G and new normal draws."""
     drawn = tick.supplied(NORMAL, spread.shape[1], len(tick.builder.inputs))
@@ -120,7 +118,7 @@ def draw_noise(tick: TimeStep, spread: Array) -> Operands:
 
 
 def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges) -> Operands:
-    """Return the process noise: Gaussian noise of the other states, and the changes of the set-points."""
+    """Return the process noise: Gaussian noise of most states, and the changes of the last ones, the set-points."""
     b, others = tick.builder, W[: -changes.size, : -changes.size]
     noise = draw_noise(tick, factor(others)) if others.any() else [b.constant(0.0)] * len(others)
     if isinstance(changes, SampledChanges):

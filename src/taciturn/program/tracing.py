@@ -1,16 +1,16 @@
 """Tracing of user functions: a NumPy function is called once with symbols, and its operations are recorded.
 
-Symbols that represent unknown numbers while a NumPy function is traced, and the recorder of its operations.
+An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Three kinds
+of functions are recorded:
 
-An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Computations
-on entries are recorded by the rules in ``elementary``, and functions of whole arrays by the rules in ``FUNCTIONS``.
+* Functions of single entries, and their reductions, by the rules in ``functions`` (``__array_ufunc__``).
+* Functions of whole arrays, such as ``np.linalg.solve``, by the rules at the end of this file; rearrangements are done
+  by NumPy (``__array_function__``).
+* Constructors such as ``np.zeros(3)``. It returns an array of floats, which cannot contain a symbol, and has no symbol
+  as argument that could redirect the call. Therefore a copy of the user's function is traced, in which names such as
+  ``np`` refer to replacements; functions that it calls are copied as well.
 
-NumPy functions for arrays that contain traced symbols: rearrangement, selection, products, linear systems.
-
-Copies of user functions in which NumPy's array constructors are replaced, so that arrays can contain symbols.
-
-``np.zeros(3)`` returns an array of floats, which cannot contain a symbol, and has no symbol as argument that could
-redirect the call. Therefore a copy of a function is traced, in which names such as ``np`` refer to replacements.
+The values of symbols are unknown while a function is traced: where a function needs one, an error names the remedy.
 """
 
 from __future__ import annotations
@@ -33,15 +33,76 @@ from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS, choose
 from taciturn.program.ir import Builder, Coefficient
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
-FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # rules for functions of whole arrays, filled by ``arrays``
 _UNKNOWN = "but numbers are unknown while the function is traced"
 _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
+_PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
+    np.append, np.atleast_1d, np.atleast_2d, np.block, np.broadcast_to, np.column_stack, np.concatenate, np.copy,
+    np.cross, np.cumsum, np.diag, np.diagonal, np.diff, np.empty_like, np.expand_dims, np.flip, np.full_like,
+    np.hstack, np.kron, np.mean, np.ndim, np.ones_like, np.outer, np.prod, np.ravel, np.repeat, np.reshape, np.roll,
+    np.shape, np.size, np.split, np.squeeze, np.stack, np.sum, np.swapaxes, np.tensordot, np.tile, np.trace,
+    np.transpose, np.vstack, np.zeros_like,
+)  # fmt: skip
+_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
 
 
-class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
+def trace(
+    builder: Builder,
+    function: Callable[..., object],
+    arguments: Mapping[str, Sequence[int]],
+    results: Mapping[str, int],
+) -> dict[str, list[int]]:
+    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results."""
+    # The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
+    # traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
+    # during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
+    # ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
+    name = getattr(function, "__name__", type(function).__name__)
+    recorder = _Recorder(builder, name)
+    vectors = [recorder.symbols(values) for values in arguments.values()]
+    try:
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
+            returned = _rebind(function, _STAND_INS)(*vectors)
+    except ProblemError:
+        raise
+    except Exception as error:
+        if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
+            raise recorder.lost() from error
+        raise ProblemError(
+            f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
+            f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
+        ) from error
+    if returned is None:
+        raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
+    if len(results) == 1:
+        returned = (returned,)
+    elif not _is_list(returned) or len(returned) != len(results):
+        got = f"{len(returned)} values" if _is_list(returned) else "one vector"
+        raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
+    pairs = zip(results.items(), returned, strict=True)
+    return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
+
+
+def _result(recorder: _Recorder, name: str, size: int, value: object) -> list[int]:
+    found = objects(value)
+    if found.shape != (size,) and not (size == 1 and found.shape == ()):
+        raise ProblemError(
+            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
+        )
+    return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
+
+
+def _number(recorder: _Recorder, name: str, place: int, entry: object) -> Coefficient:
+    if isinstance(entry, float) and not math.isfinite(entry):
+        raise ProblemError(
+            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
+        )
+    return recorder.number(entry)
+
+
+class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     """Placeholder that a traced function receives instead of a number or a truth value."""
 
-    def __init__(self, recorder: Recorder, index: int) -> None:
+    def __init__(self, recorder: _Recorder, index: int) -> None:
         """Store recorder and operation."""
         self.recorder, self.index = recorder, index
 
@@ -59,18 +120,20 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     ) -> Any:
         """Record an operator or a NumPy function of single entries."""
         if where is not True or initial is not None or dtype is not None:
-            raise recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
+            raise _recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
         return compute(ufunc, method, inputs, out, axis, keepdims)
 
     def __array_function__(self, function: Any, types: object, args: Any, kwargs: Any) -> Any:
         """Record a NumPy function of whole arrays."""
         given = [*args, *kwargs.values()]
-        if not symbols_in(given):
+        if not _symbols_in(given):
             named = {name: _as_floats(value) for name, value in kwargs.items()}
             return held(function(*map(_as_floats, args), **named))
-        if function not in FUNCTIONS:
-            raise recorder_of(given).refused(function.__name__)
-        return FUNCTIONS[function](args, kwargs)
+        if function in _PLAIN:
+            return seen(function(*map(_plain, args), **{name: _plain(one) for name, one in kwargs.items()}))
+        if function not in _RULES:
+            raise _recorder_of(given).refused(function.__name__)
+        return _RULES[function](*args, **kwargs)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         """Return the method, such as ``sqrt``, that NumPy calls on entries of plain arrays of objects."""
@@ -106,33 +169,33 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
     __index__ = __int__
 
 
-class Number(Symbol):
+class Number(_Symbol):
     """Placeholder of a number whose value is known only when the program runs."""
 
 
-class SymbolicTruth(Symbol):
+class SymbolicTruth(_Symbol):
     """Placeholder of a truth value that is known only when the program runs."""
 
 
-class SymbolicArray(np.ndarray[Any, Any]):
+class _SymbolicArray(np.ndarray[Any, Any]):
     """A NumPy array whose entries can be placeholders of unknown numbers (symbols)."""
 
-    __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
-    __array_function__ = Symbol.__array_function__  # type: ignore[assignment]
+    __array_ufunc__ = _Symbol.__array_ufunc__  # type: ignore[assignment]
+    __array_function__ = _Symbol.__array_function__  # type: ignore[assignment]
 
 
-class Recorder:
+class _Recorder:
     """Recorder of a traced function: stores its computations as operations of a program."""
 
     def __init__(self, builder: Builder, name: str) -> None:
         """Start without operations."""
         self.builder, self.name = builder, name
 
-    def symbols(self, values: Sequence[int]) -> SymbolicArray:
+    def symbols(self, values: Sequence[int]) -> _SymbolicArray:
         """Return a vector of symbols, one for each of the given operations."""
         vector = np.empty(len(values), dtype=object)
         vector[:] = [self.symbol(self._known(value)) for value in values]
-        return vector.view(SymbolicArray)
+        return vector.view(_SymbolicArray)
 
     def symbol(self, value: Coefficient) -> float | Number:
         """Return a constant unchanged, or the symbol that represents an operation."""
@@ -165,7 +228,7 @@ class Recorder:
     def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
         """Return the result of an element-wise NumPy function for single entries, which can be symbols."""
         name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
-        if not any(isinstance(value, Symbol) for value in values):
+        if not any(isinstance(value, _Symbol) for value in values):
             return ufunc(*(float(value) if type(value) is int else value for value in values))
         if name in LOGIC:
             return self.condition(LOGIC[name](self.builder, *(self.truth(value) for value in values)))
@@ -229,32 +292,32 @@ class Recorder:
 
 def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
     """Return the result of an element-wise NumPy function (or its ``reduce``) for arrays that contain symbols."""
-    if not symbols_in(inputs):
+    if not _symbols_in(inputs):
         more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
         result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
     elif method == "reduce":
         result = _reduced(ufunc, objects(inputs[0]), axis, keepdims)
     elif method == "__call__" and ufunc.__name__ == "matmul":
-        result = matrix_product(objects(inputs[0]), objects(inputs[1]))
+        result = _matrix_product(objects(inputs[0]), objects(inputs[1]))
     elif method == "__call__":
-        recorder = recorder_of(inputs)
+        recorder = _recorder_of(inputs)
         rule = np.frompyfunc(lambda *values: recorder.entry(ufunc, *values), len(inputs), 1)
         result = rule(*(objects(one) for one in inputs))
     else:
-        raise recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
-    if out is None or isinstance(out[0], Symbol):  # in x[0] += 1, the symbol is immutable
+        raise _recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
+    if out is None or isinstance(out[0], _Symbol):  # in x[0] += 1, the symbol is immutable
         return seen(result)
     out[0][...] = result
     return out[0]
 
 
-def matrix_product(A: Objects, B: Objects) -> Any:
+def _matrix_product(A: Objects, B: Objects) -> Any:
     """Return the matrix product of vectors and matrices that contain symbols."""
     if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
         raise ProblemError(
             f"the operands of @ have the shapes {A.shape} and {B.shape}; expected vectors or matrices of matching sizes"
         )
-    recorder = recorder_of([A, B])
+    recorder = _recorder_of([A, B])
     columns = B[:, None] if B.ndim == 1 else B
     found = [recorder.product(A[None] if A.ndim == 1 else A, column) for column in columns.T]
     result = np.empty((1 if A.ndim == 1 else len(A), columns.shape[1]), dtype=object)
@@ -269,47 +332,47 @@ def objects(value: object) -> Objects:
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``SymbolicArray``, which records operations; return other values unchanged."""
+    """Return an array of objects as a ``_SymbolicArray``, which records operations; return other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
-    return value.view(SymbolicArray) if is_array(value) and value.dtype == object else value
+    return value.view(_SymbolicArray) if _is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
     """Return an array of floats as an array that can contain symbols; return other values unchanged."""
-    return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
+    return seen(value.astype(object) if _is_array(value) and value.dtype.kind == "f" else value)
 
 
-def is_array(value: object) -> TypeGuard[Objects]:
+def _is_array(value: object) -> TypeGuard[Objects]:
     """Return whether a value is a NumPy array."""
     return isinstance(value, np.ndarray)
 
 
-def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+def _is_list(value: object) -> TypeGuard[Sequence[Any]]:
     """Return whether a value is a list or a tuple."""
     return isinstance(value, list | tuple)
 
 
 def _as_floats(value: Any) -> Any:
     """Return an argument that contains no symbols, with arrays of objects converted to floats."""
-    if is_list(value):
+    if _is_list(value):
         return [_as_floats(one) for one in value]
-    return objects(value).astype(float) if isinstance(value, SymbolicArray) else value
+    return objects(value).astype(float) if isinstance(value, _SymbolicArray) else value
 
 
-def symbols_in(value: object) -> list[Symbol]:
+def _symbols_in(value: object) -> list[_Symbol]:
     """Return all symbols among given arguments, including those in arrays and lists."""
-    if isinstance(value, Symbol):
+    if isinstance(value, _Symbol):
         return [value]
-    if is_array(value) and value.dtype == object:
-        return [entry for entry in value.ravel().tolist() if isinstance(entry, Symbol)]
-    return list(chain.from_iterable(map(symbols_in, value))) if is_list(value) else []
+    if _is_array(value) and value.dtype == object:
+        return [entry for entry in value.ravel().tolist() if isinstance(entry, _Symbol)]
+    return list(chain.from_iterable(map(_symbols_in, value))) if _is_list(value) else []
 
 
-def recorder_of(values: Sequence[object]) -> Recorder:
+def _recorder_of(values: Sequence[object]) -> _Recorder:
     """Return the recorder of the symbols in given arguments, or a new recorder if there are no symbols."""
-    found = symbols_in(list(values))
-    return found[0].recorder if found else Recorder(Builder(), "the function")
+    found = _symbols_in(list(values))
+    return found[0].recorder if found else _Recorder(Builder(), "the function")
 
 
 def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any:
@@ -325,18 +388,9 @@ def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any
     return result
 
 
-_PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
-    np.append, np.atleast_1d, np.atleast_2d, np.block, np.broadcast_to, np.column_stack, np.concatenate, np.copy,
-    np.cross, np.cumsum, np.diag, np.diagonal, np.diff, np.empty_like, np.expand_dims, np.flip, np.full_like,
-    np.hstack, np.kron, np.mean, np.ndim, np.ones_like, np.outer, np.prod, np.ravel, np.repeat, np.reshape, np.roll,
-    np.shape, np.size, np.split, np.squeeze, np.stack, np.sum, np.swapaxes, np.tensordot, np.tile, np.trace,
-    np.transpose, np.vstack, np.zeros_like,
-)  # fmt: skip
-
-
-def choose_entries(condition: Any, yes: Any, no: Any) -> Any:
+def _choose_entries(condition: Any, yes: Any, no: Any) -> Any:
     """Return the result of ``np.where``: entries of ``yes`` where the condition is true, and of ``no`` elsewhere."""
-    recorder = recorder_of([condition, yes, no])
+    recorder = _recorder_of([condition, yes, no])
     return seen(np.frompyfunc(recorder.either, 3, 1)(*(objects(one) for one in (condition, yes, no))))
 
 
@@ -350,7 +404,7 @@ def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: 
 def dot(a: Any, b: Any) -> Any:
     """Return the result of ``np.dot`` for vectors, matrices or scalars."""
     one, other = objects(a), objects(b)
-    return seen(matrix_product(one, other)) if one.ndim and other.ndim else a * b
+    return seen(_matrix_product(one, other)) if one.ndim and other.ndim else a * b
 
 
 def inner(a: Any, b: Any) -> Any:
@@ -377,7 +431,7 @@ def solve(a: Any, b: Any) -> Any:
         # the values are unknown while tracing, so that selections compare and exchange the row with every row below it
         for i in range(j + 1, size):
             larger = abs(rows[i][j]) > abs(rows[j][j])
-            rows[j], rows[i] = choose_entries(larger, rows[i], rows[j]), choose_entries(larger, rows[j], rows[i])
+            rows[j], rows[i] = _choose_entries(larger, rows[i], rows[j]), _choose_entries(larger, rows[j], rows[i])
         for i in range(j + 1, size):
             rows[i] = rows[i] - rows[i][j] / rows[j][j] * rows[j]
     for j in reversed(range(size)):
@@ -407,39 +461,24 @@ def _extreme(ufunc: np.ufunc) -> Callable[..., Any]:
 
 
 _RULES: Mapping[Callable[..., Any], Callable[..., Any]] = {
-    np.where: choose_entries, np.clip: clip, np.dot: dot, np.inner: inner, np.vdot: vdot, np.max: _extreme(np.maximum),
+    np.where: _choose_entries, np.clip: clip, np.dot: dot, np.inner: inner, np.vdot: vdot, np.max: _extreme(np.maximum),
     np.min: _extreme(np.minimum), np.any: _extreme(np.logical_or), np.all: _extreme(np.logical_and),
     np.linalg.solve: solve, np.linalg.inv: invert, np.linalg.norm: norm,
 }  # fmt: skip
 
 
-def _called(rule: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
-    return lambda args, kwargs: rule(*args, **kwargs)
-
-
-def _plainly(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
-    """Return the rule that calls the NumPy function itself with plain arrays of objects."""
-    return lambda args, kwargs: seen(
-        function(*map(_plain, args), **{name: _plain(one) for name, one in kwargs.items()})
-    )
-
-
 def _plain(value: Any) -> Any:
-    """Return an argument with every ``SymbolicArray`` replaced by a plain array of objects."""
-    if is_list(value):
+    """Return an argument with every ``_SymbolicArray`` replaced by a plain array of objects."""
+    if _is_list(value):
         listed = [_plain(one) for one in value]
         return tuple(listed) if isinstance(value, tuple) else listed
-    return objects(value) if isinstance(value, SymbolicArray | Symbol) else value
-
-
-FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
-FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
+    return objects(value) if isinstance(value, _SymbolicArray | _Symbol) else value
 
 
 def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
     if dtype is not None and np.dtype(dtype) == object:
         dtype = None
-    if (isinstance(value, SymbolicArray) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
+    if (isinstance(value, _SymbolicArray) or _symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
         return seen(np.array(value, object, copy=copy, order=order, ndmin=ndmin))
     return held(np.array(_plain(value), dtype, copy=copy, order=order, ndmin=ndmin))
 
@@ -456,7 +495,7 @@ def _filled(value: float) -> Callable[..., Any]:
 
 
 def _full(shape: Any, fill_value: Any, dtype: Any = None) -> Any:
-    if not symbols_in(fill_value):
+    if not _symbols_in(fill_value):
         return held(np.full(shape, fill_value, dtype))
     found = seen(np.empty(shape, dtype=object))
     found[...] = fill_value
@@ -475,7 +514,7 @@ def _joined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of several arrays that also accepts lists with symbols."""
 
     def joined(arrays: Any) -> Any:
-        return seen(function([objects(one) for one in arrays])) if symbols_in(arrays) else held(function(arrays))
+        return seen(function([objects(one) for one in arrays])) if _symbols_in(arrays) else held(function(arrays))
 
     return joined
 
@@ -488,14 +527,14 @@ def _joined_along(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _diagonal(v: Any, k: int = 0) -> Any:
-    return seen(np.diag(objects(v), k)) if symbols_in(v) else held(np.diag(v, k))
+    return seen(np.diag(objects(v), k)) if _symbols_in(v) else held(np.diag(v, k))
 
 
 def _block(arrays: Any) -> Any:
     return held(np.block(_plain(arrays)))
 
 
-STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose results can contain symbols
+_STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose results can contain symbols
     np.array: _array, np.asarray: _as_array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
     np.full: _full, np.eye: _eye, np.identity: _identity, np.concatenate: _joined_along(np.concatenate),
     np.stack: _joined_along(np.stack), np.hstack: _joined(np.hstack), np.vstack: _joined(np.vstack),
@@ -503,11 +542,9 @@ STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose resu
 }  # fmt: skip
 
 
-def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a copy of a function in which given NumPy functions are replaced.
-
-    Functions that it calls by name or from a list are copied in the same way.
-    """
+def _rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a copy of a function in which given NumPy functions are replaced."""
+    # Functions that it calls by name or from a list are copied in the same way.
     if not isinstance(function, FunctionType | MethodType | partial) and callable(type(function).__call__):
         method = type(function).__call__
         function = MethodType(method, function) if isinstance(method, FunctionType) else function
@@ -543,7 +580,7 @@ class _Copies:
         if isinstance(value, partial):
             given = {name: self.of(one) for name, one in value.keywords.items()}
             return partial(self.of(value.func), *map(self.of, value.args), **given)
-        if is_list(value) and any(map(callable, value)):
+        if _is_list(value) and any(map(callable, value)):
             return type(value)(map(self.of, value))  # type: ignore[call-arg]
         if isinstance(value, dict):
             held = cast("dict[Any, Any]", value)
@@ -584,62 +621,3 @@ def _names(code: CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _names(constant)
-
-
-_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
-
-
-def trace(
-    builder: Builder,
-    function: Callable[..., object],
-    arguments: Mapping[str, Sequence[int]],
-    results: Mapping[str, int],
-) -> dict[str, list[int]]:
-    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results.
-
-    The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
-    traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
-    during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
-    ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
-    """
-    name = getattr(function, "__name__", type(function).__name__)
-    recorder = Recorder(builder, name)
-    vectors = [recorder.symbols(values) for values in arguments.values()]
-    try:
-        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
-            returned = rebind(function, STAND_INS)(*vectors)
-    except ProblemError:
-        raise
-    except Exception as error:
-        if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
-            raise recorder.lost() from error
-        raise ProblemError(
-            f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
-            f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
-        ) from error
-    if returned is None:
-        raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
-    if len(results) == 1:
-        returned = (returned,)
-    elif not is_list(returned) or len(returned) != len(results):
-        got = f"{len(returned)} values" if is_list(returned) else "one vector"
-        raise ProblemError(f"{name} returns {got}; expected a tuple of {len(results)}: {', '.join(results)}")
-    pairs = zip(results.items(), returned, strict=True)
-    return {result: _result(recorder, result, size, value) for (result, size), value in pairs}
-
-
-def _result(recorder: Recorder, name: str, size: int, value: object) -> list[int]:
-    found = objects(value)
-    if found.shape != (size,) and not (size == 1 and found.shape == ()):
-        raise ProblemError(
-            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
-        )
-    return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
-
-
-def _number(recorder: Recorder, name: str, place: int, entry: object) -> Coefficient:
-    if isinstance(entry, float) and not math.isfinite(entry):
-        raise ProblemError(
-            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
-        )
-    return recorder.number(entry)

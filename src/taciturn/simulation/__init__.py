@@ -4,18 +4,13 @@ All paths are independent, and the draws of a path depend only on the seed and t
 error is that of a mean over independent paths, for any correlation in time, and the result does not depend on the
 number of threads or on vector instructions.
 
-If the theory gives an identity for the cost, completed squares are averaged:
-
-    J = constant + E[e'(R + B'KB)e],   where e is the applied input minus the optimal input.
-
-Their variance is up to thousands of times smaller than that of the stage cost. Otherwise the stage cost is averaged.
-
 Read the modules in this order:
 
-1. ``parts``: a loop with the sum whose mean gives the cost. ``sampling``: simulation of paths: burn-in, windows, and
-   the test that the initial transient has decayed. ``average``: the public functions.
+1. ``average``: the public functions, and the sum whose mean gives the cost. ``sampling``: simulation of paths: burn-in,
+   windows, and the test that the initial transient has decayed.
 2. ``statistics``: means, batch means and renewal cycles with standard errors.
 3. ``reliability``: detection of averages that do not exist, or whose standard error cannot be trusted.
-4. ``trajectory``: one path. ``course``: the mean cost at each step. ``bank``: many loops side by side.
-5. ``events``: policies without a sampling period. ``nonfinite``: detection of non-finite values of a plant's function.
+4. ``trajectory``: one path, and the mean cost at each step. ``bank``: many loops side by side. ``violations``: rare
+   violations of limits, with copies of the paths that come near them.
+5. ``events``: policies without a sampling period.
 """

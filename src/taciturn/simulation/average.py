@@ -1,4 +1,20 @@
-"""Average cost and send rates of a closed loop by simulation of independent paths, with standard errors."""
+"""Average cost and send rates of a closed loop by simulation of independent paths, with standard errors.
+
+The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. If the
+theory has an identity for the cost, completed squares are averaged instead of stage costs:
+
+    J = J_base + E[e'He],   e the error of the input that silence causes.
+
+Their variance is up to thousands of times smaller. It is a difference of large numbers if J is far below J_base, so in
+this case, such as a horizon over which sending every sample destabilises the loop, the first windows are also simulated
+with the plain average, and the smaller standard error decides.
+
+A loop without a horizon is simulated in stationary operation, in windows of steps until the standard error is reached
+(``sampling``); over a horizon, runs are repeated. Two loops are compared with the same noise on each path, so that
+common variations cancel. ``reliability`` adds the reasons why a result may not be an average.
+
+Source: khashooei2017
+"""
 
 from __future__ import annotations
 
@@ -32,54 +48,13 @@ from taciturn.simulation.sampling import (
     sends,
 )
 
-LEAST_STEPS, MOST_STEPS = 1024, 1e13  # the largest number takes hours
-WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two windows that are compared
-PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
-TO_START = 1.2e7  # counted work to build and compile a program
-LEAN = 60  # operations of a small program
-CANCELS = 0.5  # share of an identity's constant below which the cost is a difference of larger numbers
-DIGITS = 1e-12  # rounding error of such a difference, relative to the constant
-
-
-def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
-    """Return the cost estimator J = J_all + E[completed square], in the innovations form if this form is valid.
-
-    Args:
-        loop: the closed loop.
-        reduced: whether to use the innovations form; default: if it is valid.
-
-    Raises:
-        ProblemError: the policy has no cost identity, or the plant is not the one of its design.
-
-    Source: khashooei2017
-    """
-    identity = loop.identity
-    if identity is None:
-        raise ProblemError(
-            "completion of squares does not apply to this loop; expected the plant and network of the design and a "
-            "policy with a cost identity, or the plain average of the cost"
-        )
-    reduced = loop.reducible if reduced is None else reduced
-    program = loop.reduced_program() if reduced else loop.program()
-    lean = program.keep({EXCESS, *sends(loop)})
-    return Estimator(lean, program, EXCESS, identity.constant, 1.0)
-
-
-def plain_average(loop: Loop) -> Estimator:
-    """Return the cost estimator that averages the stage cost of a loop."""
-    final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
-    problem, program = loop.problem, loop.program()
-    lean = program.keep({COST, *sends(loop)}, states=final)
-    if loop.horizon is None:
-        return Estimator(lean, program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
-    alpha = problem.cost.discount
-    ticks = loop.horizon if alpha == 1 else (1 - alpha**loop.horizon) / (1 - alpha)
-    return Estimator(lean, None, COST, problem.noise_cost * ticks, 1.0)
-
-
-def choose_estimator(loop: Loop) -> Estimator:
-    """Return the cost estimator for a loop: completed squares if the theory allows them, or else the plain average."""
-    return plain_average(loop) if loop.identity is None else completed_squares(loop)
+_LEAST_STEPS, _MOST_STEPS = 1024, 1e13  # the largest number takes hours
+_WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two windows that are compared
+_PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
+_TO_START = 1.2e7  # counted work to build and compile a program
+_LEAN = 60  # operations of a small program
+_CANCELS = 0.5  # share of an identity's constant below which the cost is a difference of larger numbers
+_DIGITS = 1e-12  # rounding error of such a difference, relative to the constant
 
 
 def average(
@@ -97,7 +72,7 @@ def average(
     The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
     are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
     mean intervals between sends, and until nearly every path has sent. Windows of steps that differ from the later ones
-    are also dropped (``simulation.settled``).
+    are also dropped.
 
     Args:
         loop: the closed loop.
@@ -187,33 +162,8 @@ def difference(
     )
 
 
-def base_rate(loop: Loop) -> float:
-    """Return the rate of sending every sample, per second or per step; for a finite horizon it is 1."""
-    return 1.0 if loop.problem.cost.mission else 1 / loop.policy.tick
-
-
-def _per_unit(loop: Loop, found: Averages) -> Averages:
-    """Return averages with rates per second if the plant is continuous."""
-    if loop.problem.cost.mission or not loop.problem.sampled:
-        return found
-    pace = base_rate(loop)
-    rates = {link: rate.scaled(pace) for link, rate in found.rates.items()}
-    return replace(found, rates=rates, rate_unit="second")
-
-
-def least_work(loop: Loop) -> float:
-    """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
-    least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
-    return TO_START + PER_STEP * LEAN * WINDOWS * least * SIMULATED_PATHS
-
-
 class Averaging:
-    """A simulation of a loop that can predict its remaining computation from the first windows of steps.
-
-    The identity J = J_base + E[cost of silence] has large errors if the cost is far below that of its base, for example
-    over a horizon if sending every sample destabilises the loop. So in this case, the first steps are also simulated
-    with the plain average, and the estimator with the smaller error is used.
-    """
+    """A simulation of a loop that can predict its remaining computation from the first windows of steps."""
 
     def __init__(
         self,
@@ -236,10 +186,8 @@ class Averaging:
         self.failed: UnstableError | OutOfTime | None = None
 
     def predict(self, standard_error: float) -> float:
-        """Simulate the first windows, and return the approximate number of remaining operations.
-
-        The number is infinite if the loop is unstable.
-        """
+        """Simulate the first windows, and return the approximate number of remaining operations."""
+        # The number is infinite if the loop is unstable.
         self._begin()
         if isinstance(self.failed, OutOfTime):
             raise self.failed
@@ -247,7 +195,7 @@ class Averaging:
             return float("inf")
         seen = self.first.steps / 2  # the other half is the burn-in
         missing = seen * (self.first.cost.standard_error / standard_error) ** 2
-        return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
+        return _PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
         """Continue the simulation to its end, and return the same result as :func:`average`."""
@@ -272,26 +220,15 @@ class Averaging:
             self.failed = error
             return
         estimator, answers, found = self.estimator, self.answers, self.first
-        if self.chosen or estimator.sum != EXCESS or found.cost.value > CANCELS * estimator.offset:
+        if self.chosen or estimator.sum != EXCESS or found.cost.value > _CANCELS * estimator.offset:
             return
         with suppress(UnstableError, OutOfTime):
             self._use(plain_average(self.loop))
             self.first = next(self.answers)
-        error = float(np.hypot(found.cost.standard_error, DIGITS * estimator.offset))
+        error = float(np.hypot(found.cost.standard_error, _DIGITS * estimator.offset))
         if self.first is found or self.first.cost.standard_error > error:
             self.estimator, self.answers, self.first = estimator, answers, found
             self.parts = [Part(self.loop, estimator)]
-
-
-def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
-    """Raise an error for an invalid seed, standard error or number of simulated steps."""
-    count("seed", seed, 0)
-    if standard_error is not None and steps is not None:
-        raise ProblemError("standard_error and steps are both given; expected one of them")
-    if standard_error is not None:
-        number("standard_error", standard_error, 0.0)
-    if steps is not None:
-        number("steps", count("steps", steps, LEAST_STEPS), high=MOST_STEPS)
 
 
 def _answers(
@@ -314,6 +251,17 @@ def _answers(
     return sampling.stationary(standard_error, steps)
 
 
+def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
+    """Raise an error for an invalid seed, standard error or number of simulated steps."""
+    count("seed", seed, 0)
+    if standard_error is not None and steps is not None:
+        raise ProblemError("standard_error and steps are both given; expected one of them")
+    if standard_error is not None:
+        number("standard_error", standard_error, 0.0)
+    if steps is not None:
+        number("steps", count("steps", steps, _LEAST_STEPS), high=_MOST_STEPS)
+
+
 def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     """Add the name of the estimator and the reasons for doubt to averages."""
     used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
@@ -331,3 +279,64 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
         found = replace(found, settled=False, reached=False)
     more = find_doubts(loop, found.cost, found.rates, found.steps, found.settled)
     return replace(found, notes=notes + more, trusted=not notes)
+
+
+def _per_unit(loop: Loop, found: Averages) -> Averages:
+    """Return averages with rates per second if the plant is continuous."""
+    if loop.problem.cost.mission or not loop.problem.sampled:
+        return found
+    pace = base_rate(loop)
+    rates = {link: rate.scaled(pace) for link, rate in found.rates.items()}
+    return replace(found, rates=rates, rate_unit="second")
+
+
+def base_rate(loop: Loop) -> float:
+    """Return the rate of sending every sample, per second or per step; for a finite horizon it is 1."""
+    return 1.0 if loop.problem.cost.mission else 1 / loop.policy.tick
+
+
+def least_work(loop: Loop) -> float:
+    """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
+    least = max(SHORTEST_BURN_IN, int(SETTLING_CONSTANTS * loop.policy.theory.settling))
+    return _TO_START + _PER_STEP * _LEAN * _WINDOWS * least * SIMULATED_PATHS
+
+
+def choose_estimator(loop: Loop) -> Estimator:
+    """Return the cost estimator for a loop: completed squares if the theory allows them, or else the plain average."""
+    return plain_average(loop) if loop.identity is None else completed_squares(loop)
+
+
+def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
+    """Return the cost estimator J = J_all + E[completed square], in the innovations form if this form is valid.
+
+    Args:
+        loop: the closed loop.
+        reduced: whether to use the innovations form; default: if it is valid.
+
+    Raises:
+        ProblemError: the policy has no cost identity, or the plant is not the one of its design.
+
+    Source: khashooei2017
+    """
+    identity = loop.identity
+    if identity is None:
+        raise ProblemError(
+            "completion of squares does not apply to this loop; expected the plant and network of the design and a "
+            "policy with a cost identity, or the plain average of the cost"
+        )
+    reduced = loop.reducible if reduced is None else reduced
+    program = loop.reduced_program() if reduced else loop.program()
+    lean = program.keep({EXCESS, *sends(loop)})
+    return Estimator(lean, program, EXCESS, identity.constant, 1.0)
+
+
+def plain_average(loop: Loop) -> Estimator:
+    """Return the cost estimator that averages the stage cost of a loop."""
+    final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
+    problem, program = loop.problem, loop.program()
+    lean = program.keep({COST, *sends(loop)}, states=final)
+    if loop.horizon is None:
+        return Estimator(lean, program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
+    alpha = problem.cost.discount
+    ticks = loop.horizon if alpha == 1 else (1 - alpha**loop.horizon) / (1 - alpha)
+    return Estimator(lean, None, COST, problem.noise_cost * ticks, 1.0)

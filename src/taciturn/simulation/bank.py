@@ -1,4 +1,7 @@
-"""Simulation of many loops in parallel, for example for a network or for many values of a parameter."""
+"""Simulation of many loops in parallel, one path each, for example for a network or for many values of a parameter.
+
+Loops whose programs differ only in their constants share machine code, in which each lane has constants of its own.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,14 @@
 """Warnings about simulated averages that do not exist or have unreliable standard errors.
 
-The causes are link outages, rare large costs, and loops that do not send.
+While a link drops packets, the error of a mode that grows by ρ per step grows without control. If an outage lasts
+another step with probability q, the mean square of a loop is infinite for qρ² ≥ 1, and the variance of its cost for
+qρ⁴ ≥ 1, whatever the policy decides. Where the loop is a jump linear system (``analyse.switched``), its moments of
+order 2 and 4 decide instead.
+
+Averages do not exist either if noise drives an unstable plant beyond the reach of limited inputs, if disturbances or
+set-points wander beyond them, or if decisions depend on the size of such signals. They are doubted if nothing was
+sent, if the loop has not settled, if few paths dominate the cost, or if the largest costs follow a power law of an
+index below 2.
 """
 
 from __future__ import annotations
@@ -22,10 +30,10 @@ from taciturn.model.saturation import Saturation
 from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import Send
 
-LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
-SAME = 1e-9  # relative distance of two computed modes that are one
-NEARLY = 1e-9  # least growth above 1 that counts as unstable
-HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its value: two standard errors below 2
+_LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
+_SAME = 1e-9  # relative distance of two computed modes that are one
+_NEARLY = 1e-9  # least growth above 1 that counts as unstable
+_HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its value: two standard errors below 2
 
 
 def expect_arrivals(loop: Loop) -> None:
@@ -89,65 +97,10 @@ def find_doubts(
     return notes + doubt_errors(cost, steps)
 
 
-def escapes(loop: Loop) -> bool:
-    """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
-    limits = loop.problem.plant.saturation
-    return limits is not None and _fastest(loop) > 1 + NEARLY and _out_of_reach(loop.problem.plant, limits)
-
-
-def _out_of_reach(plant: Plant, limits: Saturation) -> bool:
-    """Return whether limits bound what the inputs can do against a growing mode that the noise excites.
-
-    A mode z⁺ = λ z + w'B u + noise with left eigenvector w grows without return from |z| > sup |w'B u|/(|λ| − 1). A
-    real mode needs inputs in both directions. A complex one turns, so one direction is enough. An input with a limited
-    change follows a mode that grows exponentially too late.
-    """
-    low, high = limits.low, limits.high
-    if limits.rate is not None:
-        late = np.isfinite(limits.rate)
-        low, high = np.where(late, 0.0, low), np.where(late, 0.0, high)
-    values, left = np.linalg.eig(plant.A.T)
-    for value, mode in zip(values, left.T, strict=True):
-        moved, pushed = np.abs(mode @ root(plant.W)), mode @ plant.B
-        if abs(value) <= 1 + NEARLY or not (moved > NEARLY * np.abs(plant.W).max() ** 0.5).any():
-            continue
-        acts = np.abs(pushed) > NEARLY * np.linalg.norm(plant.B, axis=0)
-        if abs(value.imag) > NEARLY:
-            if not (acts & (np.isinf(low) | np.isinf(high))).any():
-                return True
-            continue
-        up, down = np.where(pushed.real > 0, high, -low), np.where(pushed.real > 0, -low, high)
-        if not (acts & np.isinf(up)).any() or not (acts & np.isinf(down)).any():
-            return True
-    return False
-
-
-def wanders(loop: Loop) -> bool:
-    """Return whether disturbances or set-points eventually need inputs beyond their limits."""
-    limits, needs = loop.problem.plant.saturation, loop.problem.followed
-    bounded = limits is not None and limits.bounded
-    return bounded and needs is not None and needs.wanders(needs.inputs, wandering_noise(loop))
-
-
-def drifts_of(loop: Loop) -> tuple[str, ...]:
-    """Return the links whose rates have no average, since their decisions depend on disturbances that wander."""
-    return drifting(loop, wandering_noise(loop))
-
-
-def wandering_noise(loop: Loop) -> Array:
-    """Return the covariance of the noise that moves the states, without that of a timetable, which repeats."""
-    plant, noise = loop.problem.plant, loop.problem.plant.W.copy()
-    if isinstance(plant.changes, SampledChanges):
-        noise[-plant.changes.size :] = 0.0
-    return noise
-
-
 def doubt_moments(loop: Loop) -> tuple[str, ...]:
-    """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum.
-
-    With the discount α, the squared cost of a step counts α²ᵏ times after k steps. Over a horizon, all moments are
-    finite.
-    """
+    """Return a warning if link outages make the variance of the cost infinite, or that of its discounted sum."""
+    # With the discount α, the squared cost of a step counts α²ᵏ times after k steps. Over a horizon, all moments are
+    # finite.
     cost = loop.problem.cost
     if cost.horizon is not None:
         return ()
@@ -184,12 +137,74 @@ def _infinite(growth: float, sent: str, discounted: str) -> str:
 
 def doubt_tail(tail: float) -> tuple[str, ...]:
     """Return a warning if the largest costs of paths follow a power law with infinite variance."""
-    if tail >= HEAVY:
+    if tail >= _HEAVY:
         return ()
     return (
         f"the highest costs of paths follow a power law of index {tail:.2g}, and below an index of 2 the variance is "
         "infinite: do not trust the standard error; the average is probably too small",
     )
+
+
+def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
+    """Return a warning if the standard error of a simulated cost is a large fraction of the cost."""
+    if cost.standard_error <= _LARGE * abs(cost.value):
+        return ()
+    share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
+    return (
+        f"the standard error is {share:.2g} of the cost after {steps} steps: a few steps or paths dominate the "
+        "cost, and its mean square may not exist",
+    )
+
+
+def escapes(loop: Loop) -> bool:
+    """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
+    limits = loop.problem.plant.saturation
+    return limits is not None and _fastest(loop) > 1 + _NEARLY and _out_of_reach(loop.problem.plant, limits)
+
+
+def _out_of_reach(plant: Plant, limits: Saturation) -> bool:
+    """Return whether limits bound what the inputs can do against a growing mode that the noise excites."""
+    # A mode z⁺ = λ z + w'B u + noise with left eigenvector w grows without return from |z| > sup |w'B u|/(|λ| − 1). A
+    # real mode needs inputs in both directions. A complex one turns, so one direction is enough. An input with a
+    # limited change follows a mode that grows exponentially too late.
+    low, high = limits.low, limits.high
+    if limits.rate is not None:
+        late = np.isfinite(limits.rate)
+        low, high = np.where(late, 0.0, low), np.where(late, 0.0, high)
+    values, left = np.linalg.eig(plant.A.T)
+    for value, mode in zip(values, left.T, strict=True):
+        moved, pushed = np.abs(mode @ root(plant.W)), mode @ plant.B
+        if abs(value) <= 1 + _NEARLY or not (moved > _NEARLY * np.abs(plant.W).max() ** 0.5).any():
+            continue
+        acts = np.abs(pushed) > _NEARLY * np.linalg.norm(plant.B, axis=0)
+        if abs(value.imag) > _NEARLY:
+            if not (acts & (np.isinf(low) | np.isinf(high))).any():
+                return True
+            continue
+        up, down = np.where(pushed.real > 0, high, -low), np.where(pushed.real > 0, -low, high)
+        if not (acts & np.isinf(up)).any() or not (acts & np.isinf(down)).any():
+            return True
+    return False
+
+
+def wanders(loop: Loop) -> bool:
+    """Return whether disturbances or set-points eventually need inputs beyond their limits."""
+    limits, needs = loop.problem.plant.saturation, loop.problem.followed
+    bounded = limits is not None and limits.bounded
+    return bounded and needs is not None and needs.wanders(needs.inputs, wandering_noise(loop))
+
+
+def drifts_of(loop: Loop) -> tuple[str, ...]:
+    """Return the links whose rates have no average, since their decisions depend on disturbances that wander."""
+    return drifting(loop, wandering_noise(loop))
+
+
+def wandering_noise(loop: Loop) -> Array:
+    """Return the covariance of the noise that moves the states, without that of a timetable, which repeats."""
+    plant, noise = loop.problem.plant, loop.problem.plant.W.copy()
+    if isinstance(plant.changes, SampledChanges):
+        noise[-plant.changes.size :] = 0.0
+    return noise
 
 
 def _outages(loop: Loop) -> list[tuple[str, float, float]]:
@@ -211,44 +226,15 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
     return [one for one in grown if one[2] > 0]
 
 
-def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
-    """Return a warning if the standard error of a simulated cost is a large fraction of the cost."""
-    if cost.standard_error <= LARGE * abs(cost.value):
-        return ()
-    share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
-    return (
-        f"the standard error is {share:.2g} of the cost after {steps} steps: a few steps or paths dominate the "
-        "cost, and its mean square may not exist",
-    )
-
-
 def comes_never_to_rest(loop: Loop) -> bool:
-    """Return whether noise excites a mode of a linear plant that does not decay and affects the cost.
-
-    The result is False if some mode that does not decay has no effect on the cost.
-
-    States without a cost-to-go are ignored.
-    """
+    """Return whether noise excites a mode of a linear plant that does not decay and affects the cost."""
+    # False if some such mode has no effect on the cost; states without a cost-to-go are ignored
     return _fastest(loop) > 0
 
 
-def _without(loop: Loop, link: str | None) -> tuple[list[int], list[int]]:
-    """Return the outputs of the other sensors if a link is that of a sensor, and the inputs of the other actuators."""
-    network, plant = loop.policy.network, loop.problem.plant
-    measured = network.measurements(plant.sensed, plant.set_points).values()
-    applied = network.applications(plant.inputs).values()
-    if link in network.sensors:
-        return [output for node, outputs in measured if node != link for output in outputs], []
-    if link in network.actuators:
-        return [], [index for node, inputs in applied if node != link for index in inputs]
-    return [], []
-
-
 def _fastest(loop: Loop, link: str | None = None) -> float:
-    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0.
-
-    With a link, only modes count that no sensor without this link shows, or no actuator without it moves.
-    """
+    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0."""
+    # With a link, only modes count that no sensor without this link shows, or no actuator without it moves.
     problem, plant = loop.problem, loop.problem.plant
     if plant.function is not None:
         return 0.0
@@ -272,7 +258,19 @@ def _fastest(loop: Loop, link: str | None = None) -> float:
             return 0.0
         A, B = (given.A.T, plant.C[shown][:, seen].T) if shown else (given.A, given.B[:, moved])
         alone = unmoved(A, B, limit, rounded=True).lasting
-        every = every[[bool((np.abs(alone - mode) <= SAME * np.abs(mode)).any()) for mode in every]]
+        every = every[[bool((np.abs(alone - mode) <= _SAME * np.abs(mode)).any()) for mode in every]]
     if not every.size:
         return 0.0
     return max(1.0, float(np.exp(every.real * period).max() if limit.continuous else np.abs(every).max()))
+
+
+def _without(loop: Loop, link: str | None) -> tuple[list[int], list[int]]:
+    """Return the outputs of the other sensors if a link is that of a sensor, and the inputs of the other actuators."""
+    network, plant = loop.policy.network, loop.problem.plant
+    measured = network.measurements(plant.sensed, plant.set_points).values()
+    applied = network.applications(plant.inputs).values()
+    if link in network.sensors:
+        return [output for node, outputs in measured if node != link for output in outputs], []
+    if link in network.actuators:
+        return [], [index for node, inputs in applied if node != link for index in inputs]
+    return [], []

@@ -1,17 +1,18 @@
 """Simulation of many paths of one loop, or of two loops with the same noise, to estimate means with standard errors.
 
-Loops in a simulation, each with the estimator of its cost.
+A run has a burn-in and windows of steps that are averaged. Control variates, whose mean is 0, reduce the variance of
+the means (``program.draws``). A path whose cost grows without limit, or a non-finite number, ends the run with an error
+that says what diverges.
 
-Search for the state at which the function of a nonlinear plant gives a non-finite number.
-
-When a simulated loop has settled, decided from the sums that its paths have had since their start.
-
-The time constants of a design are those of the loop that always sends. A policy that seldom sends can be much slower:
-while it is silent, a slow mode of the plant or an integrator of the controller moves as in open loop. So the sums
-themselves decide. The steps since the start are divided into windows, and the mean over a range of windows is compared
-with the mean over all later ones, path by path. The last range that differs ends at the step t. Until then, a transient
-of amplitude A has decayed to the resolution r of the comparison, so by the step 2t it has decayed to about r²/A, which
-is far below r. Windows that begin earlier are dropped.
+**When has a loop settled?** The time constants of a design are those of the loop that always sends. A policy that
+seldom sends can be much slower: while it is silent, a slow mode of the plant or an integrator of the controller moves
+as in open loop. So the sums that the paths have had since their start decide (``History``). The steps are divided into
+windows, and the mean over a range of windows is compared with the mean over all later ones, path by path. The last
+range that differs ends at the step t. Until then, a transient of amplitude A has decayed to the resolution r of the
+comparison, so by the step 2t it has decayed to about r²/A, which is far below r. Windows that begin earlier are
+dropped. A range reaches back to a quarter of its last step at most: it contains two windows whose lengths have doubled,
+which resolves more than one window, and it does not contain the start, whose large transient would be seen at any later
+time.
 
 Some slow transients hardly change the sums of one window. With a held input, for example, small and large commands may
 alternate, and it takes hundreds of packets until the pairs of commands have their distribution in the long run, which
@@ -19,9 +20,6 @@ moves the rate by a few percent. So the distribution of each state over the path
 windows, by the largest distance of the distribution functions (Smirnov). This prolongs the burn-in by a limited factor
 and refuses nothing, because paths that send in phase have other distributions at each step although their sums have
 settled.
-
-A range reaches back to a quarter of its last step at most: it contains two windows whose lengths have doubled, which
-resolves more than one window, and it does not contain the start, whose large transient would be seen at any later time.
 """
 
 from __future__ import annotations
@@ -47,7 +45,35 @@ from taciturn.program.ops import Control, Name, Sent
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
-RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
+_RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
+_DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
+_REACH = 4  # the first step of a range is at least its last step divided by this number
+_AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
+_ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
+_FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
+_PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
+_GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
+_GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
+_IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
+Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
+SIMULATED_PATHS = 4096
+USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
+_FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
+_FEWEST_MISSIONS = 8
+SHORTEST_BURN_IN = 512  # least number of steps of the burn-in
+SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
+_KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
+_SILENT = 1e-3  # largest share of paths without a late send in the burn-in
+MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
+_DRIFTING_STEPS = 20_000_000  # of a loop that has no average
+_DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
+HUGE = 1e150  # a limit whose square is still finite
+_CHUNK = 1 << 24  # steps between two reports of progress
+_ROUNDING_OF_SINGLES = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
+_ROOM = 8  # least number of paths per control variate
+_PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
+Watch = Callable[[Array], Array]
+_FEW_PATHS, _SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,210 +144,13 @@ class Part(Displayed):
         size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
         largest, typical = float(size[-1]), float(size[len(size) // 2])
         all_time = (self.loop.policy.theory.cost_all_time or 0.0) * self.loop.policy.tick
-        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
+        if self.estimator.sum == COST and typical > 0 and largest > max(_RUNAWAY * typical, ticks * all_time):
             raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
 
 
 def sends(loop: Loop) -> list[Sent]:
     """Return the names of a program's sums that count the sends on each link with a send decision."""
     return [Sent(link) for link in loop.policy.scheduled]
-
-
-def expect_numbers(loop: Loop, states: Array) -> None:
-    """Raise an error if a simulated path contains non-finite states of a nonlinear plant."""
-    lost = np.flatnonzero(~np.isfinite(states).all(axis=1))
-    if loop.problem.plant.function is None or not lost.size:
-        return
-    tick = int(lost[0])
-    raise _leaves(loop, states[tick], states[tick - 1] if tick else None)
-
-
-def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: int) -> None:
-    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation.
-
-    One path is run again to find the step.
-    """
-    rows = [i for i, state in enumerate(program.states) if state.name == "x"]
-    if loop.problem.plant.function is None or not rows:
-        return
-    lost = np.flatnonzero(~np.isfinite(run(before, ticks, None).states[rows]).all(axis=0))
-    if not lost.size:
-        return
-    path = before[:, [int(lost[0])]]
-
-    def after(wanted: int) -> Array:
-        return (run(path, wanted, 1).states if wanted else path)[rows, 0]
-
-    good, bad = 0, ticks  # steps after which the state is finite, and is not
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        if np.isfinite(after(middle)).all():
-            good = middle
-        else:
-            bad = middle
-    found, last = after(bad), after(good)
-    if not np.isfinite(last).all():  # in the last step before this run
-        found, last = last, None
-    raise _leaves(loop, found, last, [program.states[i].index for i in rows])
-
-
-def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | None = None) -> UnstableError:
-    """Return the error that names the non-finite entry of the state and the previous state."""
-    place = int(np.flatnonzero(~np.isfinite(found))[0])
-    entry = place if entries is None else entries[place]
-    point = loop.problem.plant.operating_point
-    if last is not None and point is not None:
-        last = last + (point.x if entries is None else point.x[entries])
-    whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
-    return UnstableError(
-        f"the plant's function gives no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "
-        "expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
-    )
-
-
-DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
-REACH = 4  # the first step of a range is at least its last step divided by this number
-AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
-ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
-FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
-PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
-GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
-GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
-IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
-
-Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
-
-
-class History:
-    """The windows of steps since the start of all paths."""
-
-    def __init__(self, counted: Bits) -> None:
-        """Start without windows."""
-        self.counted = counted
-        self.windows: list[Window] = []  # later windows may have more sums, which are not compared
-
-    @property
-    def steps(self) -> int:
-        """Steps of each path since its start."""
-        return sum(length for length, _ in self.windows)
-
-    def add(self, length: int, sums: Array) -> None:
-        """Add a window; earlier windows keep only the paths that are still simulated."""
-        paths = sums.shape[1]
-        self.windows = [(steps, earlier[:, :paths]) for steps, earlier in self.windows] + [(length, sums)]
-
-    def drift(self) -> int:
-        """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
-        ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
-        for j in range(len(self.windows) - 1, 0, -1):
-            later = _joined(self.windows[j:], rows)
-            for i in range(j - 1, -1, -1):
-                begins = int(ends[i - 1]) if i else 0
-                if i < j - 1 and begins * REACH < ends[j - 1]:
-                    break
-                if self._differ(_joined(self.windows[i:j], rows), later):
-                    return int(ends[j - 1])
-        return 0
-
-    def settled(self) -> bool:
-        """Return whether a window begins late enough after the last difference."""
-        return bool(self.kept(0))
-
-    def kept(self, first: int) -> list[Window]:
-        """Return the windows that begin at the given step or later, and late enough after the last difference."""
-        first = max(first, AGAIN * self.drift())
-        begins = np.cumsum([0] + [length for length, _ in self.windows])
-        return [window for begin, window in zip(begins, self.windows, strict=False) if begin >= first]
-
-    def _differ(self, before: Window, after: Window) -> bool:
-        """Return whether the mean of a sum differs between two ranges of windows."""
-        (steps, sums), (others, late) = before, after
-        earlier = sums / steps
-        change = late / others - earlier
-        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
-        # paths that send at the same steps: a window may end just before a send
-        same = self.counted & (sums.std(axis=1) < IN_PHASE) & (late.std(axis=1) < IN_PHASE)
-        early = same * (1 / steps + 1 / others)
-        least = DIFFERENT * spread + early + ROUNDING_OF_MEANS * np.abs(earlier.mean(axis=1))
-        return bool((np.abs(change.mean(axis=1)) > least).any())
-
-
-class Snapshots:
-    """The states of all paths at the end of the latest window, to compare their distribution with that at the next."""
-
-    def __init__(self) -> None:
-        """Start without states."""
-        self._states: Array | None = None
-        self._largest: Array | float = 0.0
-
-    def changed(self, states: Array) -> bool:
-        """Return whether the distribution of a state has changed since the last call, and keep the states.
-
-        A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
-        """
-        before, self._states = self._states, states
-        spread = states.std(axis=1)
-        self._largest = np.maximum(self._largest, spread)
-        if before is None:
-            return True
-        limit = FAR * np.sqrt(2 / states.shape[1])
-        earlier = before[:, : states.shape[1]].std(axis=1)
-        settles = (spread > GONE * self._largest) & (spread < GROWS * earlier)
-        return any(_distance(before[i], states[i]) > limit for i in np.flatnonzero(settles))
-
-
-def _distance(first: Array, second: Array) -> float:
-    """Return the largest distance between two distribution functions."""
-    values = np.concatenate([first, second])
-    one, two = (np.searchsorted(np.sort(part), values, side="right") / len(part) for part in (first, second))
-    return float(np.abs(one - two).max())
-
-
-def shared_end(windows: Sequence[Window]) -> float:
-    """Return the standard deviation of the error of a rate that all paths share.
-
-    Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or just
-    after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ … 1 − 1/ℓ, all
-    alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have equal rates, and no
-    such error.
-    """
-    steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
-    rates = [float(sums.mean()) / length for length, sums in windows]
-    apart = sends.std() >= IN_PHASE or sends.mean() < 1
-    if apart or np.ptp(rates) <= ROUNDING_OF_MEANS:
-        return 0.0
-    rate = min(1.0, float(sends.mean()) / steps)
-    return float(np.sqrt((1 - rate**2) / 12)) / steps
-
-
-def _joined(windows: Sequence[Window], rows: int) -> Window:
-    """Return the steps and the first sums of several windows, which are added in turn: a stack takes much memory."""
-    (_, first), *later = windows
-    total = first[:rows].copy()
-    for _, sums in later:
-        total += sums[:rows]
-    return sum(length for length, _ in windows), total
-
-
-SIMULATED_PATHS = 4096
-USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
-FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
-FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
-FEWEST_MISSIONS = 8
-SHORTEST_BURN_IN = 512  # least number of steps of the burn-in
-SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
-KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
-SILENT = 1e-3  # largest share of paths without a late send in the burn-in
-MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
-DRIFTING_STEPS = 20_000_000  # of a loop that has no average
-DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
-HUGE = 1e150  # a limit whose square is still finite
-CHUNK = 1 << 24  # steps between two reports of progress
-ROUNDING_OF_SINGLES = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
-ROOM = 8  # least number of paths per control variate
-PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
-
-Watch = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, repr=False)
@@ -358,9 +187,7 @@ class Averages(Displayed):
 
 
 class Sampling:
-    """Simulation of one loop, or of two loops with the same noise whose results are added or subtracted on each
-    path.
-    """
+    """Simulation of one loop, or of two loops with the same noise whose results are subtracted on each path."""
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile the programs."""
@@ -379,35 +206,32 @@ class Sampling:
         self.controls: npt.NDArray[np.bool_] = np.array([isinstance(name, Control) for name in read])
 
     def _add_controls(self, paths: int) -> bool:
-        """Add control variates to the sums if there are any and enough paths to fit them; return whether it did.
-
-        They are not used for a difference: if two loops differ on few paths, the fit would depend on these paths only.
-        """
+        """Add control variates to the sums if there are any and enough paths to fit them; return whether it did."""
+        # They are not used for a difference: if two loops differ on few paths, the fit would depend on these paths
+        # only.
         part = self.parts[0]
         if len(self.parts) > 1 or self.controls.any():
             return False
         program, many = part.estimator.controlled, len(part.controls)
-        if program is None or many == 0 or paths < ROOM * (many + 1):
+        if program is None or many == 0 or paths < _ROOM * (many + 1):
             return False
         self._read([program], [[*part.names, *part.controls]])
         return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield estimates of stationary cost and rates after each window of simulated steps.
-
-        The iteration ends at the given absolute standard error or number of steps.
-        """
+        """Yield estimates of stationary cost and rates after each window of simulated steps."""
+        # The iteration ends at the given absolute standard error or number of steps.
         drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
-        budget = steps or (DRIFTING_STEPS if drifts else MOST_OPERATIONS)
+        budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         most = (
             SIMULATED_PATHS
             if steps
-            else min(SIMULATED_PATHS, max(FEW_PATHS, SIMULATED_PATHS * SMALL // max(operations, 1) // 8 * 8))
+            else min(SIMULATED_PATHS, max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8))
         )
         states, history, forgotten = self.settle(most, budget)
         paths, first = states[0].shape[1], history.steps
-        if steps is not None and self._affordable(states, budget) > PAYS * first:
+        if steps is not None and self._affordable(states, budget) > _PAYS * first:
             self._add_controls(paths)
         window = min(first, self._affordable(states, budget) // 2)  # at least two windows, for comparison
         while True:
@@ -438,20 +262,18 @@ class Sampling:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
-            if missing > PAYS * measured and self._add_controls(paths):
+            if missing > _PAYS * measured and self._add_controls(paths):
                 first = history.steps
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, SHORTEST_BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield estimates of finite-horizon cost and rates after each batch of simulated runs.
-
-        The iteration ends at the given absolute standard error or number of steps.
-        """
+        """Yield estimates of finite-horizon cost and rates after each batch of simulated runs."""
+        # The iteration ends at the given absolute standard error or number of steps.
         budget, width = steps or MOST_OPERATIONS, len(self.parts)
-        if FEWEST_MISSIONS * horizon * width > budget:
+        if _FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
-                f"the horizon is {horizon}, so {budget} steps contain fewer than {FEWEST_MISSIONS} runs; "
+                f"the horizon is {horizon}, so {budget} steps contain fewer than {_FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
         paths, discount = min(SIMULATED_PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
@@ -512,12 +334,10 @@ class Sampling:
     def _burn_in(
         self, states: list[Array], length: int, budget: int, watch: Watch | None
     ) -> tuple[list[Array], History, bool]:
-        """Run until the initial transient has decayed; return the states, the history, and whether it has decayed.
-
-        This requires a few time constants, a few mean intervals between sends, a late send on nearly every path, and
-        sums that no longer change (``History``). No send is required if nothing is sent and silence is safe. If the
-        burn-in is long, fewer paths continue; half of the budget is reserved for the measurement.
-        """
+        """Run until the initial transient has decayed; return the states, the history, and whether it has decayed."""
+        # This requires a few time constants, a few mean intervals between sends, a late send on nearly every path, and
+        # sums that no longer change (``History``). No send is required if nothing is sent and silence is safe. If the
+        # burn-in is long, fewer paths continue; half of the budget is reserved for the measurement.
         least, counted = length, self.counted
         if watch is not None:
             counted = np.append(counted, np.zeros(len(watch(states[0])), dtype=np.bool_))
@@ -536,26 +356,26 @@ class Sampling:
             sent = sums[self.counted]  # sends that are caused by the initial state are in an earlier window
             pace = self._pace(sent.mean(axis=1) / length)
             silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
-            settled = history.steps >= max(least, pace) and silent <= SILENT and history.settled()
+            settled = history.steps >= max(least, pace) and silent <= _SILENT and history.settled()
             enough = enough or (history.steps if settled else 0)
-            if settled and (not changed or history.steps >= PROLONGED * enough):
+            if settled and (not changed or history.steps >= _PROLONGED * enough):
                 return states, history, True
             pieces = [max(history.steps, int(pace) - history.steps + 1)]
             now = states[0].shape[1]
             paths = min(now, (budget - self.steps) // 2 // pieces[0] // len(self.parts) // 8 * 8)
-            if paths < min(FEWEST_PATHS, now):
+            if paths < min(_FEWEST_PATHS, now):
                 return states, history, settled
             states = [state[:, :paths] for state in states]
 
     def _pace(self, rates: Array) -> float:
         """Return the steps until a transient has decayed, from time constants and intervals between sends."""
-        return KEEP * max([part.settling for part in self.parts] + [1 / float(rate) for rate in rates if rate > 0])
+        return _KEEP * max([part.settling for part in self.parts] + [1 / float(rate) for rate in rates if rate > 0])
 
     def _advance(self, states: Sequence[Array], ticks: int) -> tuple[Array, list[Array]]:
         """Run steps in chunks, between which progress is reported and the run can be interrupted."""
         paths, after = states[0].shape[1], list(states)
         sums = np.zeros((len(self.counted), paths))
-        chunk = max(1, CHUNK // paths)
+        chunk = max(1, _CHUNK // paths)
         while ticks > 0:
             now = min(ticks, chunk)
             for k, (part, run, rows, names) in enumerate(
@@ -605,14 +425,14 @@ class Sampling:
 
     def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = controlled_mean(self._contrast(means), means[self.controls])
-        if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
+        if cost.standard_error <= _DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
         seen = sum(length for length, _ in kept) * means.shape[1]
         windows = [(length, self._sends(sums)) for length, sums in kept]
         rates = {
-            link: rate_of(row, seen, shared_end([(length, sends[link]) for length, sends in windows]))
+            link: rate_of(row, seen, _shared_end([(length, sends[link]) for length, sends in windows]))
             for link, row in self._sends(means).items()
         }
         return self._rounded(cost).scaled(1.0, self.offset), rates
@@ -621,7 +441,7 @@ class Sampling:
         """Add the rounding error of single precision to a mean; a difference of two precisions already measures it."""
         if len(self.parts) > 1 or self.parts[0].loop.precision == "float64":
             return cost
-        error = float(np.hypot(cost.standard_error, ROUNDING_OF_SINGLES * cost.value))
+        error = float(np.hypot(cost.standard_error, _ROUNDING_OF_SINGLES * cost.value))
         return Estimate(cost.value, error, cost.method)
 
     def _is_precise(self, cost: Estimate, target: float) -> bool:
@@ -657,3 +477,160 @@ def _missing(measured: int, error: float, wanted: float) -> int:
     if error <= wanted:
         return 0
     return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
+
+
+def _shared_end(windows: Sequence[Window]) -> float:
+    """Return the standard deviation of the error of a rate that all paths share."""
+    # Paths that send at the same steps, as after a common start with nearly equal intervals, all end just before or
+    # just after a send. With intervals of ℓ steps, the number of sends of n steps is off n/ℓ by one of 0, 1/ℓ …
+    # 1 − 1/ℓ, all alike, so its standard deviation is √((1 − 1/ℓ²)/12). Windows of whole cycles of a schedule have
+    # equal rates, and no such error.
+    steps, sends = sum(length for length, _ in windows), np.sum([sums for _, sums in windows], axis=0)
+    rates = [float(sums.mean()) / length for length, sums in windows]
+    apart = sends.std() >= _IN_PHASE or sends.mean() < 1
+    if apart or np.ptp(rates) <= _ROUNDING_OF_MEANS:
+        return 0.0
+    rate = min(1.0, float(sends.mean()) / steps)
+    return float(np.sqrt((1 - rate**2) / 12)) / steps
+
+
+def _joined(windows: Sequence[Window], rows: int) -> Window:
+    """Return the steps and the first sums of several windows, which are added in turn: a stack takes much memory."""
+    (_, first), *later = windows
+    total = first[:rows].copy()
+    for _, sums in later:
+        total += sums[:rows]
+    return sum(length for length, _ in windows), total
+
+
+class History:
+    """The windows of steps since the start of all paths."""
+
+    def __init__(self, counted: Bits) -> None:
+        """Start without windows."""
+        self.counted = counted
+        self.windows: list[Window] = []  # later windows may have more sums, which are not compared
+
+    @property
+    def steps(self) -> int:
+        """Steps of each path since its start."""
+        return sum(length for length, _ in self.windows)
+
+    def add(self, length: int, sums: Array) -> None:
+        """Add a window; earlier windows keep only the paths that are still simulated."""
+        paths = sums.shape[1]
+        self.windows = [(steps, earlier[:, :paths]) for steps, earlier in self.windows] + [(length, sums)]
+
+    def drift(self) -> int:
+        """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
+        ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
+        for j in range(len(self.windows) - 1, 0, -1):
+            later = _joined(self.windows[j:], rows)
+            for i in range(j - 1, -1, -1):
+                begins = int(ends[i - 1]) if i else 0
+                if i < j - 1 and begins * _REACH < ends[j - 1]:
+                    break
+                if self._differ(_joined(self.windows[i:j], rows), later):
+                    return int(ends[j - 1])
+        return 0
+
+    def settled(self) -> bool:
+        """Return whether a window begins late enough after the last difference."""
+        return bool(self.kept(0))
+
+    def kept(self, first: int) -> list[Window]:
+        """Return the windows that begin at the given step or later, and late enough after the last difference."""
+        first = max(first, _AGAIN * self.drift())
+        begins = np.cumsum([0] + [length for length, _ in self.windows])
+        return [window for begin, window in zip(begins, self.windows, strict=False) if begin >= first]
+
+    def _differ(self, before: Window, after: Window) -> bool:
+        """Return whether the mean of a sum differs between two ranges of windows."""
+        (steps, sums), (others, late) = before, after
+        earlier = sums / steps
+        change = late / others - earlier
+        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        # paths that send at the same steps: a window may end just before a send
+        same = self.counted & (sums.std(axis=1) < _IN_PHASE) & (late.std(axis=1) < _IN_PHASE)
+        early = same * (1 / steps + 1 / others)
+        least = _DIFFERENT * spread + early + _ROUNDING_OF_MEANS * np.abs(earlier.mean(axis=1))
+        return bool((np.abs(change.mean(axis=1)) > least).any())
+
+
+class Snapshots:
+    """The states of all paths at the end of the latest window, to compare their distribution with that at the next."""
+
+    def __init__(self) -> None:
+        """Start without states."""
+        self._states: Array | None = None
+        self._largest: Array | float = 0.0
+
+    def changed(self, states: Array) -> bool:
+        """Return whether the distribution of a state has changed since the last call, and keep the states."""
+        # A state whose spread grows may wander without limit, and a state that has decayed has no distribution.
+        before, self._states = self._states, states
+        spread = states.std(axis=1)
+        self._largest = np.maximum(self._largest, spread)
+        if before is None:
+            return True
+        limit = _FAR * np.sqrt(2 / states.shape[1])
+        earlier = before[:, : states.shape[1]].std(axis=1)
+        settles = (spread > _GONE * self._largest) & (spread < _GROWS * earlier)
+        return any(_distance(before[i], states[i]) > limit for i in np.flatnonzero(settles))
+
+
+def _distance(first: Array, second: Array) -> float:
+    """Return the largest distance between two distribution functions."""
+    values = np.concatenate([first, second])
+    one, two = (np.searchsorted(np.sort(part), values, side="right") / len(part) for part in (first, second))
+    return float(np.abs(one - two).max())
+
+
+def expect_numbers(loop: Loop, states: Array) -> None:
+    """Raise an error if a simulated path contains non-finite states of a nonlinear plant."""
+    lost = np.flatnonzero(~np.isfinite(states).all(axis=1))
+    if loop.problem.plant.function is None or not lost.size:
+        return
+    tick = int(lost[0])
+    raise _leaves(loop, states[tick], states[tick - 1] if tick else None)
+
+
+def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: int) -> None:
+    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation."""
+    # One path is run again to find the step.
+    rows = [i for i, state in enumerate(program.states) if state.name == "x"]
+    if loop.problem.plant.function is None or not rows:
+        return
+    lost = np.flatnonzero(~np.isfinite(run(before, ticks, None).states[rows]).all(axis=0))
+    if not lost.size:
+        return
+    path = before[:, [int(lost[0])]]
+
+    def after(wanted: int) -> Array:
+        return (run(path, wanted, 1).states if wanted else path)[rows, 0]
+
+    good, bad = 0, ticks  # steps after which the state is finite, and is not
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if np.isfinite(after(middle)).all():
+            good = middle
+        else:
+            bad = middle
+    found, last = after(bad), after(good)
+    if not np.isfinite(last).all():  # in the last step before this run
+        found, last = last, None
+    raise _leaves(loop, found, last, [program.states[i].index for i in rows])
+
+
+def _leaves(loop: Loop, found: Array, last: Array | None, entries: list[int] | None = None) -> UnstableError:
+    """Return the error that names the non-finite entry of the state and the previous state."""
+    place = int(np.flatnonzero(~np.isfinite(found))[0])
+    entry = place if entries is None else entries[place]
+    point = loop.problem.plant.operating_point
+    if last is not None and point is not None:
+        last = last + (point.x if entries is None else point.x[entries])
+    whence = "" if last is None else f", from x = [{', '.join(f'{value:.4g}' for value in last)}]"
+    return UnstableError(
+        f"the plant's function gives no finite number as state {entry + 1} in the loop of {loop.policy.kind}{whence}; "
+        "expected finite numbers: send more often, clip the inputs (input_limit), or correct the function"
+    )

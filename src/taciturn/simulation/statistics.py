@@ -1,4 +1,13 @@
-"""Means with standard errors, from independent paths or from one correlated record."""
+"""Means with standard errors, from independent paths or from one correlated record.
+
+Independent values: the standard error of their mean, merged in batches (``Moments``), reduced by control variates of
+mean 0 (the intercept of a least-squares fit), and doubted if the largest values follow a power law (Hill's estimate).
+
+One record: means of long batches, which are nearly independent, or cycles between renewals, which are independent, so
+that the mean is a ratio of means, with the standard error of a ratio.
+
+Source: law2015
+"""
 
 from __future__ import annotations
 
@@ -11,9 +20,9 @@ from taciturn._arrays import Array, ArrayLike, array, count
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 
-TAIL = 64  # the tail is the largest 1/64 of the values, and must contain at least 64 values
+_TAIL = 64  # the tail is the largest 1/64 of the values, and must contain at least 64 values
 BATCHES = 32
-CYCLES = 30  # least number of cycles for a standard error
+_CYCLES = 30  # least number of cycles for a standard error
 
 
 class Moments:
@@ -44,10 +53,9 @@ def mean(values: Array) -> Estimate:
 
 
 def controlled_mean(values: Array, controls: Array) -> Estimate:
-    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0.
-
-    The mean is the intercept of a least-squares fit on the control variates, with the standard error of the intercept.
-    """
+    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0."""
+    # The mean is the intercept of a least-squares fit on the control variates, with the standard error of the
+    # intercept.
     spread = controls.std(axis=1)
     fitted = np.column_stack([np.ones(len(values)), (controls[spread > 0] / spread[spread > 0, None]).T])
     _, sizes, directions = np.linalg.svd(fitted, full_matrices=False)
@@ -61,8 +69,8 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
 
 def tail_index(values: Array) -> float:
     """Return Hill's estimate of the power-law index of the largest values, relative to the median."""
-    largest = len(values) // TAIL
-    if largest < TAIL:
+    largest = len(values) // _TAIL
+    if largest < _TAIL:
         return float(np.inf)
     above = np.sort(values - np.median(values))[-largest - 1 :]
     if not above[0] > 0:
@@ -143,9 +151,9 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
     if not np.isin(begins, (0, 1)).all():
         raise ProblemError("renewals has entries other than 0 and 1; expected 1 at the start of a cycle, else 0")
     at = np.flatnonzero(begins)
-    if len(at) <= CYCLES:
+    if len(at) <= _CYCLES:
         raise ProblemError(
-            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {CYCLES}: use a longer record"
+            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {_CYCLES}: use a longer record"
         )
 
     def found() -> Estimate:

@@ -36,8 +36,9 @@ from taciturn.simulation.statistics import mean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ADDRESSES = 2**47  # bytes that a process can address, of which NumPy refuses more in other ways
-COLUMNS = 6  # columns next to the time that ``str`` prints
+_ADDRESSES = 2**47  # bytes that a process can address, of which NumPy refuses more in other ways
+_COLUMNS = 6  # columns next to the time that ``str`` prints
+_PATHS = 4096
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,7 +117,7 @@ class Trajectory(Tabular):
         """Return the text that ``taciturn simulate`` prints: the path, as far as it fits, and the number of sends."""
         named = [("x", self.state), ("u", self.input), *([("xhat", self.estimate)] if self.predicts else [])]
         columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
-        left = max(0, len(columns) - (COLUMNS - len(self.sends)))
+        left = max(0, len(columns) - (_COLUMNS - len(self.sends)))
         shown = columns[: len(columns) - left]
         header = [f"time ({self.unit})", *(name for name, _ in shown), *self.sends]
         rows = [
@@ -184,7 +185,7 @@ def simulate(loop: Loop | Policy, ticks: int, *, seed: int = 0) -> Trajectory:
     program = program.keep(outputs=set(program.outputs))
     size = 8 * ticks * len(program.outputs)
     try:
-        if size > ADDRESSES:
+        if size > _ADDRESSES:
             raise MemoryError
         outputs = prepare(program, exact=True)(loop.start(program, 1, seed), ticks, 1).outputs
     except MemoryError:
@@ -226,16 +227,13 @@ def _weighed(policy: Policy, records: Mapping[Name, Array]) -> tuple[Array, Arra
     return np.empty(0), np.empty(0)
 
 
-PATHS = 4096
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Course(Result):
-    """Mean stage cost and sends of a loop over time, with standard errors.
+    """Mean stage cost and sends of a loop over time, with standard errors."""
 
-    For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
-    or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the total.
-    """
+    # For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
+    # or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the
+    # total.
 
     time: Array  # time in seconds, or in steps if the plant has no ``dt``, (steps,)
     cost: Array  # mean of x'Qx + û'Rû + 2x'Nû, (steps,)
@@ -246,7 +244,7 @@ class Course(Result):
     paths: int  # number of paths
 
 
-def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Course:
+def course(loop: Loop, ticks: int, *, paths: int = _PATHS, seed: int = 0) -> Course:
     """Simulate independent paths of a loop from its initial distribution, and average cost and sends at each step."""
     instance("loop", loop, Loop)
     ticks, paths, seed = loop.ticks(ticks), count("paths", paths, 2), count("seed", seed, 0)

@@ -1,15 +1,19 @@
 """Probabilities that a loop violates limits of its states, by simulation with copies of the paths that come near them.
 
 In stationary operation, the probability per step is the share of the steps in which a limit is violated. The
-probability within a window is that of at least one violation in the window, such as an hour.
+probability within a window is that of at least one violation in the window, such as an hour. A window is simulated if
+it is short; otherwise the probability without a violation decays by the same factor in each later part of it.
 
-Importance splitting: simulated paths of a loop that are copied when they come near to a rare event (RESTART).
+**Importance splitting** (RESTART). The level of a path is the number of thresholds that its height exceeds: the largest
+distance beyond a limit, in standard deviations. A path that rises by a level is replaced by four paths with a quarter
+of its weight each, which continue with random numbers of their own. All but the first end when they fall below the
+level at which they began. So a path of level l has the weight 4^−l, and for every function of the path, the weighted
+sum over all paths has the same mean as without copies: shares of time are unbiased, for any thresholds. Without
+thresholds, this is plain simulation. Thresholds are placed one after the other while the simulation continues.
 
-The level of a path is the number of thresholds that its height exceeds. A path that rises by a level is replaced by
-``COPIES`` paths with a weight of 1/``COPIES`` each, which continue with random numbers of their own. All but the first
-end when they fall below the level at which they began. So a path of level l has the weight COPIES^−l, and for every
-function of the path, the weighted sum over all paths has the same mean as without copies: shares of time are unbiased,
-for any thresholds. Without thresholds, this is plain simulation.
+Standard errors come from sums over an original path and all its copies, which are independent of the others.
+
+Source: villen2002
 """
 
 from __future__ import annotations
@@ -33,131 +37,23 @@ from taciturn.simulation.average import check_effort, plain_average
 from taciturn.simulation.reliability import escapes, expect_arrivals, wandering_noise
 from taciturn.simulation.sampling import HUGE, Estimator, Part, Sampling, sends
 
-COPIES = 4
-MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
+_COPIES = 4
+_MOST_LEVELS = 12  # the highest threshold is exceeded in at least 4^-12 = 6e-8 of the steps, about
 MOST_PATHS = 1 << 18  # above this number, the highest threshold is removed
 
-Whole = npt.NDArray[np.int64]
-
-
-class Splitting:
-    """Paths of a loop with their copies, advanced step by step."""
-
-    def __init__(
-        self, loop: Loop, program: Program, run: Runner, states: Array, seed: int, height: Callable[[Array], Array]
-    ) -> None:
-        """Start with the original paths, without thresholds."""
-        named = [state.name for state in program.states]
-        self._x, self._words = (
-            np.array([i for i, name in enumerate(named) if name == wanted], dtype=np.int64)
-            for wanted in ("x", GENERATOR)
-        )
-        self._run, self._seed, self._height = run, seed, height
-        self.originals, self._drawn = states.shape[1], states.shape[1]
-        self._loop, self.thresholds = loop, np.empty(0)
-        self.steps = 0
-        self.restart(states)
-
-    def restart(self, states: Array) -> None:
-        """Replace all paths by original paths with given states."""
-        self.states = states
-        self.root: Whole = np.arange(self.originals, dtype=np.int64)
-        self._level, self._first = (np.zeros(self.originals, dtype=np.int64) for _ in range(2))
-        self.marks: Bits = np.zeros((0, self.originals), dtype=np.bool_)
-        self.heights = self._height(self.x)
-        self._branch()
-
-    @property
-    def x(self) -> Array:
-        """The states of the plant, (n, paths)."""
-        return self.states[self._x]
-
-    @property
-    def weight(self) -> Array:
-        """The weight of each path, (paths,)."""
-        return np.power(float(COPIES), -self._level.astype(np.float64))
-
-    @property
-    def top(self) -> Array:
-        """The heights of the paths above all thresholds."""
-        return self.heights[self._level == len(self.thresholds)]
-
-    @property
-    def near(self) -> float:
-        """The weighted share of the paths above all thresholds."""
-        return float(COPIES) ** -len(self.thresholds) * len(self.top) / self.originals
-
-    @property
-    def original(self) -> Bits:
-        """Mask of the paths that are no copies, (paths,)."""
-        return np.asarray(self._first == 0, dtype=np.bool_)
-
-    def mark(self, events: int) -> None:
-        """Give each path a mark for each of so many events, none of which is set; copies inherit the marks."""
-        self.marks = np.zeros((events, self.states.shape[1]), dtype=np.bool_)
-
-    def step(self) -> None:
-        """Advance all paths by one step, and copy or end those that change their level."""
-        self.steps += self.states.shape[1]
-        self.states = self._run(self.states, 1, None).states
-        self.heights = self._height(self.x)
-        self._branch()
-
-    def add(self, threshold: float) -> None:
-        """Add a threshold above all others, and copy the paths above it."""
-        self.thresholds = np.append(self.thresholds, threshold)
-        self._branch()
-
-    def sums(self, values: Bits) -> Array:
-        """Return the weight of the paths of a mask, (paths,), summed over each original path and its copies."""
-        return np.asarray(np.bincount(self.root, self.weight * values, self.originals), dtype=np.float64)
-
-    def _branch(self) -> None:
-        """Copy the paths that have risen to another level, and end the copies that fell below their first level."""
-        while True:
-            new = np.searchsorted(self.thresholds, self.heights)
-            powers = COPIES ** np.arange(len(self.thresholds) + 1)
-            many = np.where(new < self._first, 0, powers[np.maximum(new - self._level, 0)])
-            if many.sum() <= MOST_PATHS or not len(self.thresholds):
-                break
-            self._remove_highest()
-        if (many == 1).all():
-            self._level = new
-            return
-        at = np.repeat(np.arange(len(many)), many)
-        number = np.arange(len(at)) - np.repeat(np.cumsum(many) - many, many)  # of a copy; 0 continues the path
-        first = np.where(number == 0, self._first[at], self._level[at] + np.searchsorted(powers, number, "right"))
-        copied = np.flatnonzero(number)
-        self._keep(at, new, first)
-        if len(self._words):
-            self.states[np.ix_(self._words, copied)] = seed_generators(self._seed, len(copied), self._drawn)
-        self._drawn += len(copied)
-
-    def _remove_highest(self) -> None:
-        """Remove the highest threshold with the copies that began there."""
-        self.thresholds = self.thresholds[:-1]
-        highest = len(self.thresholds)
-        self._keep(np.flatnonzero(self._first <= highest), np.minimum(self._level, highest), self._first, False)
-
-    def _keep(self, at: Whole, level: Whole, first: Whole, told: bool = True) -> None:
-        """Keep the paths of some indices, each perhaps several times."""
-        self.states, self.root, self.heights = self.states[:, at], self.root[at], self.heights[at]
-        self.marks, self._level = self.marks[:, at], level[at]
-        self._first = first if told else first[at]
-
-
-ACCURACY = 0.05  # default standard error, relative to the probability per step
-ORIGINALS = 1024  # paths that are no copies
-SETTLING = 512  # paths, at least, on which it is decided that the loop has settled
-MOST_STEPS = 20_000_000  # of all paths, for each limit
-TO_SETTLE = 1_000_000_000  # steps of all paths until the loop is in stationary operation, at most
-OFTEN = 0.01  # share of the steps with a violation, above which no path is copied
-STAGE, LONGEST_STAGE = 32, 256  # least and most steps before the next threshold is placed
-SHORTEST_WINDOW, CONSTANTS = 64, 6  # half of a window: at least so many steps, and so many time constants
-LEVELS = 8  # levels for which the number of paths is chosen
-SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
-HOUR, MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
-GROWN, QUARTILES = 7.0, 1.65  # standard errors of a ratio of spreads that are growth; one is 1.65/√paths
+_Whole = npt.NDArray[np.int64]
+_ACCURACY = 0.05  # default standard error, relative to the probability per step
+_ORIGINALS = 1024  # paths that are no copies
+_SETTLING = 512  # paths, at least, on which it is decided that the loop has settled
+_MOST_STEPS = 20_000_000  # of all paths, for each limit
+_TO_SETTLE = 1_000_000_000  # steps of all paths until the loop is in stationary operation, at most
+_OFTEN = 0.01  # share of the steps with a violation, above which no path is copied
+_LEVELS = 8  # levels for which the number of paths is chosen
+_SEEN = 30  # paths without common history that see a violation, at least, before a standard error is believed
+_STAGE, _LONGEST_STAGE = 32, 256  # least and most steps before the next threshold is placed
+_SHORTEST_WINDOW, _CONSTANTS = 64, 6  # half of a window: at least so many steps, and so many time constants
+_HOUR, _MANY = 3600.0, 1000  # seconds of a window, and its steps if the step has no length
+_GROWN, _QUARTILES = 7.0, 1.65  # standard errors of a ratio of spreads that are growth; one is 1.65/√paths
 
 
 def violations(
@@ -165,13 +61,13 @@ def violations(
     limits: Limits,
     *,
     seed: int = 0,
-    accuracy: float = ACCURACY,
+    accuracy: float = _ACCURACY,
     steps: int | None = None,
     progress: Progress | None = None,
 ) -> Violations:
     """Estimate the probabilities that a loop violates limits of its states, after its steps.
 
-    If violations are rare, paths that come near a limit are copied (``splitting``), once for all limits together and
+    If violations are rare, paths that come near a limit are copied, once for all limits together and
     once for each limit that then has too few violations. Limits of a continuous plant apply at the sampling instants. A
     window of an hour is simulated if it is short. Otherwise, the probability without a violation decays by the same
     factor in each half of the simulated window after the first.
@@ -205,7 +101,7 @@ def violations(
     instance("loop", loop, Loop)
     instance("limits", limits, Limits)
     check_effort(seed, None, steps)
-    search = _Search(loop, limits, seed, accuracy, steps or MOST_STEPS, Stages(in_notebook(progress)))
+    search = _Search(loop, limits, seed, accuracy, steps or _MOST_STEPS, Stages(in_notebook(progress)))
     every = list(range(len(limits.low)))
     *each, total = search.measured(every, 0.0)
     for i in every if len(every) > 1 else ():
@@ -239,10 +135,10 @@ class _Search:
         self.program, self.sampling = program, Sampling([self.part], seed, progress, None)
         self.run, self.fresh = self.sampling.runs[0], 0
         cycle, settling = loop.policy.cycle, self.part.settling
-        half = max(SHORTEST_WINDOW, int(CONSTANTS * settling))
+        half = max(_SHORTEST_WINDOW, int(_CONSTANTS * settling))
         self.half = -(-half // cycle) * cycle
-        self.stage = int(np.clip(settling / 4, STAGE, LONGEST_STAGE))
-        paths = int(np.clip(budget // (2 * self.half * LEVELS), 64, ORIGINALS))
+        self.stage = int(np.clip(settling / 4, _STAGE, _LONGEST_STAGE))
+        paths = int(np.clip(budget // (2 * self.half * _LEVELS), 64, _ORIGINALS))
         self.settled = self._begun(paths) if self.horizon else self._stationary(paths)
         self.deviation = self._deviation()
 
@@ -251,7 +147,7 @@ class _Search:
         """The window in which violations are counted."""
         if self.horizon is not None:
             return "run"
-        return f"{MANY} steps" if self.loop.problem.plant.dt is None else "hour"
+        return f"{_MANY} steps" if self.loop.problem.plant.dt is None else "hour"
 
     @property
     def ticks(self) -> int:
@@ -259,7 +155,7 @@ class _Search:
         if self.horizon is not None:
             return self.horizon
         step = self.loop.problem.plant.dt
-        return MANY if step is None else max(1, round(HOUR / step))
+        return _MANY if step is None else max(1, round(_HOUR / step))
 
     def precise(self, found: Estimate) -> bool:
         """Return whether a probability has the requested standard error."""
@@ -298,13 +194,11 @@ class _Search:
                 return found
 
     def _violation(self, shares: Array, hits: Array, steps: int, windows: int, near: float, levels: int) -> Violation:
-        """Return a probability from sums over steps and windows.
-
-        A standard error is at least that of one event, and at least the share of time above the highest threshold if
-        few paths have seen a violation.
-        """
-        least = float(COPIES) ** -levels / len(shares)
-        few = np.count_nonzero(shares) < SEEN
+        """Return a probability from sums over steps and windows."""
+        # A standard error is at least that of one event, and at least the share of time above the highest threshold if
+        # few paths have seen a violation.
+        least = float(_COPIES) ** -levels / len(shares)
+        few = np.count_nonzero(shares) < _SEEN
         unseen = near if few else 0.0
         per_step = _mean(shares / steps, max(least / steps, unseen))
         length = steps // windows // len(hits)
@@ -324,8 +218,8 @@ class _Search:
         split.marks |= events
 
     def _place(self, split: Splitting) -> None:
-        """Place thresholds, each of which one path in ``COPIES`` above the last one exceeds."""
-        for _ in range(MOST_LEVELS):
+        """Place thresholds, each of which one path in ``_COPIES`` above the last one exceeds."""
+        for _ in range(_MOST_LEVELS):
             if self.horizon is not None:
                 split.restart(self._begun(split.originals))
             heights = list[Array]()
@@ -334,8 +228,8 @@ class _Search:
                 heights.append(split.top)
                 self.progress.tick()
             reached = np.concatenate(heights)
-            threshold = float(np.quantile(reached, 1 - 1 / COPIES)) if reached.size else 0.0
-            often = not len(split.thresholds) and (reached > 0).mean() > OFTEN
+            threshold = float(np.quantile(reached, 1 - 1 / _COPIES)) if reached.size else 0.0
+            often = not len(split.thresholds) and (reached > 0).mean() > _OFTEN
             if often or not threshold < 0:
                 return
             split.add(threshold)
@@ -382,7 +276,7 @@ class _Search:
         for i in np.flatnonzero(self._wanders()):
             raise self._wandering(self.limits.names[i], "it follows a disturbance that wanders without limit")
         expect_arrivals(self.loop)
-        (states,), history, settled = self.sampling.settle(max(paths, SETTLING), TO_SETTLE, self._moments)
+        (states,), history, settled = self.sampling.settle(max(paths, _SETTLING), _TO_SETTLE, self._moments)
         if not settled:
             raise ProblemError(
                 f"the loop has not settled within {history.steps} steps, so no stationary distribution of its states "
@@ -408,7 +302,7 @@ class _Search:
 
     def _expect_rest(self, before: Array, after: Array, steps: int, originals: int) -> None:
         """Raise a ``ProblemError`` if the spread of a combination still grows."""
-        grown = np.exp(GROWN * QUARTILES / np.sqrt(originals))
+        grown = np.exp(_GROWN * _QUARTILES / np.sqrt(originals))
         for i in np.flatnonzero(after > grown * np.maximum(before, 1e-300)):
             raise self._wandering(
                 self.limits.names[i], f"its spread grows by a factor of {after[i] / before[i]:.3g} in {steps} steps"
@@ -435,3 +329,109 @@ def _mean(values: Array, least: float) -> Estimate:
     """Return the mean over paths, with a standard error of at least that of one event."""
     error = float(values.std(ddof=1) / np.sqrt(len(values)))
     return Estimate(float(values.mean()), max(error, least), "simulation")
+
+
+class Splitting:
+    """Paths of a loop with their copies, advanced step by step."""
+
+    def __init__(
+        self, loop: Loop, program: Program, run: Runner, states: Array, seed: int, height: Callable[[Array], Array]
+    ) -> None:
+        """Start with the original paths, without thresholds."""
+        named = [state.name for state in program.states]
+        self._x, self._words = (
+            np.array([i for i, name in enumerate(named) if name == wanted], dtype=np.int64)
+            for wanted in ("x", GENERATOR)
+        )
+        self._run, self._seed, self._height = run, seed, height
+        self.originals, self._drawn = states.shape[1], states.shape[1]
+        self._loop, self.thresholds = loop, np.empty(0)
+        self.steps = 0
+        self.restart(states)
+
+    def restart(self, states: Array) -> None:
+        """Replace all paths by original paths with given states."""
+        self.states = states
+        self.root: _Whole = np.arange(self.originals, dtype=np.int64)
+        self._level, self._first = (np.zeros(self.originals, dtype=np.int64) for _ in range(2))
+        self.marks: Bits = np.zeros((0, self.originals), dtype=np.bool_)
+        self.heights = self._height(self.x)
+        self._branch()
+
+    @property
+    def x(self) -> Array:
+        """The states of the plant, (n, paths)."""
+        return self.states[self._x]
+
+    @property
+    def weight(self) -> Array:
+        """The weight of each path, (paths,)."""
+        return np.power(float(_COPIES), -self._level.astype(np.float64))
+
+    @property
+    def top(self) -> Array:
+        """The heights of the paths above all thresholds."""
+        return self.heights[self._level == len(self.thresholds)]
+
+    @property
+    def near(self) -> float:
+        """The weighted share of the paths above all thresholds."""
+        return float(_COPIES) ** -len(self.thresholds) * len(self.top) / self.originals
+
+    @property
+    def original(self) -> Bits:
+        """Mask of the paths that are no copies, (paths,)."""
+        return np.asarray(self._first == 0, dtype=np.bool_)
+
+    def mark(self, events: int) -> None:
+        """Give each path a mark for each of so many events, none of which is set; copies inherit the marks."""
+        self.marks = np.zeros((events, self.states.shape[1]), dtype=np.bool_)
+
+    def step(self) -> None:
+        """Advance all paths by one step, and copy or end those that change their level."""
+        self.steps += self.states.shape[1]
+        self.states = self._run(self.states, 1, None).states
+        self.heights = self._height(self.x)
+        self._branch()
+
+    def add(self, threshold: float) -> None:
+        """Add a threshold above all others, and copy the paths above it."""
+        self.thresholds = np.append(self.thresholds, threshold)
+        self._branch()
+
+    def sums(self, values: Bits) -> Array:
+        """Return the weight of the paths of a mask, (paths,), summed over each original path and its copies."""
+        return np.asarray(np.bincount(self.root, self.weight * values, self.originals), dtype=np.float64)
+
+    def _branch(self) -> None:
+        """Copy the paths that have risen to another level, and end the copies that fell below their first level."""
+        while True:
+            new = np.searchsorted(self.thresholds, self.heights)
+            powers = _COPIES ** np.arange(len(self.thresholds) + 1)
+            many = np.where(new < self._first, 0, powers[np.maximum(new - self._level, 0)])
+            if many.sum() <= MOST_PATHS or not len(self.thresholds):
+                break
+            self._remove_highest()
+        if (many == 1).all():
+            self._level = new
+            return
+        at = np.repeat(np.arange(len(many)), many)
+        number = np.arange(len(at)) - np.repeat(np.cumsum(many) - many, many)  # of a copy; 0 continues the path
+        first = np.where(number == 0, self._first[at], self._level[at] + np.searchsorted(powers, number, "right"))
+        copied = np.flatnonzero(number)
+        self._keep(at, new, first)
+        if len(self._words):
+            self.states[np.ix_(self._words, copied)] = seed_generators(self._seed, len(copied), self._drawn)
+        self._drawn += len(copied)
+
+    def _remove_highest(self) -> None:
+        """Remove the highest threshold with the copies that began there."""
+        self.thresholds = self.thresholds[:-1]
+        highest = len(self.thresholds)
+        self._keep(np.flatnonzero(self._first <= highest), np.minimum(self._level, highest), self._first, False)
+
+    def _keep(self, at: _Whole, level: _Whole, first: _Whole, told: bool = True) -> None:
+        """Keep the paths of some indices, each perhaps several times."""
+        self.states, self.root, self.heights = self.states[:, at], self.root[at], self.heights[at]
+        self.marks, self._level = self.marks[:, at], level[at]
+        self._first = first if told else first[at]
