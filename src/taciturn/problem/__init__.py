@@ -67,12 +67,7 @@ from taciturn.problem.read import (
     with_exosystem,
 )
 from taciturn.problem.read import read_function as read_function
-from taciturn.problem.schema import ControllerTable as ControllerTable
 from taciturn.problem.schema import File, ValidationError, first_mistake, suggest, validate
-from taciturn.problem.schema import InitialTable as InitialTable
-from taciturn.problem.schema import JumpsTable as JumpsTable
-from taciturn.problem.schema import NetworkTable as NetworkTable
-from taciturn.problem.schema import PlantTable as PlantTable
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
