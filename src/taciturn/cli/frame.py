@@ -5,7 +5,7 @@ Every command is a function with the options as arguments. Options of several co
 from the signatures of the functions that commands call, since these need numpy, and ``taciturn --help`` must answer at
 once; so this module imports nothing heavy before a command runs. A test compares both lists.
 
-A command ends by ``print_result``, ``save_picture``, and ``refuse`` if its answer is not what was asked for.
+A command ends by ``print_result``, ``save_picture``, and by ``refuse`` if a requested accuracy is not reached.
 
 A mistake in the command line is one sentence: what is wrong, what was given, what is expected, and a remedy. The parser
 has texts without remedies (``usage_text``), and the library names arguments and not options (``name_options``).
