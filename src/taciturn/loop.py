@@ -210,10 +210,9 @@ class Loop(Displayed):
         that affects neither cost nor measurement of a later step, such as a register that is measured, is an output
         alone.
         """
-        plant, tracking = self.problem.plant, self.policy.tracking
+        plant, targets = self.problem.plant, self.policy.targets.values()
         tick = self._tick({"x": plant.states})
-        followed = () if tracking is None else (tracking.state, tracking.input)
-        for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(followed)):
+        for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(targets)):
             tick.take(step)
         tick.signals["input"] = tick.supplied("input", plant.inputs)
         tick.limited(tick.signals["input"], plant.saturation, APPLIED)
@@ -299,13 +298,18 @@ class Loop(Displayed):
             program: a program with the state ``x``.
             states: its states after the last step, (states, paths).
         """
-        terminal, tracking = self.problem.terminal, self.policy.tracking
+        terminal = self.problem.terminal
         if terminal is None:
             return None
         x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == "x"])
-        for off in (tracking and tracking.final, self.problem.rest and self.problem.rest.x):
-            x -= 0.0 if off is None else off[:, None]
+        x = self.from_final_target(x.T).T
         return np.einsum("ip,ij,jp->p", x, terminal, x)
+
+    def from_final_target(self, x: Array) -> Array:
+        """Return final states, (n,) or (paths, n), as deviations from their target: a reference, a point, or both."""
+        tracking, rest = self.policy.tracking, self.problem.rest
+        x = x if tracking is None else x - tracking.final
+        return x if rest is None else x - rest.x
 
     def ticks(self, ticks: object) -> int:
         """Return a number of steps after checking that it is at least 1 and at most the horizon of the cost.
@@ -378,10 +382,10 @@ class Loop(Displayed):
         return draw_noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
 
     def _deviate(self, tick: TimeStep) -> tuple[str, str]:
-        """Return the signals that the cost weights: state and input, or their deviations from a reference or point."""
-        tracking, rest = self.policy.tracking, self.problem.rest
-        state = deviation(tick, "x", tracking and tracking.state, rest and rest.x)
-        return state, deviation(tick, "applied", tracking and tracking.input, rest and rest.u)
+        """Return the signals that the cost weights: state and input, or their deviations from their targets."""
+        rest, targets = self.problem.rest, self.policy.targets
+        state = deviation(tick, "x", targets.get("x"), rest and rest.x)
+        return state, deviation(tick, "applied", targets.get("applied"), rest and rest.u)
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p = self.problem

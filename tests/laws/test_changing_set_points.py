@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from counts import few
+from export.devices import needs_compiler
+from runtime.loops import differing_ticks, record
 from systems import make_system, well_posed
 
-from taciturn import ContinuousPlant, Cost, Network, Plant, average, close, design, load, simulate
+from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, average, close, design, export_c, load, simulate
 from taciturn.base.certainty import design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.disturbance import follow
 from taciturn.model.network import NodeRole
-from taciturn.model.signals import ExternalDisturbance, RandomSteps, Timetable
+from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, Signal, Timetable
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
 
@@ -354,3 +358,41 @@ def test_a_mistake_in_a_file_of_set_points_is_named_by_its_line_as_editors_count
     tables = {"plant": tank, "cost": {"Q": [[1.0]], "R": [[1.0]]}, "policy": {"kind": "excess", "theta": 0.1}}
     with pytest.raises(ProblemError, match=words.replace("number)", r"number\)")):
         parse({**tables, "reference": {"file": str(tmp_path / "levels.csv")}}, "tank")
+
+
+class Sinusoids(Changes):
+    """A form of set-point that the package does not have: a sum of sinusoids about a mean, in discrete time."""
+
+    frequencies = (0.02, 0.11)  # radians per step
+    size = 1
+
+    def states(self, continuous: bool) -> Signal:
+        """Return the sinusoids with the amplitudes 1 and 0.4, each as a state that rotates with another one."""
+        S, turn = np.zeros((4, 4)), np.array([[0.0, 1.0], [-1.0, 0.0]])
+        for i, w in enumerate(self.frequencies):
+            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = np.cos(w) * np.eye(2) + np.sin(w) * turn
+        return Signal(S, np.zeros((4, 4)), np.array([0.0, 1.0, 0.0, 0.4]), F=np.array([[-1.0, 0.0, -1.0, 0.0]]))
+
+
+def test_a_form_of_set_point_is_one_signal(tmp_path: Path) -> None:
+    """Design, simulation, nodes and C code follow it, also about an operating point, and to follow it costs nothing."""
+    compiler, cost = needs_compiler(), Cost([[1.0, 0.0], [0.0, 0.0]], [[0.1]])
+    matrices = [[0.95, 0.2], [0.0, 0.8]], [[0.0], [0.3]]
+    plant = Plant(
+        *matrices, 1e-6 * np.eye(2), [[1.0, 0.0]], [[1e-6]], operating_point=OperatingPoint([4.0, 1.0], [2.0])
+    )
+    still, moved = follow(plant, value=[5.0]), follow(plant, value=[5.0], changes=Sinusoids())
+    policy, constant = (design.excess(one, cost, delta=1e-3) for one in (moved, still))
+    assert policy.cost_all_time == pytest.approx(constant.cost_all_time, rel=1e-9)
+    assert policy.model.operating_point is not None
+    loop, k = close(moved, policy), np.arange(2000)
+    path = simulate(loop, len(k), seed=3)
+    r = 5.0 + np.sin(0.02 * k) + 0.4 * np.sin(0.11 * k)
+    assert np.abs(path.state[: len(k), 0] - r)[100:].max() < 0.05
+    records, draws = record(loop, 60, 2)
+    assert differing_ticks(loop, records, draws)[0] == []
+    export_c(Problem(moved, cost, Network(), "excess", {"delta": 1e-3}), tmp_path, name="waves")
+    sources = sorted(map(str, tmp_path.glob("*.c")))
+    subprocess.run([compiler, "-std=c99", "-O1", *sources, "-lm", "-o", str(tmp_path / "check")], check=True)
+    told = subprocess.run([str(tmp_path / "check")], capture_output=True, text=True, check=True).stdout
+    assert "every decision and every bit of the input agrees" in told

@@ -31,7 +31,8 @@ from taciturn import (  # fmt: skip
 from taciturn.analyse.limits import bound_below
 from taciturn.base.certainty import design_certainty
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import discretise, has_average, regulator_equations
+from taciturn.lqg.discrete import discretise, has_average
+from taciturn.lqg.followed import regulator_equations
 from taciturn.model.disturbance import follow
 from taciturn.model.signals import Exosystem, ExternalDisturbance, SetPoint, Timetable
 from taciturn.problem import parse

@@ -89,12 +89,11 @@ def test_every_entry_is_the_nearest_double(seed: int) -> None:
     G = draws.normal(size=(n, n))
     W = G @ G.T + np.eye(n)
     W = (W + W.T) / 2
-    found = explicit(E, A, B, W)
+    inverse, free, moved = explicit(E, A, B)
     left = exactly(E)
-    assert found.A.tolist() == nearest(divided(left, exactly(A)))
-    assert found.B.tolist() == nearest(divided(left, exactly(B)))
-    assert found.W is not None
-    assert found.W.tolist() == nearest(divided(left, turned(divided(left, exactly(W)))))
+    assert free.tolist() == nearest(divided(left, exactly(A)))
+    assert moved.tolist() == nearest(divided(left, exactly(B)))
+    assert inverse.covariance("W", W).tolist() == nearest(divided(left, turned(divided(left, exactly(W)))))
 
 
 def test_zeros_stay_zeros() -> None:

@@ -1,15 +1,23 @@
-"""Controllers that a user has, together with the plant: the slow disturbance, LQG as a controller, usual weights.
+"""Controllers that a user has, together with their plant: disturbance, point of rest, start and periodic comparison.
 
-Exact cost of a given controller with periodic packets, at every q-th step and by the same means as the policy.
+``disturbed`` returns the problem in which such a controller is judged. If it integrates, the plant gets the slow
+disturbance that it compensates, since silence would seem too cheap without one.
 
-Between packets, the receiver keeps its last value or predicts it, as in the policy. The controller may also be
-discretised for q steps, if its parameters are continuous, and then measures only when it sends. The cheaper of the two
-is the comparison.
+``rest_of`` returns the point at which the loop rests: the state x* and the input u* at which the outputs are at the
+controller's set-points r, and the state of the controller that holds u*,
 
-Constant set-points and the start of a given controller.
+    x* = A x* + B u*,   C x* = r,   x_c* = A_c x_c* + E_c u*,   C_c x_c* = u*.
 
-A policy is designed for the deviations from the point at which the loop rests: with the state x* and the input u* for
-which the outputs equal their set-points.
+These are regulator equations of constant signals (``lqg.followed``). A policy is designed for the deviations from this
+point. With a known input before the start, the controller begins at the state that commands this input, at rest apart
+from its integrals.
+
+``SameControl`` is the exact cost of the controller with periodic packets, at every q-th step and by the same means as
+the policy. Between packets, the receiver keeps its last value or predicts it. The controller may also be discretised
+for q steps, if its parameters are continuous, and then measures only when it sends. The cheaper of the two is compared.
+
+``lqg_observer`` writes LQG as such a controller, and ``cost_as_kept`` returns weights for which the present variances
+of all outputs and inputs count equally.
 """
 
 from __future__ import annotations
@@ -28,6 +36,7 @@ from taciturn.base.receiver import actuator_base
 from taciturn.base.value import Attempts, Base, advantage, least_value
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before
+from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.controller import ContinuousController, Controller, Kept
@@ -214,15 +223,8 @@ class SameControl(Displayed):
         long = lift(plant.A, plant.B, problem.Q, problem.R, problem.N, plant.W, steps)
         dt = None if plant.dt is None else plant.dt * steps
         try:
-            slow = replace(
-                problem,
-                plant=Plant(long.A, long.B, long.W, plant.C, plant.V, dt),
-                Q=long.Q,
-                R=long.R,
-                N=long.N,
-                exact=None,
-                deviations=None,
-            )
+            moved = Plant(long.A, long.B, long.W, plant.C, plant.V, dt)
+            slow = replace(problem, plant=moved, Q=long.Q, R=long.R, N=long.N, exact=None, deviations=None)
             base = actuator_base(slow, self.kept.at(dt, plant.inputs, plant.outputs))
             return (advantage(base, UNSTABLE).cost + long.noise_cost) / steps
         except (ProblemError, UnstableError):  # such as a filter that is faster than these steps
@@ -277,18 +279,16 @@ def rest_of(problem: Discrete, controller: Controller) -> Rest:
             "an average cost"
         )
     if r.any():
-        moving = np.block([[plant.A - np.eye(n), plant.B], [plant.C, np.zeros((p, m))]])
-        found = _solved(
-            moving, np.concatenate([np.zeros(n), r]), f"the plant cannot rest at the set-point {r.tolist()}"
-        )
-        state, steady = found[:n], found[n:]
+        seen = np.hstack([plant.C, np.zeros((p, m))]), -r[:, None]
+        what = f"the plant cannot rest at the set-point {r.tolist()}"
+        state, steady = _resting(plant.A, plant.B, state, seen, what)
         limit = plant.input_limit
         if limit is not None and ((steady <= limit[:, 0]) | (steady >= limit[:, 1])).any():
             raise beyond_limits(plant, steady)
-        k = len(controller.A)
-        holding = np.vstack([np.eye(k) - controller.A, controller.C])
-        caused = np.concatenate([controller.E @ steady, steady])
-        rest = _solved(holding, caused, "the controller does not hold the set-point, as it does not integrate")
+        held = controller.C, -steady[:, None]
+        what = "the controller does not hold the set-point, as it does not integrate"
+        caused = np.asarray(controller.E @ steady, dtype=np.float64)
+        rest, _ = _resting(controller.A, np.zeros((len(controller.A), 0)), caused, held, what)
         rest = rest + controller.rest
     start, before = -rest, -steady
     if controller.start_input is not None:
@@ -324,9 +324,11 @@ def _bumpless(c: Controller, error: Array, command: Array) -> Array:
     return state
 
 
-def _solved(matrix: Array, right: Array, what: str) -> Array:
-    """Return the smallest solution of a linear system."""
-    found = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=np.float64)
-    if np.abs(matrix @ found - right).max(initial=0.0) > RESTS * np.abs(right).max(initial=0.0):
+def _resting(A: Array, B: Array, push: Array, wanted: tuple[Array, Array], what: str) -> tuple[Array, Array]:
+    """Return the smallest state and input at rest under a constant push; a solution of the regulator equations."""
+    equations = Resting.of(A, B, np.eye(1), push[:, None], wanted)
+    found = equations.smallest()
+    if equations.missed(found) > RESTS * np.abs(equations.right).max(initial=0.0):
         raise ProblemError(f"{what}; expected a set-point that the loop holds, or none")
-    return found
+    state, steady = equations.split(found)
+    return state[:, 0], steady[:, 0]

@@ -1,37 +1,34 @@
-"""Discrete-time control problem of a policy: a discrete plant unchanged, or a continuous plant sampled exactly.
+"""Discrete-time control problem of a policy: the plant from step to step, and the cost of a step.
 
-Direct feedthrough: y_k = C x_k + D û_{k−1} + v_k, with the input û_{k−1} that the plant applied in the step before.
+A discrete plant is taken as it is. A continuous plant is sampled exactly: ``sample`` integrates dynamics, noise and
+cost over a period, with the input held. Two parts of a plant become states that no design, filter, program or node
+treats unlike others: registers of inputs, after the states x of the plant, and the signals d of its exosystem, last.
 
-A sensor takes its sample before the input changes, so no output depends on an input that is computed from it. Each
-input that an output shows gets a register, a state z⁺ = û. It comes after the states x of the plant and before its
-disturbances and set-points, and it has neither cost nor noise:
+Registers. A sensor takes its sample before the input changes, y_k = C x_k + D û_{k−1} + v_k, with the input û that the
+plant applied after losses and limits. Each input that an output shows gets a register z⁺ = û without cost and noise,
 
-    x⁺ = A x + B û + w,   z⁺ = û,   y = [C, D] (x, z) + v.
+    x⁺ = A x + B û + w,   z⁺ = û,   y = [C, D] (x, z) + v,
 
-Loops, filters, programs and nodes treat a register as any other state. It contains what was applied after losses and
-limits, since it is fed as the plant is. At the start it contains the input of the operating point.
+which contains the input of the operating point at the start.
 
-Regulator equations: the states and inputs for which an output does not react to disturbances and set-points.
-
-The cost counts the deviations ξ = x − Xd and μ = u − Ud from them. Between the samples of a continuous plant, the
-disturbance moves on and the input is held, so μ moves too:
+Signals. With X and U of the regulator equations (``followed``), the cost counts the deviations ξ = x − Xd and
+μ = u − Ud. Between the samples of a continuous plant, d moves on and the input is held, so μ moves too:
 
     dξ = (Aξ + Bμ) dt + w − X w_d,   dμ = −U S d dt − U w_d,   dd = S d dt + w_d,
 
-and the cost of a period is the integral of the stage cost over this path (``sample``). If a disturbance that
-does not decay changes Ud between samples (U S d ≠ 0: a sinusoid, or a ramp that the input must follow), its ripple
-costs d'(…)d, which grows without limit, so the integral has no average. The cost is then that of the deviations at the
-sampling instants, Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant and without noise between samples.
+and the cost of a period is the integral of the stage cost over this path. If a signal that does not decay changes Ud
+between samples (U S d ≠ 0: a sinusoid, or a ramp that the input must follow), its ripple costs d'(…)d, which grows
+without limit, so the integral has no average. The cost is then that of the deviations at the sampling instants,
+Σ [ξ; μ]'M_d[ξ; μ], with X and U of the sampled plant and without noise between samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -39,14 +36,11 @@ from taciturn._arrays import Array, ArrayLike, Bits, block_diagonal, frozen, ins
 from taciturn._display import Displayed
 from taciturn._modes import (
     SCATTER,
-    balancing,
     closure,
     eigenvalues,
     invariant,
     pace,
-    paths,
     radius,
-    reach,
     summed,
     unit_columns,
 )
@@ -54,7 +48,7 @@ from taciturn._rational import Limit, unmoved
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.cache import remembered
 from taciturn.lqg.enclosures import UNIT
-from taciturn.lqg.followed import Followed, followed
+from taciturn.lqg.followed import Followed, followed, regulator_equations
 from taciturn.lqg.kalman import Filter, filter_sampled
 from taciturn.lqg.quadratic import Quadratic, placed, worth_of
 from taciturn.lqg.riccati import Regulator, regulate_deviations, regulate_sampled
@@ -64,12 +58,19 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import DisturbedDynamics
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
-from taciturn.model.plant import FED, ContinuousPlant, JumpNoise, Plant, Prediction, about, counted_from, derived_plant
+from taciturn.model.plant import (
+    FED,
+    ContinuousPlant,
+    JumpNoise,
+    Plant,
+    Prediction,
+    about,
+    altered,
+    counted_from,
+    derived_plant,
+)
 from taciturn.model.saturation import limit_entries
-from taciturn.model.signals import Exosystem, Timetable
-
-if TYPE_CHECKING:
-    pass
+from taciturn.model.signals import Exosystem
 
 BLUR = 1e-3  # rounding of an output, relative to the deviation of the innovation, that changes no sixth digit of a cost
 
@@ -114,11 +115,9 @@ def registered(plant: Plant, source: Plant | ContinuousPlant) -> Plant:
         covariance, plant.input_limit, plant.function and RegisteredDynamics.of(plant.function, n, fed),
         input_rate=plant.input_rate,
     )  # fmt: skip
-    kept = {"changes": plant.changes, "registers": tuple(fed), "alone": source if isinstance(source, Plant) else None}
-    for name, value in kept.items():
-        object.__setattr__(found, name, value)
-    point = plant.operating_point
-    return counted_from(found, None if point is None else OperatingPoint(_at_rest(point, n, fed), point.u), plant)
+    alone = source if isinstance(source, Plant) else None
+    found = altered(found, {"changes": plant.changes, "registers": tuple(fed), "alone": alone})
+    return counted_from(found, plant, lambda at: OperatingPoint(np.insert(at.x, [n] * len(fed), at.u[fed]), at.u))
 
 
 def expect_digits(problem: Discrete, L: Array, steady: Filter) -> None:
@@ -160,10 +159,9 @@ def with_same_start(problem: Discrete, model: Plant) -> Discrete:
 
 def with_inputs_before(plant: Plant, place: int, before: Array) -> Plant:
     """Return a plant whose registers, from the state ``place`` on, start with given inputs, (m,)."""
-    found, mean = copy(plant), plant.mean.copy()
+    mean = plant.mean.copy()
     mean[place : place + len(plant.registers)] = before[[*plant.registers]]
-    object.__setattr__(found, "mean", frozen(mean))
-    return found
+    return altered(plant, {"mean": frozen(mean)})
 
 
 def registers_from(problem: Discrete) -> int:
@@ -178,10 +176,6 @@ def point_with(problem: Discrete, model: Plant) -> OperatingPoint | None:
         return point
     x = np.delete(point.x, slice(place, place + len(model.registers)))
     return OperatingPoint(np.insert(x, [place] * len(fed), point.u[fed]), point.u)
-
-
-def _at_rest(point: OperatingPoint, n: int, fed: list[int]) -> Array:
-    return np.insert(point.x, [n] * len(fed), point.u[fed])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -368,8 +362,7 @@ class Discrete(Displayed):
             p.A[place], p.B[states], p.W[place], p.C[:, states], p.V, p.dt, p.mean[states], p.covariance[place],
             p.input_limit, input_rate=p.input_rate,
         )  # fmt: skip
-        point = p.operating_point
-        plant = counted_from(plant, None if point is None else OperatingPoint(point.x[states], point.u), p)
+        plant = counted_from(plant, p, lambda at: OperatingPoint(at.x[states], at.u))
         return replace(self, plant=plant, Q=self.Q[place], N=self.N[states], exact=None, deviations=None)
 
     @property
@@ -501,24 +494,12 @@ def _discretise(
     discrete = derived_plant(
         sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit, input_rate=rate
     )
-    point = plant.operating_point
-    if point is not None and prediction is not None:  # the input is the state of the actuator's model
-        point = OperatingPoint(point.x, point.x)
-    discrete = counted_from(discrete, point, plant)
+    # an actuator that predicts has the state of its model as its input
+    discrete = counted_from(discrete, plant, None if prediction is None else lambda at: OperatingPoint(at.x, at.x))
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
+    weights = sampled.Q, sampled.R, sampled.N
     return Discrete(
-        discrete,
-        sampled.Q,
-        sampled.R,
-        sampled.N,
-        cost,
-        period,
-        sampled.noise_cost,
-        jumps,
-        True,
-        prediction,
-        plant,
-        exact=sampled.exact,
+        discrete, *weights, cost, period, sampled.noise_cost, jumps, True, prediction, plant, exact=sampled.exact
     )
 
 
@@ -543,77 +524,15 @@ def _with_added_states(
     refused["the plant has jumps; expected Gaussian noise W"] = jumps
     for got in (got for got, holds in refused.items() if holds):
         raise ProblemError(f"{given}, and {got}")
-    alone = copy(plant)
-    object.__setattr__(alone, part, None)
-    found = discretise(alone, cost, period)
+    found = discretise(altered(plant, {part: None}), cost, period)
     if plant.D is not None:
         return with_registers(found, plant)
     assert plant.exosystem is not None, "states are added for a part of the plant"
     return joined(found, plant, plant.exosystem)
 
 
-SOLVED = 1e-9  # relative residual of the equations
 BEYOND = 1e-9  # rounding of an input at its limit
-CRUMB = 1e-13  # entry of X or U, relative to the largest for the same state of d, that is a rounding error
-FREE = 1e-10  # relative singular value below which a direction is free
 STILL = 1e-9  # relative rate of change of an input that counts as zero
-
-
-def regulator_equations(
-    A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array, D: Array | None = None
-) -> tuple[Array, Array]:
-    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, of least cost of x = X d and u = U d."""
-    (n, m), q = B.shape, len(S)
-    state, unit = reach(A, B)  # so that the result does not depend on the units
-    units = np.concatenate([state, unit])
-    A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
-    direct = np.zeros((len(outputs), m)) if D is None else D
-    both: Array = np.hstack([outputs * state, direct * unit])
-    sizes = np.maximum(np.abs(both).max(axis=1, initial=0.0), 1e-300)
-    Cz: Array = both[:, :n] / sizes[:, None]
-    Dz: Array = both[:, n:] / sizes[:, None]
-    F = F / sizes[:, None]
-    same: Array = np.eye(q)
-    moves = np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])
-    matrix, right = moves, -E.T.ravel()
-    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    for i in range(-1, len(Cz)):
-        if i >= 0:
-            row = np.hstack([np.kron(same, Cz[[i]]), np.kron(same, Dz[[i]])])
-            matrix, right = np.vstack([matrix, row]), np.concatenate([right, -F[i]])
-            found = np.linalg.lstsq(matrix, right, rcond=None)[0]
-        if np.abs(matrix @ found - right).max(initial=0.0) > SOLVED * max(1.0, float(np.abs(found).max(initial=0.0))):
-            more = "" if D is None else f" + {direct[i].tolist()} u"
-            what = "the state" if i < 0 else f"output {i} of the reference, {outputs[i].tolist()} x{more},"
-            more = "" if i < m else f" ({i + 1} outputs, {m} inputs)"
-            raise ProblemError(
-                f"no input keeps {what} free of the disturbances and at its set-point{more}; expected at most as many "
-                "reference.outputs as inputs, of which an input affects each, and disturbances that inputs can cancel"
-            )
-    scaled = weight * np.outer(units, units)
-    weights = np.block(
-        [
-            [np.kron(same, scaled[:n, :n]), np.kron(same, scaled[:n, n:])],
-            [np.kron(same, scaled[n:, :n]), np.kron(same, scaled[n:, n:])],
-        ]
-    )
-    _, values, turned = np.linalg.svd(matrix)
-    free = np.asarray(turned[int((values > FREE * values.max(initial=1e-300)).sum()) :].T, dtype=np.float64)
-    if free.shape[1]:
-        found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
-    X, U = found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T
-    solved = np.asarray(np.vstack([X, U]), dtype=np.float64)
-    least = CRUMB * _sizes(solved, S)
-    X, U = (np.where(np.abs(part) > least, part, 0.0) for part in (X, U))  # the cost has no weight on crumbs of d
-    return X * state[:, None], U * unit[:, None]
-
-
-def _sizes(found: Array, S: Array) -> Array:
-    """Return the largest effect of the states of each disturbance, in the units of each of its states, (q,)."""
-    unit = balancing(S)
-    together = paths(np.asarray((S != 0) | (S.T != 0), dtype=np.bool_))
-    largest = np.abs(found * unit).max(axis=0, initial=0.0)
-    return np.where(together, largest, 0.0).max(axis=1, initial=0.0) / unit
 
 
 def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
@@ -628,8 +547,8 @@ def has_average(plant: Plant | ContinuousPlant, cost: Cost) -> bool:
     return _is_still(_equations(plant, e, cost)[1], e.S)
 
 
-def _equations(plant: ContinuousPlant, e: Exosystem, cost: Cost) -> tuple[Array, Array]:
-    """Return X and U of the plant in continuous time, which do not depend on the sampling period."""
+def _equations(plant: Plant | ContinuousPlant, e: Exosystem, cost: Cost | Discrete) -> tuple[Array, Array]:
+    """Return X and U of a plant; in continuous time, they do not depend on the sampling period."""
     weights = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
     return regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
 
@@ -648,22 +567,18 @@ def _moves(U: Array, S: Array) -> Array:
 
 
 def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem) -> Discrete:
-    """Return the problem of a plant with its disturbances and set-points: its states are (x, d), its cost deviations.
-
-    The cost of a discrete plant is (x − Xd)'Q(x − Xd) + (u − Ud)'R(u − Ud) + 2(x − Xd)'N(u − Ud), with X and U of the
-    regulator equations; that of a continuous plant is the integral of these deviations over a period.
-    """
+    """Return the problem of a plant with its signals: its states are (x, d), its cost that of the deviations."""
     plant, e = base.plant, exosystem
     n, q, m = plant.states, len(e.S), plant.inputs
     A = before = np.block([[source.A, e.E], [np.zeros((q, n)), e.S]])
-    W = np.block([[source.W, np.zeros((n, q))], [np.zeros((q, n)), e.W]])
-    B, noise_cost, instants = np.vstack([source.B, np.zeros((q, m))]), base.noise_cost, False
-    exact, own = None, None
-    weights = np.block([[base.Q, base.N], [base.N.T, base.R]])
-    stage = np.insert(np.insert(weights, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
+    W, noise_cost, instants, exact, own = block_diagonal(source.W, e.W), base.noise_cost, False, None, None
+    stage = np.block([[base.Q, base.N], [base.N.T, base.R]])
+    stage = np.insert(np.insert(stage, [n] * q, 0.0, axis=0), [n] * q, 0.0, axis=1)  # of (ξ, d, μ)
     changes = None if e.changes is None else e.changes.sampled(base.tick)
     given = 0 if changes is None else changes.size  # the controller is given the last states
-    if isinstance(source, ContinuousPlant):
+    if isinstance(source, Plant):
+        X, U = _equations(plant, e, base)
+    else:
         fastest = float(np.abs(eigenvalues(e.S).imag).max(initial=0.0))
         if fastest * base.tick >= np.pi:
             raise ProblemError(
@@ -671,51 +586,50 @@ def joined(base: Discrete, source: Plant | ContinuousPlant, exosystem: Exosystem
                 f"{base.tick:g} cannot follow; expected a frequency below π/period = {np.pi / base.tick:.4g}, or a "
                 "shorter period"
             )
-        none = np.zeros((n + q, n + q))
+        B, none = np.vstack([source.B, np.zeros((q, m))]), np.zeros((n + q, n + q))
         sampled = sample(A, B, none, np.zeros((m, m)), np.zeros((n + q, m)), W, base.tick)
+        A, W, exact = sampled.A, sampled.W, sampled.exact
         X, U = _equations(source, e, base.cost)
         instants = not _is_still(U, e.S)
         if instants:
-            late, acting = sampled.A[n:, n:], sampled.A[:n, n:]
-            X, U = regulator_equations(plant.A, plant.B, late, acting, e.outputs, e.F, weights, e.D)
+            X, U = _equations(plant, replace(e, S=A[n:, n:], E=A[:n, n:]), base)
             noise_cost = 0.0
         else:
             within = _within_a_period(source, e, base.cost, X, U, given, base.tick)
             own = Quadratic(within.A, within.B, within.Q, within.R, within.N), within.exact
             noise_cost = within.noise_cost
             stage = np.block([[within.Q, within.N], [within.N.T, within.R]])
-        A, W, exact = sampled.A, sampled.W, sampled.exact
-    else:
-        X, U = regulator_equations(plant.A, plant.B, e.S, e.E, e.outputs, e.F, weights, e.D)
     _expect_reached(plant, U, e)
     seen = np.vstack([np.hstack([plant.C, e.G]), np.eye(n + q)[n + q - given :]])
     _expect_shown(before, seen, n, e, source.continuous)
     deviation = np.eye(n + q + m)
     deviation[:n, n : n + q], deviation[n + q :, n : n + q] = -X, -U
     whole = symmetrised(deviation.T @ stage @ deviation)
-    if own is None:
-        own = _apart(base, A[n:, n:], e.S)
+    own = own or _apart(base, A[n:, n:], e.S)
     deviations = Followed(np.arange(n + q) >= n, deviation[: n + q, : n + q], np.pad(U, ((0, 0), (n, 0))), *own)
-    mean, covariance = np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q))
-    point, at_rest = plant.operating_point, np.zeros(q)
-    if point is not None:  # set-points are the states that act on nothing but z, in its units
-        free = np.where(np.vstack([e.E, e.G]).any(axis=0), 0.0, e.F)
-        z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
-        at_rest += np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else 0.0
-    function = plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest)
+    at_rest = _at_point(source, e)
     with_all = derived_plant(
-        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt, mean, covariance,
-        plant.input_limit, function, input_rate=plant.input_rate,
+        A, np.vstack([plant.B, np.zeros((q, m))]), W, seen, np.pad(plant.V, (0, given)), plant.dt,
+        np.concatenate([plant.mean, e.start]), np.pad(plant.covariance, (0, q)), plant.input_limit,
+        plant.function and DisturbedDynamics.of(plant.function, e.E, e.S, at_rest), input_rate=plant.input_rate,
     )  # fmt: skip
-    object.__setattr__(with_all, "changes", changes)
-    if point is not None:
-        with_all = counted_from(with_all, OperatingPoint(np.concatenate([point.x, at_rest]), point.u), plant)
-    if isinstance(source, Plant):
-        object.__setattr__(with_all, "alone", source)
+    with_all = counted_from(with_all, plant, lambda at: OperatingPoint(np.concatenate([at.x, at_rest]), at.u))
+    with_all = altered(with_all, {"changes": changes, "alone": source if isinstance(source, Plant) else None})
     return replace(
         base, plant=with_all, Q=whole[: n + q, : n + q], N=whole[: n + q, n + q :], noise_cost=noise_cost,
         source=source, instants=instants, exact=exact, deviations=deviations,
     )  # fmt: skip
+
+
+def _at_point(source: Plant | ContinuousPlant, e: Exosystem) -> Array:
+    """Return the signals at the operating point, (q,): the constant set-points, which act on nothing but z, are z."""
+    point, at_rest = source.operating_point, np.zeros(len(e.S))
+    if point is None:
+        return at_rest
+    moves = e.S if source.continuous else e.S - np.eye(len(e.S))
+    free = np.where(np.vstack([e.E, e.G, moves]).any(axis=0), 0.0, e.F)
+    z = e.outputs @ point.x + (0.0 if e.D is None else e.D @ point.u)
+    return at_rest + np.linalg.lstsq(free, -z, rcond=None)[0] if free.any() else at_rest
 
 
 def _apart(base: Discrete, S: Array, rates: Array) -> tuple[Quadratic, Exact | None]:
@@ -762,8 +676,8 @@ def _expect_reached(plant: Plant, U: Array, exosystem: Exosystem) -> None:
     limit, changes, points = plant.input_limit, exosystem.changes, exosystem.start[None]
     if limit is None:
         return
-    if isinstance(changes, Timetable):
-        moved = changes.values - changes.values[0]
+    if changes is not None and changes.known is not None:
+        moved = changes.known - changes.known[0]
         points = points + np.pad(moved, ((0, 0), (points.shape[1] - changes.size, 0)))
     for needed in points @ U.T:
         if ((needed < limit[:, 0] - BEYOND) | (needed > limit[:, 1] + BEYOND)).any():

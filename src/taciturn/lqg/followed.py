@@ -1,11 +1,21 @@
-"""States that no input moves, such as a disturbance or a set-point, and whose effect on the cost an input can cancel.
+"""Regulator equations: the states and inputs at which signals that no input moves cost nothing.
 
-Let d⁺ = Sd be such states, and x⁺ = Ax + Bu + Ed the others. If x = Xd and u = Ud cost nothing for every d, and
+Let d⁺ = Sd be such signals, and x⁺ = Ax + Bu + Ed the other states. Suppose that
 
-    AX + BU + E = XS,
+    AX + BU + E = XS,   Z [X; U] + F = 0.
 
-then the deviations x − Xd and u − Ud have the dynamics and the cost of the problem without d. The regulator of this
-problem is u = L(x − Xd) + Ud, and its cost-to-go (x − Xd)'K(x − Xd), also if d never decays.
+Then x = Xd and u = Ud remain so for every d, and Z [x; u] + F d stays zero. These equations are linear in X and U, and
+``Resting`` sets them up for all who need their solution:
+
+* ``regulator_equations``: Z contains the outputs z of a plant with disturbances and set-points. If solutions are free,
+  that of least cost is taken;
+* ``followed``: Z contains the derivatives of a stage cost with respect to x and u, so that Xd and Ud cost nothing. The
+  signals need no label: they are found among the states of a plant by what moves them and by how they decay;
+* the point at which a given controller rests (``base.given_controller``): S = 1.
+
+If x = Xd and u = Ud cost nothing, the deviations x − Xd and u − Ud have the dynamics and the cost of the problem
+without d. The regulator of this problem is u = L(x − Xd) + Ud, and its cost-to-go (x − Xd)'K(x − Xd), also if d never
+decays.
 
 A disturbance that decays may be among the states x if an input cannot cancel its effect, such as its movement between
 samples. It may move d, d⁺ = Sd + Dx, if it stays at rest where x = Xd; then D X = 0, and the deviations have the
@@ -16,12 +26,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from taciturn._arrays import Array, Bits
 from taciturn._display import Displayed
-from taciturn._modes import closure, paths, reach
+from taciturn._modes import balancing, closure, paths, reach
 from taciturn._rational import Limit, free_modes
 from taciturn.errors import ProblemError
 from taciturn.lqg.quadratic import Quadratic
@@ -30,7 +41,102 @@ from taciturn.lqg.sampling import Exact
 FORGETS = 24  # 2^24 steps after which noise without a remaining effect is forgotten
 ROUNDS = 1e-12  # entry of X or U, relative to the largest, that counts as zero
 CANCELS = 1e-9  # relative residual of the equations for X and U
+CRUMB = 1e-13  # entry of X or U, relative to the largest for the same state of d, that is a rounding error
+FREE = 1e-10  # relative singular value below which a direction is free
 EXACTLY = 1e-13  # relative cost left that is rounding
+
+
+class Resting(NamedTuple):
+    """Equations A X + B U + E = X S and Z [X; U] + F = 0, for a vector of the columns of X and then of U."""
+
+    matrix: Array
+    right: Array
+    sizes: tuple[int, int, int]  # numbers of states, inputs and signals
+
+    @classmethod
+    def of(cls, A: Array, B: Array, S: Array, E: Array, *wanted: tuple[Array, Array]) -> Resting:
+        """Return the equations, with one Z [X; U] + F = 0 for each of the ``wanted`` (Z, F)."""
+        n, m = B.shape
+        same: Array = np.eye(len(S))
+        rows = [np.hstack([np.kron(same, A) - np.kron(S.T, np.eye(n)), np.kron(same, B)])]
+        rows += [np.hstack([np.kron(same, Z[:, :n]), np.kron(same, Z[:, n:])]) for Z, _ in wanted]
+        matrix = np.asarray(np.vstack(rows), dtype=np.float64)
+        right = -np.concatenate([E.T.ravel(), *(F.T.ravel() for _, F in wanted)])
+        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+            raise ProblemError(
+                "the effects of disturbances or set-points on each other differ by a factor beyond the range of "
+                "numbers; expected effects nearer to 1, such as a faster or a constant disturbance"
+            )
+        return cls(matrix, right, (n, m, len(S)))
+
+    def smallest(self) -> Array:
+        """Return the smallest vector of least squares."""
+        return np.asarray(np.linalg.lstsq(self.matrix, self.right, rcond=None)[0], dtype=np.float64)
+
+    def missed(self, vector: Array) -> float:
+        """Return the largest residual."""
+        return float(np.abs(self.matrix @ vector - self.right).max(initial=0.0))
+
+    def split(self, vector: Array) -> tuple[Array, Array]:
+        """Return X and U."""
+        n, m, q = self.sizes
+        return vector[: n * q].reshape(q, n).T, vector[n * q :].reshape(q, m).T
+
+
+def regulator_equations(
+    A: Array, B: Array, S: Array, E: Array, outputs: Array, F: Array, weight: Array, D: Array | None = None
+) -> tuple[Array, Array]:
+    """Return X and U with A X + B U + E = X S and C_z X + D_z U + F = 0, with the least cost of x = X d, u = U d."""
+    n, m = B.shape
+    state, unit = reach(A, B)  # so that the result does not depend on the units
+    units = np.concatenate([state, unit])
+    A, B, E = A / state[:, None] * state, B / state[:, None] * unit, E / state[:, None]
+    direct = np.zeros((len(outputs), m)) if D is None else D
+    both: Array = np.hstack([outputs * state, direct * unit])
+    sizes = np.maximum(np.abs(both).max(axis=1, initial=0.0), 1e-300)
+    wanted = [(Z[None] / size, row[None] / size) for Z, row, size in zip(both, F, sizes, strict=True)]
+
+    def reaching(count: int) -> tuple[Resting, Array]:
+        rest, i = Resting.of(A, B, S, E, *wanted[:count]), count - 1
+        found = rest.smallest()
+        if rest.missed(found) > CANCELS * max(1.0, float(np.abs(found).max(initial=0.0))):
+            more = "" if D is None else f" + {direct[i].tolist()} u"
+            what = "the state" if i < 0 else f"output {i} of the reference, {outputs[i].tolist()} x{more},"
+            more = "" if i < m else f" ({i + 1} outputs, {m} inputs)"
+            raise ProblemError(
+                f"no input keeps {what} free of the disturbances and at its set-point{more}; expected at most as many "
+                "reference.outputs as inputs, of which an input affects each, and disturbances that inputs can cancel"
+            )
+        return rest, found
+
+    for count in range(len(wanted)):  # one after the other, so that a message names the first that is not possible
+        reaching(count)
+    rest, found = reaching(len(wanted))
+    same: Array = np.eye(len(S))
+    scaled = weight * np.outer(units, units)
+    weights = np.block(
+        [
+            [np.kron(same, scaled[:n, :n]), np.kron(same, scaled[:n, n:])],
+            [np.kron(same, scaled[n:, :n]), np.kron(same, scaled[n:, n:])],
+        ]
+    )
+    _, values, turned = np.linalg.svd(rest.matrix)
+    free = np.asarray(turned[int((values > FREE * values.max(initial=1e-300)).sum()) :].T, dtype=np.float64)
+    if free.shape[1]:
+        found = found - free @ np.linalg.lstsq(free.T @ weights @ free, free.T @ weights @ found, rcond=None)[0]
+    X, U = rest.split(found)
+    solved = np.asarray(np.vstack([X, U]), dtype=np.float64)
+    least = CRUMB * _sizes(solved, S)
+    X, U = (np.where(np.abs(part) > least, part, 0.0) for part in (X, U))  # the cost has no weight on crumbs of d
+    return X * state[:, None], U * unit[:, None]
+
+
+def _sizes(found: Array, S: Array) -> Array:
+    """Return the largest effect of the states of each disturbance, in the units of each of its states, (q,)."""
+    unit = balancing(S)
+    together = paths(np.asarray((S != 0) | (S.T != 0), dtype=np.bool_))
+    largest = np.abs(found * unit).max(axis=0, initial=0.0)
+    return np.where(together, largest, 0.0).max(axis=1, initial=0.0) / unit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,28 +244,19 @@ def _cancelled(given: Quadratic, states: Bits, most: float) -> Followed | None:
     largest = float(np.abs(M).max()) or 1.0
     x: list[int] = np.flatnonzero(~states).tolist()
     d: list[int] = np.flatnonzero(states).tolist()
-    n, q, m = len(x), len(d), B.shape[1]
+    n, m = len(x), B.shape[1]
     order = [*x, *range(len(A), len(A) + m)]
     cost, push, none = (M[np.ix_(*place)] / largest for place in ((order, order), (order, d), (d, d)))
-    S, E, same = A[np.ix_(d, d)], A[np.ix_(x, d)], np.eye(q)
-    # A X + B U − X S = −E, and the derivatives of the cost with respect to x and u are zero
-    moves = np.hstack([np.kron(same, A[np.ix_(x, x)]) - np.kron(S.T, np.eye(n)), np.kron(same, B[x])])
-    costs = np.hstack([np.kron(same, cost[:, :n]), np.kron(same, cost[:, n:])])
-    matrix, right = np.vstack([moves, costs]), -np.concatenate([E.T.ravel(), push.T.ravel()])
-    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        raise ProblemError(
-            "the effects of disturbances or set-points on each other differ by a factor beyond the range of numbers; "
-            "expected effects nearer to 1, such as a faster or a constant disturbance"
-        )
-    found = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    # the derivatives of the cost with respect to x and u are zero
+    equations = Resting.of(A[np.ix_(x, x)], B[x], A[np.ix_(d, d)], A[np.ix_(x, d)], (cost, push))
+    found = equations.smallest()
     found[np.abs(found) < ROUNDS * np.abs(found).max(initial=0.0)] = 0.0
     if not found.any():  # they have no effect
         return None
-    rest = np.vstack([found[: n * q].reshape(q, n).T, found[n * q :].reshape(q, m).T])
+    rest = np.vstack(equations.split(found))
     left = none + rest.T @ push + push.T @ rest + rest.T @ cost @ rest
     most_needed = max(1.0, float(np.abs(found).max()))
-    beside = A[np.ix_(d, x)] @ rest[:n]
-    residual = max(float(np.abs(part).max(initial=0.0)) for part in (matrix @ found - right, beside))
+    residual = max(equations.missed(found), float(np.abs(A[np.ix_(d, x)] @ rest[:n]).max(initial=0.0)))
     if residual > CANCELS * most_needed or np.abs(left).max() > most * most_needed:
         return None
     T, U = np.eye(len(A)), np.zeros((m, len(A)))

@@ -1,20 +1,23 @@
-"""Slowly varying disturbances at the inputs of a plant, which a controller with an integrator compensates.
+"""Effects of signals on a plant: outputs that follow set-points, slow disturbances of inputs, stored references.
 
-The plant applies u + d instead of u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with
-the time constant T and a constant standard deviation, also at the start of a run over a horizon or with a discount. The
-state of the plant becomes (x, d).
+``follow`` gives a plant the exosystem of its disturbances and set-points. A policy estimates these disturbances, and
+its cost counts the deviations from the states and inputs at which the outputs are at their set-points
+(``lqg.followed``).
 
-Reference trajectories, and the signals of a policy that tracks a reference.
+A slow ``Disturbance`` is what a controller with an integrator compensates by itself. The plant applies u + d instead of
+u. Each entry of d is a Markov process with mean zero, d⁺ = e^{−h/T} d + noise, with the time constant T and a constant
+standard deviation, also at the start of a run over a horizon or with a discount. The state of the plant becomes (x, d),
+and the cost does not weight d.
 
-Plants whose outputs are to follow set-points in spite of disturbances.
+A ``Reference`` r_k, f_k with r⁺ = A r + B f is stored at both ends of the network. The deviations x − r and u − f,
+which the cost counts, have the dynamics of the plant. ``Tracking`` names the signals of a policy that contain r and f.
 
-Step functions of nonlinear plants with their disturbances and set-points.
+The step function of a nonlinear plant gets the same states (``DisturbedDynamics``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
@@ -28,8 +31,8 @@ from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.key import stated_as
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Plant, counted_from
-from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Timetable
+from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from
+from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
 
 USUAL_STEPS = 1000.0  # default time constant in steps
 MOST_STEPS = 1e6  # longest time constant in steps
@@ -121,26 +124,24 @@ class Disturbance(Displayed):
         assert self.deviation is not None
         slow, spread = -1.0 / self.time_constant, self.deviation**2 if mission else 0.0
         if isinstance(plant, ContinuousPlant):
-            return _with(plant, slow, -2.0 * slow * self.deviation**2, spread=spread)
+            return _with(plant, _at_inputs(plant, slow, -2.0 * slow * self.deviation**2), spread)
         kept = float(np.exp(slow * (plant.dt or 1.0)))
-        return _with(plant, kept, (1.0 - kept**2) * self.deviation**2, spread=spread)
+        return _with(plant, _at_inputs(plant, kept, (1.0 - kept**2) * self.deviation**2), spread)
 
     def stepped(self, plant: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
         """Return the plant with the state (x, d) and a constant d of one deviation, the disturbance after a step."""
         assert self.deviation is not None
-        start = np.broadcast_to(self.deviation, (plant.inputs,))
-        return _with(plant, float(isinstance(plant, Plant)), np.zeros(plant.inputs), start=start)
+        return _with(plant, _at_inputs(plant, float(isinstance(plant, Plant)), 0.0, self.deviation))
 
     def removed_from(self, plant: Plant) -> Plant:
         """Return the plant with the state x, the inverse of ``added_to``."""
         n = plant.stated - plant.inputs
-        function = None if plant.function is None else cast("_Disturbed", plant.function.function).function
-        point = plant.operating_point
+        function = None if plant.function is None else cast("DisturbedDynamics", plant.function.function).dynamics
         alone = Plant(
             plant.A[:n, :n], plant.B[:n], plant.W[:n, :n], plant.C[:, :n], plant.V, plant.dt, plant.mean[:n],
             plant.covariance[:n, :n], plant.input_limit, function, input_rate=plant.input_rate, D=plant.D,
         )  # fmt: skip
-        return counted_from(alone, None if point is None else OperatingPoint(point.x[:n], point.u), plant)
+        return counted_from(alone, plant, lambda point: OperatingPoint(point.x[:n], point.u))
 
 
 def padded(cost: Cost, inputs: int) -> Cost:
@@ -156,18 +157,24 @@ def _seconds(plant: Plant | ContinuousPlant, period: float | None) -> float:
     return 1.0 if step is None else step
 
 
-def _with(
-    plant: Plant | ContinuousPlant, kept: float, W: Array, start: Array | float = 0.0, spread: Array | float = 0.0
-) -> Plant | ContinuousPlant:
-    """Return the plant with the state (x, d), where d starts with the mean ``start`` and the variance ``spread``."""
+def _at_inputs(plant: Plant | ContinuousPlant, kept: float, noise: Array | float, start: Array | float = 0.0) -> Signal:
+    """Return signals that add to the inputs of a plant, each with dynamics, noise and start of its own."""
+    m = plant.inputs
+    return Signal(kept * np.eye(m), noise * np.eye(m), np.broadcast_to(start, (m,)), plant.B)
+
+
+def _with(plant: Plant | ContinuousPlant, added: Signal, spread: Array | float = 0.0) -> Plant | ContinuousPlant:
+    """Return the plant with the state (x, d) of signals at its inputs, whose start has the variance ``spread``."""
     (n, m), p = plant.B.shape, len(plant.C)
-    A = np.block([[plant.A, plant.B], [np.zeros((m, n)), kept * np.eye(m)]])
-    B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, np.zeros((p, m))])
-    noise, rate = block_diagonal(plant.W, W * np.eye(m)), plant.input_rate
-    mean = np.concatenate([plant.mean, np.broadcast_to(start, (m,))])
+    A = np.block([[plant.A, added.entering("E", n)], [np.zeros((m, n)), added.S]])
+    B, C = np.vstack([plant.B, np.zeros((m, m))]), np.hstack([plant.C, added.entering("G", p)])
+    noise, rate = block_diagonal(plant.W, added.W), plant.input_rate
+    mean = np.concatenate([plant.mean, added.start])
     covariance = block_diagonal(plant.covariance, spread * np.eye(m))
-    here = plant.operating_point
-    point = None if here is None else OperatingPoint(np.concatenate([here.x, np.zeros(m)]), here.u)
+
+    def also(point: OperatingPoint) -> OperatingPoint:
+        return OperatingPoint(np.concatenate([point.x, np.zeros(m)]), point.u)
+
     if isinstance(plant, ContinuousPlant):
         if plant.jumps is not None:
             raise ProblemError(
@@ -177,27 +184,12 @@ def _with(
         found = ContinuousPlant(
             A, B, noise, None, C, plant.V, mean, covariance, plant.input_limit, input_rate=rate, D=plant.D
         )
-        return counted_from(found, point, plant)
-    function = None if plant.function is None else _Disturbed(plant.function, n, kept)
+        return counted_from(found, plant, also)
+    function = None if plant.function is None else DisturbedDynamics(plant.function, None, added.S)
     found = Plant(
         A, B, noise, C, plant.V, plant.dt, mean, covariance, plant.input_limit, function, input_rate=rate, D=plant.D
     )
-    return counted_from(found, point, plant)
-
-
-@dataclass(frozen=True, repr=False)
-class _Disturbed(Displayed):
-    """The function of a nonlinear plant with the state (x, d)."""
-
-    function: Dynamics
-    states: int
-    kept: float
-
-    def __call__(self, x: Any, u: Any, w: Any) -> Any:
-        """Return the next state."""
-        n, d = self.states, x[self.states :]
-        moved: Any = self.function.function(x[:n], u + d, w[:n])
-        return np.concatenate([np.array(list(moved)), self.kept * d + w[n:]])
+    return counted_from(found, plant, also)
 
 
 FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
@@ -317,44 +309,38 @@ def follow(
         )
     fed = plant.D if outputs is None else None
     target = SetPoint(plant.C if outputs is None else outputs, value, changes, D=fed)
-    return with_target(plant, target, listed, value is not None)
+    return with_target(plant, target, listed)
 
 
-def with_target(
-    plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance], valued: bool
-) -> AnyPlant:
-    """Return a plant with disturbances and a set-point, in the units of the plant if it is ``valued`` or a
-    timetable.
-    """
+def with_target(plant: AnyPlant, target: SetPoint, disturbances: Sequence[ExternalDisturbance]) -> AnyPlant:
+    """Return a plant with disturbances and set-points."""
     if target.outputs.shape[1] != len(plant.A):
         raise ProblemError(
             f"reference.outputs has {target.outputs.shape[1]} columns; expected {len(plant.A)}, one per state"
         )
-    point = plant.operating_point
-    if point is not None and (valued or isinstance(target.changes, Timetable)):
-        target = target.relative_to(point.x, point.u)
-    found = copy(plant)
-    object.__setattr__(found, "exosystem", Exosystem.of(disturbances, target, len(plant.C), plant.continuous))
-    return found
+    found = Exosystem.of(disturbances, target, len(plant.C), plant.continuous, plant.operating_point)
+    return altered(plant, {"exosystem": found})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DisturbedDynamics(Displayed):
-    """A step function with an exosystem: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
+    """A step function with signals: (x, d), u, (w, w_d) → (f(x, u, w) + E d, S d + w_d)."""
 
     dynamics: Dynamics  # f
-    E: Array  # effect of the disturbances on the next state, (n, q)
-    S: Array  # dynamics of disturbances and set-points, (q, q)
+    E: Array | None  # effect of the signals on the next state, (n, q); None if they add to the inputs: f(x, u + d, w)
+    S: Array  # dynamics of the signals, (q, q)
 
     def __call__(self, x: Any, u: Any, w: Any) -> Any:
-        """Return the next states of the plant, its disturbances and its set-points."""
-        n = len(self.E)
-        found: Any = self.dynamics.function(x[:n], u, w[:n])
-        return np.array([*(np.array(list(found)) + self.E @ x[n:]), *(self.S @ x[n:] + w[n:])])
+        """Return the next states of the plant and of the signals."""
+        n = len(x) - len(self.S)
+        d: Any = x[n:]
+        moved: Any = self.dynamics.function(x[:n], u if self.E is not None else u + d, w[:n])
+        found = np.array(list(moved))
+        return np.array([*(found if self.E is None else found + self.E @ d), *(self.S @ d + w[n:])])
 
     @staticmethod
     def of(function: Dynamics, E: Array, S: Array, rest: Array) -> Dynamics:
-        """Return the function of a plant with its exosystem, which is moved as the function of the plant alone is."""
+        """Return the function of a plant with its signals, which is moved as the function of the plant alone is."""
         moved = function.function
         if not isinstance(moved, MovedDynamics):
             return Dynamics(DisturbedDynamics(function, E, S))

@@ -7,7 +7,7 @@ stores the mean of its initial state, its limits and its function in deviations 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from taciturn._arrays import Array, ArrayLike, array
 from taciturn._display import Displayed
 from taciturn.model.dynamics import AT_REST, Dynamics
 from taciturn.model.key import stated_as
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, eq=False, repr=False)

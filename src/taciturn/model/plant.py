@@ -1,17 +1,22 @@
-"""Discrete-time and continuous-time plants driven by noise, validated at construction.
+"""Linear plants with noise, in discrete or in continuous time, validated at construction.
 
-Descriptor plants E x⁺ = A x + B u + w, or E dx/dt = A x + B u + w, with a regular matrix E.
+    x⁺ = A x + B u + w,   or   dx = (A x + B u) dt + noise,   y = C x + v.
 
-They are the plants x⁺ = E⁻¹A x + E⁻¹B u + E⁻¹w, with the same state x. A double is a rational number, so whether E is
-regular is decided without a tolerance, and the matrices are the doubles nearest to the exact ones, also if E is nearly
-singular. With a singular E, some of the equations are algebraic, and the state may jump when an input does.
+A plant that is not linear has a step function, which A and B linearise at the operating point; with a point, the
+attributes of a plant are deviations from it, and ``about`` moves a plant to another point.
 
-Descriptions of plants and matrices for ``taciturn show``, Python and notebooks.
+A descriptor plant E x⁺ = A x + B u + w, or E dx = (A x + B u) dt + noise, is the plant with E⁻¹A, E⁻¹B and E⁻¹w, with
+the same state x. A double is a rational number, so whether E is regular is decided without a tolerance, and the
+matrices are the doubles nearest to the exact ones, also if E is nearly singular. With a singular E, some of the
+equations are algebraic, and the state may jump when an input does.
+
+A plant of a design may contain states that were added to it: registers of inputs, disturbances and set-points
+(``lqg.discrete``). ``summary`` and ``matrix_lines`` describe plants and matrices as text.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, cast
@@ -44,42 +49,15 @@ from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
 from taciturn.model.trigger import Matrix, Scheduled
 
 
-class Explicit(NamedTuple):
-    """The matrices of a plant without E; ``W`` is None if it was."""
-
-    A: Array
-    B: Array
-    W: Array | None
-
-
-def explicit(E: ArrayLike, A: ArrayLike, B: ArrayLike, W: ArrayLike | None) -> Explicit:
-    """Return E⁻¹A, E⁻¹B and E⁻¹W(E⁻¹)', each entry the double nearest to the exact value."""
-    A = square("A", A, "states × states")
-    B = array("B", B, (len(A), None), "(states, inputs)")
-    inverse = _Inverse.of(E, len(A))
-    moved = Explicit(inverse.times("A", A), inverse.times("B", B), None)
-    return moved if W is None else moved._replace(W=inverse.covariance("W", W))
-
-
-def covariance_without(E: ArrayLike, name: str, W: ArrayLike) -> Array:
-    """Return E⁻¹W(E⁻¹)' for the covariance W of something in the equation of E, as ``explicit`` does."""
-    return _Inverse.of(E, len(np.asarray(E))).covariance(name, W)
-
-
-def effect_without(E: ArrayLike, name: str, effect: ArrayLike) -> Array:
-    """Return E⁻¹ times the effect, (n, any), of something on the equation of E, as ``explicit`` does."""
-    n = len(np.asarray(E))
-    return _Inverse.of(E, n).times(name, array(name, effect, (n, None), "(states, any)"))
-
-
-class _Inverse(NamedTuple):
+class Inverse(NamedTuple):
     """E⁻¹ as a matrix of whole numbers times a rational number, whose products need no common divisors."""
 
     whole: fmpz_mat
     factor: fmpq
 
     @classmethod
-    def of(cls, E: ArrayLike, n: int) -> _Inverse:
+    def of(cls, E: ArrayLike, n: int) -> Inverse:
+        """Return the inverse of a matrix E, (n, n)."""
         matrix, below = rational(array("E", E, (n, n), "(states, states)")).numer_denom()
         try:
             one = fmpz_mat(n, n, [int(i == j) for i in range(n) for j in range(n)])
@@ -93,11 +71,14 @@ class _Inverse(NamedTuple):
         whole, divisor = found.numer_denom()
         return cls(whole, fmpq(below, divisor))
 
-    def times(self, name: str, right: Array) -> Array:
+    def times(self, name: str, effect: ArrayLike) -> Array:
+        """Return E⁻¹ times an effect on the equation of E, (n, any), each entry the double nearest to the exact one."""
+        right = array(name, effect, (self.whole.nrows(), None), "(states, any)")
         whole, below = rational(right).numer_denom()
         return _within_range(f"E⁻¹{name}", self.whole * whole, self.factor / below)
 
     def covariance(self, name: str, W: ArrayLike) -> Array:
+        """Return E⁻¹W(E⁻¹)' for the covariance W of something in the equation of E, as ``times`` does."""
         stated = semidefinite(name, W, self.whole.nrows(), "(states, states)")
         exact = rational(stated)
         if not (is_definite(stated) or is_semidefinite(stated)):  # but for the rounding of its entries
@@ -106,6 +87,32 @@ class _Inverse(NamedTuple):
         whole, below = exact.numer_denom()
         moved = self.whole * whole * self.whole.transpose()
         return _within_range(f"E⁻¹·{name}·E'⁻¹", moved, self.factor * self.factor / below)
+
+    def acting(self, exosystem: Exosystem | None) -> Exosystem | None:
+        """Return disturbances that act on the equation of E as disturbances of the state."""
+        if exosystem is None or not exosystem.E.shape[1]:
+            return exosystem
+        return replace(exosystem, E=self.times("exosystem.E", exosystem.E))
+
+    def shaking(self, jumps: Jumps | None) -> Jumps | None:
+        """Return jumps of the equation of E as jumps of the state."""
+        if jumps is None:
+            return None
+        instance("jumps", jumps, Jumps)
+        if jumps.distribution != "normal":
+            raise ProblemError(
+                f"jumps.distribution is {jumps.distribution!r}, and E is given, which mixes the jumps of the "
+                "equations; expected 'normal', or A, B and the jumps of a plant without E"
+            )
+        return replace(jumps, covariance=self.covariance("jumps.covariance", jumps.covariance))
+
+
+def explicit(E: ArrayLike, A: ArrayLike, B: ArrayLike) -> tuple[Inverse, Array, Array]:
+    """Return E⁻¹, E⁻¹A and E⁻¹B."""
+    A = square("A", A, "states × states")
+    B = array("B", B, (len(A), None), "(states, inputs)")
+    inverse = Inverse.of(E, len(A))
+    return inverse, inverse.times("A", A), inverse.times("B", B)
 
 
 def _within_range(name: str, whole: fmpz_mat, factor: fmpq) -> Array:
@@ -168,11 +175,7 @@ class DisplayedPlant(Displayed):
         return self._without("input_limit", "stated_limit", "input_rate", "function")
 
     def _without(self, *names: str) -> Self:
-        found = copy(self)
-        for name in names:
-            if getattr(self, name, None) is not None:
-                object.__setattr__(found, name, None)
-        return found
+        return altered(self, {name: None for name in names if getattr(self, name, None) is not None})
 
     @property
     def rest_outputs(self) -> Array:
@@ -281,14 +284,26 @@ def vector_text(values: Array, digits: int = 4) -> str:
     )
 
 
-def counted_from(plant: AnyPlant, point: OperatingPoint | None, origin: Plant | ContinuousPlant) -> AnyPlant:
-    """Return a plant whose states and inputs already are deviations from a point, with this point as theirs."""
+AnyPlant = TypeVar("AnyPlant", bound=DisplayedPlant)
+
+
+def altered(plant: AnyPlant, attributes: Mapping[str, object]) -> AnyPlant:
+    """Return a copy of a plant with other attributes, which are not checked."""
+    found = copy(plant)
+    for name, value in attributes.items():
+        object.__setattr__(found, name, value)
+    return found
+
+
+def counted_from(
+    plant: AnyPlant, origin: Plant | ContinuousPlant, moved: Callable[[OperatingPoint], OperatingPoint] | None = None
+) -> AnyPlant:
+    """Return a plant in deviations from the operating point of the plant that it was made of, in its own states."""
+    point = origin.operating_point
     if point is None:
         return plant
-    found = copy(plant)
-    object.__setattr__(found, "operating_point", point)
-    object.__setattr__(found, "stated_limit", origin.stated_limit)
-    return found
+    point = point if moved is None else moved(point)
+    return altered(plant, {"operating_point": point, "stated_limit": origin.stated_limit})
 
 
 def about(plant: Plant, point: OperatingPoint | None) -> Plant:
@@ -302,23 +317,18 @@ def about(plant: Plant, point: OperatingPoint | None) -> Plant:
     zero = OperatingPoint(np.zeros(plant.states), np.zeros(plant.inputs))
     start, end = here or zero, point or zero
     x, u = end.x - start.x, end.u - start.u
-    found, terms = counted_from(plant, end, plant), [plant.A @ x, plant.B @ u, -x]
+    terms = [plant.A @ x, plant.B @ u, -x]
     drift = np.sum([*terms, *([] if plant.drift is None else [plant.drift])], axis=0)
     still = np.abs(drift).max() <= STILL * max(float(np.abs(term).max()) for term in terms)
     function = plant.function
-    moved: Mapping[str, object] = {
+    moved: dict[str, object] = {
         "mean": frozen(plant.mean - x),
         "input_limit": limits_at(plant, point),
         "drift": None if still or function is not None else frozen(drift),
         "function": None if function is None else MovedDynamics.of(function, x, u, x),
         "operating_point": point,
     }
-    for name, value in moved.items():
-        object.__setattr__(found, name, value)
-    return found
-
-
-AnyPlant = TypeVar("AnyPlant", bound="Plant | ContinuousPlant")
+    return altered(plant, moved)
 
 
 STILL = 1e-10  # drift that is a rounding error, relative to its terms
@@ -415,8 +425,8 @@ class Plant(DisplayedPlant):
         if E is not None:
             if function is not None:
                 raise ProblemError("E is given with function, which returns the next state; expected no E: remove it")
-            A, B, moved = explicit(E, A, B, W)
-            W, exosystem = cast("ArrayLike", moved), _moved(E, exosystem)
+            inverse, A, B = explicit(E, A, B)
+            W, exosystem = inverse.covariance("W", W), inverse.acting(exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
         _set_step(self, W, dt, function, operating_point, mean is not None)
         _refuse_lost_modes(self, continuous=False)
@@ -454,18 +464,8 @@ class Plant(DisplayedPlant):
 
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
-        apart = {
-            "mean",
-            "covariance",
-            "dt",
-            "function",
-            "full_state",
-            "exosystem",
-            "operating_point",
-            "alone",
-            "changes",
-            "registers",
-        }
+        start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers"}
+        apart = start | added | {"dt", "function", "full_state", "operating_point"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -616,8 +616,9 @@ class ContinuousPlant(DisplayedPlant):
     ) -> None:
         """Validate and store the arguments."""
         if E is not None:
-            A, B, W = explicit(E, A, B, W)
-            jumps, exosystem = _in_states(E, jumps), _moved(E, exosystem)
+            inverse, A, B = explicit(E, A, B)
+            W = None if W is None else inverse.covariance("W", W)
+            jumps, exosystem = inverse.shaking(jumps), inverse.acting(exosystem)
         _set_linear(self, A, B, C, V, mean, covariance, input_limit, input_rate, exosystem, D)
         locate(self, operating_point, mean is not None)
         if W is None and jumps is None:
@@ -675,7 +676,11 @@ def _set_step(
     locate(plant, point, starts)
     object.__setattr__(plant, "W", semidefinite("W", W, plant.states, "(states, states)"))
     object.__setattr__(plant, "dt", None if dt is None else number("dt", dt, 0.0))
-    object.__setattr__(plant, "function", None if function is None else _checked_function(function, plant, point))
+    if function is not None:
+        if not callable(function):
+            raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
+        function = dynamics_at(function, plant, point)
+    object.__setattr__(plant, "function", function)
 
 
 def _set_linear(
@@ -729,33 +734,6 @@ def _set_linear(
     for key, value in values.items():
         object.__setattr__(plant, key, value)
     object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None)
-
-
-def _moved(E: ArrayLike, exosystem: Exosystem | None) -> Exosystem | None:
-    """Return disturbances that act on the equation of E as disturbances of the state."""
-    if exosystem is None or not exosystem.E.shape[1]:
-        return exosystem
-    return replace(exosystem, E=effect_without(E, "exosystem.E", exosystem.E))
-
-
-def _in_states(E: ArrayLike, jumps: Jumps | None) -> Jumps | None:
-    """Return jumps of the equation of E as jumps of the state."""
-    if jumps is None:
-        return None
-    instance("jumps", jumps, Jumps)
-    if jumps.distribution != "normal":
-        raise ProblemError(
-            f"jumps.distribution is {jumps.distribution!r}, and E is given, which mixes the jumps of the equations; "
-            "expected 'normal', or A, B and the jumps of a plant without E"
-        )
-    return replace(jumps, covariance=covariance_without(E, "jumps.covariance", jumps.covariance))
-
-
-def _checked_function(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:
-    """Return the function in deviations from the operating point, after checking that A and B are its linearisation."""
-    if not callable(function):
-        raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
-    return dynamics_at(function, plant, point)
 
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:

@@ -388,6 +388,11 @@ class Policy(Displayed):
         return self.steps, self.locations, self.tracking
 
     @property
+    def targets(self) -> Mapping[str, str]:
+        """The signals that the state ``x`` and the input ``applied`` are to follow by the cost; empty without any."""
+        return {} if self.tracking is None else {"x": self.tracking.state, "applied": self.tracking.input}
+
+    @property
     def designed_for(self) -> tuple[object, ...]:
         """Plant, network and cost of the design."""
         return self.model, self.network, self.theory.cost
@@ -669,8 +674,8 @@ def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
             if one == name and other not in found:
                 found[other] = found[name]
                 waiting.append(other)
-    followed = () if policy.tracking is None else (policy.tracking.state, policy.tracking.input)  # deviations
-    return {name: value for name, value in found.items() if value.any() and name not in followed}
+    targets = policy.targets.values()  # deviations
+    return {name: value for name, value in found.items() if value.any() and name not in targets}
 
 
 def _is_identity(matrix: Matrix) -> bool:

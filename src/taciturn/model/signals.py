@@ -1,21 +1,29 @@
-"""Disturbances and set-points of a plant: signals that no input moves, and that the outputs are to be free of.
+"""Signals from outside that act on a plant: disturbances and set-points are one notion.
 
-The exosystem d⁺ = S d + w_d (or ḋ = S d + noise) acts on the plant:
+A signal has states d that no input moves, d⁺ = S d + w_d (or ḋ = S d + noise) from a known start. They act on the plant
+and on the outputs z that are to be zero:
 
-    x⁺ = A x + B u + E d + w,   y = C x + G d + v,   z = C_z x + D_z u + F d,
+    x⁺ = A x + B u + E d + w,   y = C x + G d + v,   z = C_z x + D_z u + F d.
 
-and z is to be zero. D_z is zero, except for measured outputs of a plant with a direct feedthrough. A constant
-disturbance is S = 1, and a set-point r of the output z is a state of d with F = −1.
+D_z is zero, except for measured outputs of a plant with a direct feedthrough. A disturbance has E or G, and nobody
+knows it: the filter estimates it. A set-point r of the output z is a state with F = −1. It is known: a constant one has
+S = 1 and no noise, so that the filter predicts it without an error; a form that moves by itself, such as a sinusoid,
+has another S. Of others, the controller is given the changes at each step, as measured outputs without noise: steps at
+random times, or those of a timetable that repeats.
 
-Set-points of a plant: constant, with steps at random times, or with the changes of a timetable that repeats.
+``ExternalDisturbance`` and ``SetPoint`` make signals; an ``Exosystem`` is all signals of a plant, one above the other.
+For a new form of set-point, write a subclass of ``Changes``: with ``states`` if it moves by itself, or with ``sampled``
+if it consists of random steps or of changes that repeat, which ``program.signals`` draws. Designs, simulations and
+nodes see the matrices alone.
 """
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, pi, sin
-from typing import Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -23,12 +31,64 @@ from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, 
 from taciturn._display import Displayed
 from taciturn._rational import Limit, free_modes
 from taciturn.errors import ProblemError
+from taciturn.model.operating_point import OperatingPoint
 
 LONGEST = 100_000  # sampling steps of a timetable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RandomSteps(Displayed):
+class Signal(Displayed):
+    """One signal: the states d⁺ = S d + w that no input moves, and where they enter."""
+
+    S: Array  # dynamics of the states, (q, q)
+    W: Array  # covariance per step, or intensity per second, of the noise that moves them, (q, q)
+    start: Array  # first value, (q,)
+    E: Array | None = None  # effect on the state of the plant, (n, q); None for no effect
+    G: Array | None = None  # effect on the measured outputs, (p, q)
+    F: Array | None = None  # effect on the outputs z that are to be zero, (z, q)
+
+    def entering(self, name: str, rows: int) -> Array:
+        """Return the effect E, G or F on so many rows, whether the signal has one or not."""
+        found: Array | None = getattr(self, name)
+        return np.zeros((rows, len(self.S))) if found is None else found
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Changes(Displayed):
+    """How set-points change while the loop runs; forms of set-points are subclasses."""
+
+    key: ClassVar[str] = "changes"  # of the problem file, after "reference."
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of set-points."""
+
+    @property
+    def noise(self) -> Array | None:
+        """The mean square of the changes that the controller is given, per second or step; None if it is given none."""
+        return None
+
+    @property
+    def known(self) -> Array | None:
+        """The set-points that are known in advance, in the units of the plant, from the start on; or None."""
+        return None
+
+    def states(self, continuous: bool) -> Signal | None:
+        """Return what the form adds to constant set-points as a signal of its own, or None."""
+        return None
+
+    def relative_to(self, z: Array) -> Changes:
+        """Return the form for set-points that count from z."""
+        return self
+
+    def sampled(self, period: float) -> RandomSteps | SampledChanges:
+        """Return the changes at the sampling instants that the controller is given."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomSteps(Changes):
     """Steps of set-points at random times: each adds a normal random vector with mean zero to the set-points.
 
     Args:
@@ -43,6 +103,7 @@ class RandomSteps(Displayed):
         array([[0.04]])
     """
 
+    key = "steps.covariance"
     rate: float
     covariance: Array
 
@@ -81,7 +142,7 @@ class RandomSteps(Displayed):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Timetable(Displayed):
+class Timetable(Changes):
     """Set-points that change at known times, and then repeat. The controller learns of a change when it takes effect.
 
     Args:
@@ -97,6 +158,7 @@ class Timetable(Displayed):
         array([2.])
     """
 
+    key = "file"
     times: Array
     values: Array
 
@@ -126,6 +188,15 @@ class Timetable(Displayed):
         """The mean square of the changes, per second or sampling step."""
         moved = np.diff(self.values, axis=0)
         return np.asarray(moved.T @ moved / self.times[-1], dtype=np.float64)
+
+    @property
+    def known(self) -> Array:
+        """The set-points of all rows."""
+        return self.values
+
+    def relative_to(self, z: Array) -> Timetable:
+        """Return the timetable of set-points that count from z."""
+        return Timetable(self.times, self.values - z)
 
     def sampled(self, period: float) -> SampledChanges:
         """Return the changes at the sampling instants; a change between them takes effect at the next one.
@@ -173,17 +244,15 @@ class SampledChanges(Displayed):
         return np.asarray(self.table.T @ self.table / len(self.table), dtype=np.float64)
 
 
-Changes: TypeAlias = RandomSteps | Timetable
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class SetPoint(Displayed):
     """The values that some combinations of the states are to have."""
 
     outputs: Array  # C_z of the combinations z = C_z x, (z, n)
-    value: Array  # their set-points, (z,); default 0. With steps at random times, those at the start
+    value: (
+        Array | None
+    )  # their set-points at the start, (z,), in the units of the plant; None: those at its point, or 0
     changes: Changes | None  # how they change while the loop runs; None for constant set-points
-    counted: bool  # whether they count from an operating point
     D: Array | None  # D_z of the combinations z = C_z x + D_z u
 
     def __init__(
@@ -191,42 +260,36 @@ class SetPoint(Displayed):
         outputs: ArrayLike,
         value: ArrayLike | None = None,
         changes: Changes | None = None,
-        counted: bool = False,
         D: Array | None = None,
     ) -> None:
         """Validate and store the arguments."""
         object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
         size = len(self.outputs)
         if changes is not None:
-            instance("changes", changes, RandomSteps, Timetable)
+            instance("changes", changes, *Changes.__subclasses__())
             if changes.size != size:
-                key = "file" if isinstance(changes, Timetable) else "steps.covariance"
                 raise ProblemError(
-                    f"reference.{key} states changes of {changes.size} set-points; expected {size}, one for each of "
-                    "reference.outputs"
+                    f"reference.{changes.key} states changes of {changes.size} set-points; expected {size}, one for "
+                    "each of reference.outputs"
                 )
-        if isinstance(changes, Timetable):
+        if changes is not None and changes.known is not None:
             if value is not None:
-                raise ProblemError("reference.value and reference.file are given; expected one of them")
-            value = changes.values[0]
-        given = np.zeros(size) if value is None else value
-        object.__setattr__(self, "value", array("reference.value", given, (size,), "(set-points,)"))
+                raise ProblemError(f"reference.value and reference.{changes.key} are given; expected one of them")
+            value = changes.known[0]
+        value = None if value is None else array("reference.value", value, (size,), "(set-points,)")
+        object.__setattr__(self, "value", value)
         object.__setattr__(self, "changes", changes)
-        object.__setattr__(self, "counted", counted)
         object.__setattr__(self, "D", D if D is not None and D.any() else None)
 
-    @property
-    def moved(self) -> bool:
-        """Whether the set-points are states of the exosystem: they are not zero, or they change."""
-        return self.counted or bool(self.value.any()) or self.changes is not None
-
-    def relative_to(self, state: Array, given: Array) -> SetPoint:
-        """Return the set-points relative to the combinations of a state, (n,), and an input, (m,)."""
-        z = self.outputs @ state + (0.0 if self.D is None else self.D @ given)
-        if isinstance(self.changes, Timetable):
-            moved = Timetable(self.changes.times, self.changes.values - z)
-            return SetPoint(self.outputs, None, moved, True, self.D)
-        return SetPoint(self.outputs, self.value - z, self.changes, True, self.D)
+    def signals(self, continuous: bool, changes: Changes | None, at: Array | None) -> list[Signal]:
+        """Return the set-points, which count from z = ``at`` if given, as signals; those with changes come last."""
+        z = len(self.outputs)
+        value = np.zeros(z) if self.value is None else self.value if at is None else self.value - at
+        own, noise = (None, None) if changes is None else (changes.states(continuous), changes.noise)
+        r = 0 if at is None and noise is None and not value.any() else z  # no states if they are zero for ever
+        S = np.zeros((r, r)) if continuous else np.eye(r)
+        W = np.zeros((r, r)) if noise is None else noise
+        return [*([] if own is None else [own]), Signal(S, W, value[:r], F=-np.eye(z)[:, :r])]
 
 
 Shape: TypeAlias = Literal["constant", "ramp", "sinusoid", "matrix"]
@@ -323,6 +386,12 @@ class ExternalDisturbance(Displayed):
         own = [] if self.matrix is None else [1.0] * len(self.matrix)
         return self.wander * np.diag(moved.get(self.shape, own))
 
+    def signal(self, continuous: bool, outputs: int) -> Signal:
+        """Return the disturbance as a signal, which enters by its first state, its value."""
+        S, seen = self.dynamics(continuous), np.zeros(outputs) if self.measured is None else self.measured
+        E, G = (np.pad(effect[:, None], ((0, 0), (0, len(S) - 1))) for effect in (self.enters, seen))
+        return Signal(S, self.noise, np.zeros(len(S)), E, G)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Exosystem(Displayed):
@@ -361,7 +430,13 @@ class Exosystem(Displayed):
         object.__setattr__(self, "W", semidefinite("exosystem.W", self.W, q, "(q, q)"))
 
     @staticmethod
-    def of(disturbances: Sequence[ExternalDisturbance], target: SetPoint, outputs: int, continuous: bool) -> Exosystem:
+    def of(
+        disturbances: Sequence[ExternalDisturbance],
+        target: SetPoint,
+        outputs: int,
+        continuous: bool,
+        point: OperatingPoint | None = None,
+    ) -> Exosystem:
         """Return the exosystem of disturbances and of a set-point.
 
         Args:
@@ -369,37 +444,38 @@ class Exosystem(Displayed):
             target: the combinations of the states that are to be at their set-points.
             outputs: number of measured outputs p.
             continuous: whether the plant is continuous in time.
+            point: the operating point of the plant, or None.
 
         Raises:
             ProblemError: a disturbance has another number of states or outputs than the plant.
         """
-        z, n = target.outputs.shape
-        parts, enters, seen = list[Array](), list[Array](), list[Array]()
+        (z, n), signals = target.outputs.shape, list[Signal]()
         for place, one in enumerate(disturbances):
             try:
-                S = one.dynamics(continuous)
+                signals.append(one.signal(continuous, outputs))
             except ProblemError as error:
                 raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
             measured = np.zeros(outputs) if one.measured is None else one.measured
             for name, got, expected in (("enters", one.enters, n), ("measured", measured, outputs)):
                 if len(got) != expected:
                     raise ProblemError(f"disturbance[{place}].{name} has {len(got)} entries; expected {expected}")
-            parts.append(S)
-            rest = np.zeros((1, len(S) - 1))
-            enters.append(np.hstack([one.enters[:, None], np.tile(rest, (n, 1))]))
-            seen.append(np.hstack([measured[:, None], np.tile(rest, (outputs, 1))]))
-        r = z if target.moved else 0  # states of the set-points
-        S = block_diagonal(*parts, np.zeros((r, r)) if continuous else np.eye(r))
-        q = len(S) - r
-        noise = [np.zeros((r, r)) if target.changes is None else target.changes.noise]
+        changes, at = target.changes, None
+        if point is not None and target.value is not None:
+            at = target.outputs @ point.x + (0.0 if target.D is None else target.D @ point.u)
+            changes = None if changes is None else changes.relative_to(at)
+        signals += target.signals(continuous, changes, at)
+        E, G, F = (
+            np.hstack([one.entering(name, rows) for one in signals])
+            for name, rows in (("E", n), ("G", outputs), ("F", z))
+        )
         return Exosystem(
-            S=S,
-            E=np.hstack([*enters, np.zeros((n, r))]),
-            G=np.hstack([*seen, np.zeros((outputs, r))]),
-            W=block_diagonal(*(one.noise for one in disturbances), *noise),
-            start=np.concatenate([np.zeros(q), target.value[:r]]),
+            S=block_diagonal(*(one.S for one in signals)),
+            E=E,
+            G=G,
+            W=block_diagonal(*(one.W for one in signals)),
+            start=np.concatenate([one.start for one in signals]),
             outputs=target.outputs,
-            F=np.hstack([np.zeros((z, q)), -np.eye(z)[:, :r]]),
-            changes=target.changes,
+            F=F,
+            changes=None if changes is None or changes.noise is None else changes,
             D=target.D,
         )

@@ -118,11 +118,10 @@ class SimulatedPlant:
 
     def final_cost(self) -> float:
         """Return the terminal cost of the current state; 0 without a terminal weight."""
-        terminal, tracking = self.loop.problem.terminal, self.loop.policy.tracking
+        terminal = self.loop.problem.terminal
         if terminal is None:
             return 0.0
-        off, rest = self.state - (0.0 if tracking is None else tracking.final), self.loop.problem.rest
-        off = off if rest is None else off - rest.x
+        off = self.loop.from_final_target(self.state)
         return float(off @ terminal @ off)
 
 

@@ -81,7 +81,7 @@ def _from_estimate(policy: Policy, network: Network, estimate: Array) -> Policy:
 def _from_input(policy: Policy, network: Network, u: Array) -> tuple[Policy, tuple[str, ...]]:
     """Return the policy that starts with an input, with the constant disturbances for which this is the command."""
     model, memories = policy.model, dict(policy.initial)
-    if policy.tracking is not None or policy.disturbance is not None:
+    if policy.targets or policy.disturbance is not None:
         raise ProblemError(
             f"start_input is given, but this {policy.kind} keeps a given controller or follows a stored reference; "
             "expected start_input of the controller ([controller] pid), or no start_input"

@@ -3,7 +3,7 @@
 A ``Draft`` holds the matrices that are known so far. Each new part is checked against the earlier parts by making the
 plant and the cost as far as they are known: an unknown noise covariance is 0, and an unknown weight R is the identity.
 
-Before a part is asked for, there may be a proposal (``suggest_value``): a usual value, or one digit computed from plant
+A required parameter may have a suggested value (``suggest_value``): a usual one, or one digit computed from plant
 and cost. A period is a fifth of the fastest time constant of the controlled plant, and the price of a send is a fifth
 of the cost of a step with every sample.
 

@@ -1,6 +1,6 @@
 """Text to values and back: matrices, and the values of options on the command line.
 
-A matrix is typed in MATLAB's notation or as a Python list; one number or a diagonal stands for a square matrix. Options
+A matrix is typed in MATLAB's notation or as a Python list; a square matrix may be one number or a diagonal. Options
 are ``--over NAME=v1,v2,…`` for several values of a key, and ``--set NAME=VALUE`` for one.
 """
 

@@ -32,7 +32,7 @@ from taciturn.base.given_controller import cost_as_kept
 from taciturn.design.catalogue import CATALOGUE, own_kinds
 from taciturn.design.kind import Kind
 from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import regulator_equations
+from taciturn.lqg.followed import regulator_equations
 from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance, Reference, with_target
@@ -42,7 +42,7 @@ from taciturn.model.link import LinkLaw
 from taciturn.model.losses import USUAL, LossLaw, find_law
 from taciturn.model.network import Network, NodeRole
 from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Jumps, Plant, effect_without, stated_function
+from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant, stated_function
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
 from taciturn.problem.files import read_controller
 from taciturn.problem.schema import (
@@ -107,13 +107,13 @@ def with_exosystem(
     target = SetPoint(followed, points.value, _changes(points), D=fed)
     given = [_disturbance(place, one, E) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
-    return with_target(plant, target, given, points.value is not None)
+    return with_target(plant, target, given)
 
 
 def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
-        enters = one.enters if E is None else effect_without(E, "disturbance.enters", np.c_[one.enters])[:, 0]
+        enters = one.enters if E is None else Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one.enters])[:, 0]
         return ExternalDisturbance(enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None

@@ -228,7 +228,7 @@ def add_values(tick: TimeStep, values: Operands, more: Operands) -> Operands:
 
 
 def deviation(tick: TimeStep, signal: str, followed: str | None, point: Array | None) -> str:
-    """Return the signal with the deviation of a signal from a followed signal and a point, or the signal itself."""
+    """Return the signal with the deviation of a signal from its target, a signal and a point; or the signal itself."""
     if followed is None and point is None:
         return signal
     size = len(tick.read(signal))

@@ -1,10 +1,15 @@
-"""Effect of Poisson jumps within a time step on the state at its end, as operations of a program.
+"""Noise of a plant that is not white and Gaussian, as operations of a program: jumps, and set-points that change.
 
-Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ. At the end τ of the step its contribution is
+Poisson jumps. Between jumps, the state follows dx/dt = A x. A jump at time t adds Gξ, where GG' is the covariance of a
+jump, and ξ has independent entries of mean 0 and variance 1. At the end τ of a step, its contribution is
 
-    e^{A(τ − t)} G ξ,   where GG' is the covariance of a jump, and ξ has independent entries of mean 0 and variance 1.
+    e^{A(τ − t)} G ξ.
 
-Process noise of a plant whose last states are set-points that change, as operations of a program.
+A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step has
+more jumps than this number with a probability below 1e-14.
+
+Set-points that change are the last states. A random step is drawn with its probability; a timetable is a table that a
+step counter reads. The other states have Gaussian noise.
 """
 
 from __future__ import annotations
@@ -29,13 +34,7 @@ ROUNDING = 1e-16  # size below which a term of the power series has no effect
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
-    """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end.
-
-    GG' is the covariance of a jump.
-
-    A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step
-    has more jumps than this number with a probability below 1e-14.
-    """
+    """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end."""
     b, n = tick.builder, len(noise.A)
     half, spread = noise.period / 2, noise.jumps.spread
     law = noise.jumps.distribution
@@ -68,11 +67,8 @@ def _flow(b: Builder, A: Array, reach: float, start: Operands, time: int) -> Ope
 
 
 def _terms(A: Array, reach: float) -> int:
-    """Return the last power of the series of e^{As}, |s| ≤ reach, after which its terms are below rounding.
-
-    The terms are bounded entry by entry by (|A|·reach)^k/k!. The series of a nilpotent A is finite.
-    """
-    power, k = np.abs(A) * reach, 1
+    """Return the last power of the series of e^{As}, |s| ≤ reach, after which its terms are below rounding."""
+    power, k = np.abs(A) * reach, 1  # (|A|·reach)^k/k! bounds the terms; the series of a nilpotent A is finite
     term = power
     # continue while a term is not negligible, or while terms may still grow
     while term.any() and (term.max() > ROUNDING or k < term.max()):
@@ -124,9 +120,7 @@ def draw_noise(tick: TimeStep, spread: Array) -> Operands:
 
 
 def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges) -> Operands:
-    """Return the process noise: Gaussian noise of all other states, and the changes of the last states, the set-
-    points.
-    """
+    """Return the process noise: Gaussian noise of the other states, and the changes of the set-points."""
     b, others = tick.builder, W[: -changes.size, : -changes.size]
     noise = draw_noise(tick, factor(others)) if others.any() else [b.constant(0.0)] * len(others)
     if isinstance(changes, SampledChanges):

@@ -18,7 +18,7 @@ from taciturn.model.diagram import Diagram
 from taciturn.model.plant import ContinuousPlant, Plant, matrix_lines, vector_text
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import limit_entries
-from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges, Timetable
+from taciturn.model.signals import Changes, Exosystem
 from taciturn.model.steps import Assign, Evaluate
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
@@ -385,7 +385,7 @@ def _plain(value: object) -> Any:
     """Return a value in a form that JSON supports: a table as its index and entries, infinity as "inf" or "-inf"."""
     if isinstance(value, Scheduled):
         return {"by": value.by, "values": value.values.tolist()}
-    if isinstance(value, RandomSteps | Timetable | SampledChanges):
+    if isinstance(value, Changes):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, np.ndarray):
         value = value.tolist()

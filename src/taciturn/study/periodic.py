@@ -404,7 +404,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
     if differences:
         raise NoClockError(f"{OF_A_DESIGN} {differences[0]}")
-    if nodes.tracking is not None:
+    if nodes.targets:
         raise NoClockError("the policy follows a stored reference")
     if certainty.timed:
         raise NoClockError(
