@@ -34,9 +34,9 @@ def test_the_page_of_keys_has_every_key() -> None:
     assert {"links", "nodes", "plant.actual.jumps", "controller.pid", "reference.steps"} <= found.keys()
     for path, table in found.items():
         described = get_args(table)[1].__doc__ if get_origin(table) is Annotated else None
-        for name in schema.keys_of(table):
+        for name, key in schema.keys_of(table).items():
             assert re.search(rf"\b{name}\b", page), f"{path}.{name}"
-            assert described is None or re.search(rf"^        {name}: ", described, re.M), f"{path}.{name}"
+            assert described is None or re.search(rf"^        {key.argument}: ", described, re.M), f"{path}.{name}"
 
 
 def test_a_new_field_of_a_class_is_a_key() -> None:
@@ -47,7 +47,7 @@ def test_a_new_field_of_a_class_is_a_key() -> None:
         jitter: float = 0.0
 
     keys = schema.keys_of(Annotated[dict[str, Any], Law])
-    assert keys["jitter"] == (float, False)
+    assert keys["jitter"] == (float, False, "jitter")
     assert schema.validate(Annotated[dict[str, Any], Law], {"jitter": 1}) == {"jitter": 1.0}
     with pytest.raises(schema.ValidationError, match="valid number"):
         schema.validate(Annotated[dict[str, Any], Law], {"jitter": "1"})

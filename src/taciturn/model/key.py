@@ -15,6 +15,9 @@ Rows = list[list[float]]  # a matrix
 NO_KEY = {"kind": None}  # of a field that the table does not state
 
 
-def stated_as(kind: Any) -> dict[str, Any]:
-    """Return the metadata of a field whose key has another type than the field; None in the type: may be omitted."""
-    return {"kind": kind}
+def stated_as(kind: Any, name: str | None = None) -> dict[str, Any]:
+    """Return the metadata of a field whose key has another type than the field, or another name.
+
+    A key whose type contains None may be omitted.
+    """
+    return {"kind": kind} if name is None else {"kind": kind, "name": name}

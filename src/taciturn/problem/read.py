@@ -48,7 +48,7 @@ from taciturn.problem.files import read_controller
 from taciturn.problem.schema import (
     ControllerTable,
     CostTable,
-    DisturbanceEntry,
+    EntryKeys,
     File,
     InitialTable,
     LimitsKeys,
@@ -110,11 +110,15 @@ def with_exosystem(
     return with_target(plant, target, given)
 
 
-def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
+def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturbance:
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
-        enters = one.enters if E is None else Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one.enters])[:, 0]
-        return ExternalDisturbance(enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
+        enters = (
+            one["enters"]
+            if E is None
+            else Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one["enters"]])[:, 0]
+        )
+        return ExternalDisturbance(**{**one, "enters": enters})
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
@@ -124,7 +128,7 @@ def _changes(table: ReferenceTable) -> Changes | None:
     if table.steps is not None and table.file is not None:
         raise ProblemError("reference.steps and reference.file are given; expected one of them")
     if table.steps is not None:
-        return RandomSteps(table.steps.rate, table.steps.covariance)
+        return RandomSteps(**table.steps)
     if table.file is None:
         return None
     try:

@@ -35,6 +35,7 @@ from taciturn.model.link import LinkLaw
 from taciturn.model.network import NodeRole
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import Jumps
+from taciturn.model.signals import ExternalDisturbance, RandomSteps
 
 _SIMPLE = {
     Any: core_schema.any_schema(),
@@ -79,17 +80,19 @@ def _schema(hint: Any) -> core_schema.CoreSchema:
         }
         table = core_schema.typed_dict_schema(keys, extra_behavior="forbid", strict=True)
         if not is_dataclass(hint):
-            return core_schema.no_info_after_validator_function(_given, table)
+            arguments = {name: one.argument for name, one in keys_of(hint).items()}
+            return core_schema.no_info_after_validator_function(lambda found: _given(found, arguments), table)
         build = cast("Callable[..., object]", hint)
         return core_schema.no_info_after_validator_function(lambda found: build(**found), table)
     return _SIMPLE[hint]
 
 
 class Key(NamedTuple):
-    """A key of a table: its type, and whether it must be given."""
+    """A key of a table: its type, whether it must be given, and the argument of the class that it states."""
 
     kind: Any
     required: bool
+    argument: str
 
 
 @cache
@@ -101,7 +104,7 @@ def keys_of(table: Any) -> dict[str, Key]:
     for one in fields(model):
         kind = one.metadata.get("kind", hints[one.name])
         needed = arguments[one.name].default is arguments[one.name].empty and NoneType not in get_args(kind)
-        found |= {} if kind is None else {one.name: Key(kind, needed)}
+        found |= {} if kind is None else {one.metadata.get("name", one.name): Key(kind, needed, one.name)}
     return found
 
 
@@ -109,12 +112,14 @@ def _is_table(hint: Any) -> bool:
     return is_dataclass(hint) or get_origin(hint) is Annotated
 
 
-def _given(keys: Mapping[str, object]) -> dict[str, object]:
-    """Return the keys that a table of Python states; None is as in an omitted key."""
-    return {name: value for name, value in keys.items() if value is not None}
+def _given(keys: Mapping[str, object], arguments: Mapping[str, str]) -> dict[str, object]:
+    """Return the arguments that a table states; None, in a table of Python, is as an omitted key."""
+    return {arguments[name]: value for name, value in keys.items() if value is not None}
 
 
 # tables whose keys are fields of a model class: read as its arguments, which the class checks when it is made
+StepsKeys: TypeAlias = Annotated[dict[str, Any], RandomSteps]
+EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
 JumpsKeys: TypeAlias = Annotated[dict[str, Any], Jumps]
 DisturbanceKeys: TypeAlias = Annotated[dict[str, Any], Disturbance]
 OperatingPointKeys: TypeAlias = Annotated[dict[str, Any], OperatingPoint]
@@ -195,26 +200,6 @@ class NetworkTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class DisturbanceEntry(Displayed):
-    """The keys of the tables ``[[disturbance]]``."""
-
-    enters: list[float]
-    wander: float
-    kind: str = "constant"
-    frequency: float | None = None
-    measured: list[float] | None = None
-    matrix: Rows | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class StepsTable(Displayed):
-    """The keys of ``steps`` in the table ``[reference]``."""
-
-    rate: float
-    covariance: Rows
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
 class ReferenceTable(Displayed):
     """The keys of the table ``[reference]``: a trajectory (states, inputs), or what outputs are to follow."""
 
@@ -222,7 +207,7 @@ class ReferenceTable(Displayed):
     inputs: Rows | None = None
     outputs: Rows | None = None
     value: list[float] | None = None
-    steps: StepsTable | None = None
+    steps: StepsKeys | None = None
     file: str | None = None
     integral_action: list[str] | None = None
 
@@ -254,7 +239,7 @@ class File(Displayed):
     nodes: dict[str, NodeKeys] | None = None
     links: dict[str, LinkKeys] | None = None
     reference: ReferenceTable | None = None
-    disturbance: list[DisturbanceEntry] | None = None
+    disturbance: list[EntryKeys] | None = None
     controller: ControllerTable | None = None
     limits: LimitsKeys | None = None
     policy: dict[str, Any]
