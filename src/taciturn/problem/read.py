@@ -113,12 +113,10 @@ def with_exosystem(
 def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturbance:
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
-        enters = (
-            one["enters"]
-            if E is None
-            else Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one["enters"]])[:, 0]
-        )
-        return ExternalDisturbance(**{**one, "enters": enters})
+        if E is not None:
+            moved = Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one["enters"]])
+            one = {**one, "enters": moved[:, 0]}
+        return ExternalDisturbance(**one)
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
