@@ -15,8 +15,8 @@ from taciturn.model import cost, link, signals
 from taciturn.problem import files as matrices
 from taciturn.problem import read
 from taciturn.renewal.chain import MOST_STATES
-from taciturn.renewal.fitted import DIRECTIONS
 from taciturn.simulation import sampling
+from taciturn_limits.fitted import DIRECTIONS
 
 COSTS = {"average": "average", "horizon": "`horizon`", "discount": "`discount`"}
 PLANTS = {"outputs": "outputs with noise", "jumps": "Poisson jumps"}

@@ -28,6 +28,7 @@ import numpy as np
 
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
+from taciturn._plugins import find_plugins, in_this_wheel
 from taciturn.design.several_nodes import JointSets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.model.link import LinkLaw
@@ -38,9 +39,9 @@ from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide,
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
     from taciturn.model.plant import ContinuousPlant, Plant
-    from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+    from taciturn.renewal.policy import PolicyWithoutSteps
 
-AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
+AnyPolicy: TypeAlias = "Policy | PolicyWithoutSteps"
 Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
@@ -204,8 +205,9 @@ class Kind(Displayed):
 
     @property
     def in_house(self) -> bool:
-        """True if the design function belongs to this package."""
-        return self.design.__module__.startswith("taciturn.")
+        """True if the design function belongs to this wheel."""
+        registered = find_plugins("taciturn.kinds").get(self.name, ())
+        return self.design.__module__.startswith("taciturn.") or any(map(in_this_wheel, registered))
 
     @property
     def _place(self) -> str:

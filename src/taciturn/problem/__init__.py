@@ -68,7 +68,7 @@ from taciturn.problem.read import (
 )
 from taciturn.problem.read import read_function as read_function
 from taciturn.problem.schema import File, ValidationError, first_mistake, suggest, validate
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
 PARTS: dict[str, tuple[str, ...]] = {
@@ -158,16 +158,8 @@ class Problem(Displayed):
                 or it is triggered in continuous time.
         """
         policy = self.designed()
-        if isinstance(policy, OptimalPolicy):
-            raise ProblemError(
-                f"{policy.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
-                f"{policy.instead}"
-            )
-        if isinstance(policy, EventPolicy):
-            raise ProblemError(
-                f"{policy.kind} without a period is triggered in continuous time and cannot run as a loop of nodes; "
-                "expected policy.period, the seconds between checks of the error"
-            )
+        if isinstance(policy, PolicyWithoutSteps):
+            raise ProblemError(policy.why_it_cannot_run)
         return policy
 
     def designed(self) -> AnyPolicy:
@@ -392,8 +384,8 @@ def parse(
 
 def _expect_packets(policy: AnyPolicy, network: Network) -> None:
     """Raise a ``ProblemError`` if an energy is given for a link on which the policy decides on no packet."""
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    carrying: tuple[str, ...] = nodes.scheduled if isinstance(nodes, Policy) else ("sensor",)
+    nodes = nodes_of(policy)
+    carrying = ("sensor",) if nodes is None else nodes.scheduled
     for link in (link for link, law in network.links.items() if law.energy is not None and link not in carrying):
         raise ProblemError(
             f"{network.key(link, 'energy')} is given, but {policy.kind} decides on no packet of the {link} link; "

@@ -22,7 +22,6 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import LARGE, Lines, magnitude, negligible, number_text, pairs_text, per_unit, percent, table_text
-from taciturn.analyse.limits import LowerBound
 from taciturn.base.filter import SEND
 from taciturn.design.kind import placed
 from taciturn.design.silence import send_every_sample
@@ -37,7 +36,7 @@ from taciturn.model.result import Columns, Tabular, columns_of
 from taciturn.model.saturation import Saturation
 from taciturn.model.schedule import Schedule
 from taciturn.model.steps import Decide
-from taciturn.model.theory import Linearisation
+from taciturn.model.theory import Linearisation, LowerBound
 from taciturn.model.trigger import Form, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import BareKind

@@ -43,7 +43,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Send, Terms
 from taciturn.problem import Problem
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.renewal.policy import nodes_of
 
 SENDS = 4  # of a cycle, at most
 BELOW, ABOVE = 1, 2  # steps by which its intervals may be off the mean one
@@ -372,8 +372,8 @@ def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
 
 def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     """Return fair periodic control for a policy: the same measurements and actuator, and optimal gains."""
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
+    nodes = nodes_of(policy)
+    if nodes is None or nodes.prediction is not None:
         return sampling_clock(problem, "model")
     continuous = isinstance(problem.plant, ContinuousPlant)
     period = nodes.tick if continuous else None
