@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from taciturn.cli.frame import EXAMPLE, Json, app, print_json, progress_bar
+from taciturn.cli.frame import EXAMPLE, Json, app, print_result, progress_bar
 
 
 @app.command(epilog=EXAMPLE + "taciturn bench --rounds 3")
@@ -15,12 +15,8 @@ def bench(
     rounds: Annotated[int, typer.Option(help="Number of measurement rounds, of which the medians are printed.")] = 5,
 ) -> None:
     """Measure the simulation speed on this machine, compared with NumPy."""
-    from taciturn.study.record import origin
     from taciturn_bench.bench import bench as measure
 
     with progress_bar("measuring") as progress:
         found = measure(rounds, progress)
-    if as_json:
-        print_json(found.document(), origin())
-    else:
-        typer.echo(found)
+    print_result(found, as_json)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import typer
-
 from taciturn.cli.frame import (
     EXAMPLE,
     File,
@@ -13,7 +11,7 @@ from taciturn.cli.frame import (
     TimeLimit,
     app,
     load_changed,
-    print_json,
+    print_result,
     progress_bar,
 )
 
@@ -29,12 +27,8 @@ def certify(
     """Compute certificates of decay rate, l2 gain and cost from linear matrix inequalities."""
     import taciturn
     from taciturn.extend import answered_within
-    from taciturn.study.record import origin
 
     with answered_within(time), progress_bar("certifying"):
         problem = load_changed(file, settings, no_functions)
         found = taciturn.certify(problem)
-    if as_json:
-        print_json(found.document(), origin(problem))
-    else:
-        typer.echo(found)
+    print_result(found, as_json, problem)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -20,13 +20,11 @@ from taciturn.cli.frame import (
     complete_file,
     complete_from,
     load_all,
-    print_json,
+    print_result,
     progress_bar,
     refuse,
+    save_picture,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(epilog=EXAMPLE + "taciturn channel two-mass --copies 100 --capacity 10")
@@ -63,13 +61,10 @@ def channel(
 ) -> None:
     """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
-    from taciturn.extend import answered_within, check_format, save
+    from taciturn.extend import answered_within
     from taciturn.model.theory import LEVEL
-    from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
-    if plot is not None:
-        check_format(plot)
     with answered_within(time):
         problems = load_all(files, settings, no_functions)
         with progress_bar("sharing") as progress, processes(workers) as executor:
@@ -85,14 +80,8 @@ def channel(
                 executor=executor,
                 progress=progress,
             )
-    if as_json:
-        print_json(found.document(), origin(problems, seed))
-    else:
-        typer.echo(found)
-    if plot is not None:
-        save(found.plot(), plot, origin(problems, seed, found.method))
-        if not as_json:
-            typer.echo(f"picture: {plot}")
+    print_result(found, as_json, problems, seed)
+    save_picture(found, plot, as_json, problems, seed, found.method)
     if not found.reached:
         refuse("the standard error was not reached; give a larger --standard-error")
 

@@ -77,7 +77,7 @@ def twin(
     as_json: Json = False,
 ) -> None:
     """Run the digital twin of a robot: rigid bodies, camera, image processing, and packets over UDP."""
-    from taciturn.extend import check_format, number, pairs_text, save
+    from taciturn.extend import number, pairs_text, save
     from taciturn.nodes.keys import read_keys
     from taciturn_twins.catalogue import find_robot
     from taciturn_twins.faults import parse_fault
@@ -95,7 +95,7 @@ def twin(
     given = {"zeta" if robot == "rover" else "price": price, "theta": theta}
     parameters = {name: value for name, value in given.items() if value is not None}
     length, faults = tick_length(found.tick, real_time, tick), tuple(parse_fault(text) for text in fault or [])
-    for wanted, check in ((plot, check_format), (record, check_record), (video, check_video)):
+    for wanted, check in ((record, check_record), (video, check_video)):
         if wanted is not None:
             check(wanted)
     setup = Setup(runs, seed, length, namespaces, faults, read_keys(key), wheels)

@@ -25,7 +25,7 @@ from taciturn.cli.frame import (
     Settings,
     app,
     load_changed,
-    print_json,
+    print_result,
     progress_bar,
 )
 
@@ -173,7 +173,6 @@ def network(
     """Run the nodes of a problem as processes on this machine, connected over UDP."""
     import taciturn
     from taciturn.nodes.keys import read_keys
-    from taciturn.study.record import origin
     from taciturn_udp.run import run_network
 
     check_counts({"--ticks": ticks})
@@ -199,10 +198,7 @@ def network(
             file, settings=settings or (), ticks=ticks, tick=length, seed=seed, key=read_keys(key), fates=fates,
             namespaces=namespaces, progress=progress, functions=not no_functions,
         )  # fmt: skip
-    if as_json:
-        print_json(found.document(), origin(problem))
-    else:
-        typer.echo(found)
+    print_result(found, as_json, problem)
 
 
 @app.command(epilog=EXAMPLE + "taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")

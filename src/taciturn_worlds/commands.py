@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from taciturn.cli.frame import print_json
+from taciturn.cli.frame import print_result
 
 if TYPE_CHECKING:
     from taciturn.problem import Problem
@@ -16,16 +16,12 @@ if TYPE_CHECKING:
 def run_world(problem: Problem, seed: int, others: Sequence[str], as_json: bool) -> None:
     """Run a world of faults and print it; if an invariant is broken, say so and end with exit code 1."""
     from taciturn.errors import ProblemError
-    from taciturn.study.record import origin
     from taciturn_worlds.world import run_world_with_devices
 
     if others:
         raise ProblemError(f"--world is given with {others[0]}, which it does not use; expected --world alone")
     found = run_world_with_devices(problem, seed)
-    if as_json:
-        print_json(found.document(), origin(problem))
-    else:
-        typer.echo(found)
+    print_result(found, as_json, problem)
     if found.broken is not None:
         typer.echo(f"world {seed} breaks an invariant at {found.broken}; expected none: please report it", err=True)
         raise typer.Exit(1)

@@ -6,12 +6,14 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
 
 import pytest
 import typer.main
 from cli.conftest import Run
 
+import taciturn
 from taciturn.cli import frame
 from taciturn.cli.frame import EXAMPLE, GROUPS, app
 from taciturn.design.catalogue import CATALOGUE
@@ -48,6 +50,29 @@ def test_help_lists_every_command_once_under_what_it_is_for(run: Run, monkeypatc
     assert "..." not in told.partition("COMMAND [ARGS]...")[2]
     assert "\n    taciturn evaluate two-mass    cost, rate" in told
     assert "docs/first-hour" in told
+
+
+CALLED = {
+    "evaluate": taciturn.evaluate,
+    "tune": taciturn.tune,
+    "tradeoff": taciturn.tradeoff,
+    "compare": taciturn.compare,
+    "sweep": taciturn.sweep,
+    "channel": taciturn.share_channel,
+    "certify": taciturn.certify,
+    "export": taciturn.export_c,
+}
+OTHERWISE = {  # arguments that a command has in another form, and one that is only for programs
+    *("problem", "problems", "progress", "executor", "time_limit"),
+    *("name", "folder", "after_step"),
+}
+
+
+@pytest.mark.parametrize("name", CALLED)
+def test_each_argument_of_a_function_is_an_option_of_its_command(name: str) -> None:
+    """Options are stated apart from the signatures, which need numpy; no argument is forgotten."""
+    options = {str(one.name) for one in typer.main.get_group(app).commands[name].params}
+    assert set(signature(CALLED[name]).parameters) - OTHERWISE <= options
 
 
 def test_every_command_that_designs_a_policy_changes_its_keys() -> None:

@@ -26,10 +26,11 @@ from taciturn.cli.frame import (
     app,
     can_print,
     load_changed,
-    note_seed,
     print_json,
+    print_result,
     progress_bar,
     refuse,
+    save_picture,
 )
 
 SPENT = 0.2  # share of the time limit after which it is the reason why a standard error was not reached
@@ -57,7 +58,6 @@ def evaluate(
     from taciturn._progress import answered_within
     from taciturn.simulation.sampling import MOST_OPERATIONS
     from taciturn.study.evaluate import choose_confidence
-    from taciturn.study.record import origin
 
     with answered_within(time, early=True):
         problem = load_changed(file, settings, no_functions)
@@ -72,11 +72,7 @@ def evaluate(
                 confidence=choose_confidence(problem, confidence),
                 progress=progress,
             )
-    if as_json:
-        print_json(found.document(), origin(problem))
-    else:
-        typer.echo(found)
-        note_seed(seed, found.drawn)
+    print_result(found, as_json, problem, unused=None if found.drawn else seed)
     if not found.reached and steps is not None:
         unless = ", unless a note states why there is no average" if found.notes else ""
         refuse(f"the loop has not settled within {found.steps} steps; give more --steps{unless}")
@@ -117,13 +113,10 @@ def show(
 ) -> None:
     """Show plant, gains, guarantee, triggers and node diagram of a problem, without a simulation."""
     import taciturn
-    from taciturn._figure import check_format, save
     from taciturn._progress import answered_within
     from taciturn.study.describe import describe
     from taciturn.study.record import origin
 
-    if plot is not None:
-        check_format(plot)
     with answered_within(time):
         found = describe(load_changed(file, settings, no_functions))
     drawn = found.diagram
@@ -144,10 +137,8 @@ def show(
         typer.echo(pairs_text(found.lines()))
         if drawn is not None:
             typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
-    if plot is not None and drawn is not None:
-        save(drawn.plot(), plot, origin(found.problem))
-        if not as_json:
-            typer.echo(f"picture: {plot}")
+    if drawn is not None:
+        save_picture(drawn, plot, as_json, found.problem)
 
 
 @app.command(epilog=EXAMPLE + "taciturn simulate two-mass --ticks 200 --plot path.svg")
@@ -166,13 +157,10 @@ def simulate(
 ) -> None:
     """Simulate one path of the closed loop: states, inputs and the instants of packets."""
     import taciturn
-    from taciturn._figure import check_format, save
     from taciturn._progress import answered_within
     from taciturn.model.result import check_table, save_table
     from taciturn.study.record import origin
 
-    if plot is not None:
-        check_format(plot)
     if table is not None:
         check_table(table)
     with answered_within(time):
@@ -183,15 +171,11 @@ def simulate(
         print_json({"policy": policy.kind} | found.document(), origin(problem, seed, "simulation"))
     else:
         typer.echo(found)
-    for target, what in ((table, "table"), (plot, "picture")):
-        if target is not None:
-            told = origin(problem, seed, "simulation")
-            if what == "table":
-                save_table(found.to_pandas().reset_index(), target, told)
-            else:
-                save(found.plot(), target, told)
-            if not as_json:
-                typer.echo(f"{what}: {target}")
+    if table is not None:
+        save_table(found.to_pandas().reset_index(), table, origin(problem, seed, "simulation"))
+        if not as_json:
+            typer.echo(f"table: {table}")
+    save_picture(found, plot, as_json, problem, seed, "simulation")
 
 
 @app.command(epilog=EXAMPLE + "taciturn tune two-mass --rate 0.3")
@@ -232,7 +216,6 @@ def tune(
     """Tune the parameter of a policy to meet a budget on its rate, its cost, or the violation of limits."""
     import taciturn
     from taciturn._progress import answered_within
-    from taciturn.study.record import origin
     from taciturn.study.tune import TunedPeriod, tune_period
 
     allowed, spent, paid = _rates(rate), _budget("cost", cost), _budget("traffic", traffic)
@@ -267,11 +250,7 @@ def tune(
                     progress=progress,
                 )
     best = found.best if isinstance(found, TunedPeriod) else found
-    if as_json:
-        print_json(found.document(), origin(best.problem))
-    else:
-        typer.echo(found)
-        note_seed(seed, best.evaluation.drawn)
+    print_result(found, as_json, best.problem, unused=None if best.evaluation.drawn else seed)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
 

@@ -1,8 +1,16 @@
-"""The application, the options that commands share, and exit codes.
+"""The application: options that commands share, how they print and save results, mistakes, completion and exit codes.
 
-Mistakes in the command line as one sentence: what is wrong, what was given, what is expected, and a remedy.
+Every command is a function with the options as arguments. Options of several commands are types here, such as ``File``,
+``Settings`` (--set), ``Json`` and ``Plot``; commands of other packages use them too. They are stated here and not taken
+from the signatures of the functions that commands call, since these need numpy, and ``taciturn --help`` must answer at
+once; so this module imports nothing heavy before a command runs. A test compares both lists.
 
-Shell completion of files, built-in problems, policy kinds and links, without heavy imports.
+A command ends by ``print_result``, ``save_picture``, and by ``refuse`` if a requested accuracy is not reached.
+
+A mistake in the command line is one sentence: what is wrong, what was given, what is expected, and a remedy. The parser
+has texts without remedies (``usage_text``), and the library names arguments and not options (``name_options``).
+
+A shell completes files, built-in problems, policy kinds and links; no kind is imported for this.
 """
 
 from __future__ import annotations
@@ -18,7 +26,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, Protocol, TextIO
 
 import typer
 import typer.core
@@ -30,6 +38,8 @@ from taciturn._text import wrapped_text
 from taciturn.errors import TaciturnError
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from taciturn._progress import Progress
     from taciturn.problem import Problem
 
@@ -270,7 +280,19 @@ Link = Annotated[
         autocompletion=complete_link,
     ),
 ]
-Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Save a figure as .svg, .png or .pdf.")]
+
+
+def _checked_picture(path: Path | None) -> Path | None:
+    """Refuse a picture that cannot be written before anything is computed."""
+    from taciturn._figure import check_format
+
+    return None if path is None else check_format(path)
+
+
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="OUT", help="Save a figure as .svg, .png or .pdf.", callback=_checked_picture),
+]
 Confidence = Annotated[
     float | None,
     typer.Option(
@@ -466,6 +488,58 @@ def print_json(document: dict[str, Any], origin: Mapping[str, Any]) -> None:
     """Print a JSON document with the data needed to reproduce it; keys of the document take precedence."""
     told = {name: value for name, value in origin.items() if name not in document}
     typer.echo(json.dumps(document | told, indent=1, allow_nan=False))
+
+
+class Result(Protocol):
+    """A result of a study, which also has a text."""
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document."""
+        ...
+
+
+class Drawn(Protocol):
+    """A result that draws itself."""
+
+    def plot(self) -> Figure:
+        """Return the figure."""
+        ...
+
+
+def print_result(
+    found: Result,
+    as_json: bool,
+    problem: Problem | Mapping[str, Problem] | None = None,
+    seed: int | None = None,
+    *,
+    unused: int | None = None,
+) -> None:
+    """Print a result as text, with a note on an unused seed, or as a JSON document with what reproduces it."""
+    from taciturn.study.record import origin
+
+    if as_json:
+        print_json(found.document(), origin(problem, seed))
+    else:
+        typer.echo(found)
+        note_seed(unused, drawn=False)
+
+
+def save_picture(
+    found: Drawn,
+    path: Path | None,
+    as_json: bool,
+    problem: Problem | Mapping[str, Problem],
+    seed: int | None = None,
+    method: str | None = None,
+) -> None:
+    """Save a figure, if a path is given; after the numbers, which are printed even if this fails."""
+    from taciturn._figure import save
+    from taciturn.study.record import origin
+
+    if path is not None:
+        save(found.plot(), path, origin(problem, seed, method))
+        if not as_json:
+            typer.echo(f"picture: {path}")
 
 
 def can_print(letters: str) -> bool:

@@ -1,6 +1,6 @@
 """The command ``new``, which writes a problem file from prompts or from matrices in a file.
 
-Prompts on a terminal, or answers from a pipe; each answer is checked before the next question.
+Prompts are on a terminal, or answers come from a pipe; each answer is checked before the next question.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -25,14 +25,11 @@ from taciturn.cli.frame import (
     complete_file,
     load_all,
     load_changed,
-    note_seed,
-    print_json,
+    print_result,
     progress_bar,
     refuse,
+    save_picture,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
@@ -55,16 +52,12 @@ def tradeoff(
 ) -> None:
     """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
     import taciturn
-    from taciturn._figure import check_format, save
     from taciturn._progress import answered_within
     from taciturn.problem.matrices import parse_grid
     from taciturn.study.evaluate import choose_confidence
-    from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
     values = parse_grid(over)
-    if plot is not None:
-        check_format(plot)
     with answered_within(time):
         problem = load_changed(file, settings, no_functions)
         with progress_bar("computing") as progress, processes(workers) as executor:
@@ -78,15 +71,9 @@ def tradeoff(
                 store=store,
                 progress=progress,
             )
-    if as_json:
-        print_json(found.document(), origin(problem, seed or 0))
-    else:
-        typer.echo(found)
-        note_seed(seed, any(point.evaluation.drawn for point in found.points))
-    if plot is not None:  # after the numbers, which must be printed even if the figure cannot be written
-        save(found.plot(), plot, origin(problem, seed or 0, found.method))
-        if not as_json:
-            typer.echo(f"picture: {plot}")
+    drawn = any(point.evaluation.drawn for point in found.points)
+    print_result(found, as_json, problem, seed or 0, unused=None if drawn else seed)
+    save_picture(found, plot, as_json, problem, seed or 0, found.method)
     missed = [point for point in found.points if not point.evaluation.reached]
     if missed:
         values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
@@ -122,12 +109,8 @@ def compare(
 ) -> None:
     """Rank several policies at the same rate, with the standard errors of their differences."""
     import taciturn
-    from taciturn._figure import check_format, save
     from taciturn._progress import answered_within
-    from taciturn.study.record import origin
 
-    if plot is not None:
-        check_format(plot)
     with answered_within(time):
         problems = load_all(files, settings, no_functions)
         with progress_bar("comparing") as progress:
@@ -135,15 +118,9 @@ def compare(
                 problems, rate, traffic=traffic, link=cast("Any", link), seed=seed or 0, standard_error=standard_error,
                 progress=progress,
             )  # fmt: skip
-    if as_json:
-        print_json(found.document(), origin(problems, seed or 0))
-    else:
-        typer.echo(found)
-        note_seed(seed, any(one.tuned.evaluation.drawn for one in found.ranking))
-    if plot is not None:
-        save(found.plot(), plot, origin(problems, seed or 0, found.method))
-        if not as_json:
-            typer.echo(f"picture: {plot}")
+    drawn = any(one.tuned.evaluation.drawn for one in found.ranking)
+    print_result(found, as_json, problems, seed or 0, unused=None if drawn else seed)
+    save_picture(found, plot, as_json, problems, seed or 0, found.method)
     missed = [one.name for one in found.ranking if not one.reached]
     if missed:
         refuse(f"rate or standard error were not reached by {', '.join(missed)}; give a larger --standard-error")

@@ -11,7 +11,7 @@ Controllers that a user already has, and the conversion of systems of other libr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -21,6 +21,7 @@ from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unma
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
+from taciturn.model.key import NO_KEY
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.state_space import refuse_descriptor, state_space_of, vars_of
 
@@ -259,7 +260,7 @@ class PID(Displayed):
     ki: float = 0.0
     kd: float = 0.0
     filter: float | None = None
-    disturbance: Disturbance | None = None
+    disturbance: Disturbance | None = field(default=None, metadata=NO_KEY)  # of all loops, in [controller]
     input: int = 1
     output: int = 1
     setpoint: float = 0.0

@@ -18,7 +18,7 @@ The step function of a nonlinear plant gets the same states (``DisturbedDynamics
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -29,6 +29,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
+from taciturn.model.key import stated_as
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from
 from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
@@ -56,7 +57,7 @@ class Disturbance(Displayed):
     """
 
     time_constant: float | None = None
-    deviation: Array | None = None
+    deviation: Array | None = field(default=None, metadata=stated_as(float | list[float] | None))
 
     def __init__(self, time_constant: float | None = None, deviation: ArrayLike | None = None) -> None:
         """Validate and store the arguments."""

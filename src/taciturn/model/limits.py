@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +12,7 @@ from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.key import Rows, stated_as
 from taciturn.model.result import SPLICED, Field, Result, plain_fields
 
 
@@ -34,9 +35,9 @@ class Limits(Displayed):
         ('x1 ≤ 2',)
     """
 
-    outputs: Array
-    low: Array
-    high: Array
+    outputs: Array = field(metadata=stated_as(Rows | None))  # omitted in a file: the measured outputs
+    low: Array = field(metadata=stated_as(list[float] | None))
+    high: Array = field(metadata=stated_as(list[float] | None))
 
     def __init__(self, outputs: ArrayLike, low: ArrayLike | None = None, high: ArrayLike | None = None) -> None:
         """Validate and store the arguments."""

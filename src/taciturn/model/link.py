@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
 from taciturn._arrays import choice, count, flag, instance, number
@@ -11,6 +11,7 @@ from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.key import stated_as
 from taciturn.model.losses import LossLaw
 from taciturn.model.wire import CODES, EncodingName
 
@@ -49,10 +50,10 @@ class LinkLaw(Displayed):
     """
 
     loss: float = 0.0
-    burst: LossLaw | None = None
+    burst: LossLaw | None = field(default=None, metadata=stated_as(dict[str, Any] | None))
     acknowledged: bool | None = None
-    payload: EncodingName = "float64"
-    range: tuple[float, ...] | None = None
+    payload: EncodingName = field(default="float64", metadata=stated_as(str))
+    range: tuple[float, ...] | None = field(default=None, metadata=stated_as(float | list[float] | None))
     price: float = 1.0
     energy: float | None = None
     battery: float | None = None

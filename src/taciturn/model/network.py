@@ -28,6 +28,7 @@ from taciturn._arrays import Array, count, flag, instance, quoted
 from taciturn._display import Displayed
 from taciturn._text import percent
 from taciturn.errors import ProblemError
+from taciturn.model.key import stated_as
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
 from taciturn.model.link import ProtocolName as ProtocolName
@@ -54,8 +55,8 @@ class NodeRole(Displayed):
         ProblemError: an index is negative or repeated, or the node has no role.
     """
 
-    measures: Entries = False
-    applies: Entries = False
+    measures: Entries = field(default=False, metadata=stated_as(Any))  # checked below, with the remedy
+    applies: Entries = field(default=False, metadata=stated_as(Any))
     controls: bool = False
     site: str | None = None
 

@@ -6,7 +6,7 @@ stores the mean of its initial state, its limits and its function in deviations 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array
 from taciturn._display import Displayed
 from taciturn.model.dynamics import AT_REST, Dynamics
+from taciturn.model.key import stated_as
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,8 +33,8 @@ class OperatingPoint(Displayed):
         array([12.4])
     """
 
-    x: Array
-    u: Array
+    x: Array = field(metadata=stated_as(list[float]))
+    u: Array = field(metadata=stated_as(list[float]))
 
     def __init__(self, x: ArrayLike, u: ArrayLike) -> None:
         """Validate and store the arguments."""

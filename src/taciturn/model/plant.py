@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
@@ -42,6 +42,7 @@ from taciturn._rational import FEWEST, Limit, is_semidefinite, nearest, rational
 from taciturn._text import Lines
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
+from taciturn.model.key import Rows, stated_as
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
@@ -495,8 +496,8 @@ class Jumps(Displayed):
     """
 
     rate: float
-    covariance: Array
-    distribution: JumpDistribution = "normal"
+    covariance: Array = field(metadata=stated_as(Rows))
+    distribution: JumpDistribution = field(default="normal", metadata=stated_as(str))
 
     def __post_init__(self) -> None:
         """Validate and store the arguments."""

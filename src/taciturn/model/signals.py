@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import cos, pi, sin
 from typing import ClassVar, Literal, TypeAlias, get_args
 
@@ -31,6 +31,7 @@ from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, 
 from taciturn._display import Displayed
 from taciturn._rational import Limit, free_modes
 from taciturn.errors import ProblemError
+from taciturn.model.key import Rows, stated_as
 from taciturn.model.operating_point import OperatingPoint
 
 LONGEST = 100_000  # sampling steps of a timetable
@@ -105,7 +106,7 @@ class RandomSteps(Changes):
 
     key = "steps.covariance"
     rate: float
-    covariance: Array
+    covariance: Array = field(metadata=stated_as(Rows))
 
     def __init__(self, rate: float, covariance: ArrayLike) -> None:
         """Validate and store the arguments."""
@@ -317,12 +318,12 @@ class ExternalDisturbance(Displayed):
         array([[1.]])
     """
 
-    enters: Array
+    enters: Array = field(metadata=stated_as(list[float]))
     wander: float
-    shape: Shape = "constant"
+    shape: Shape = field(default="constant", metadata=stated_as(str, "kind"))
     frequency: float | None = None
-    measured: Array | None = None
-    matrix: Array | None = None
+    measured: Array | None = field(default=None, metadata=stated_as(list[float] | None))
+    matrix: Array | None = field(default=None, metadata=stated_as(Rows | None))
 
     def __init__(
         self,

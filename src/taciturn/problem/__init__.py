@@ -3,15 +3,15 @@
 A file comes in, and a ``Problem`` goes out: plant, cost, network, and the kind and parameters of a policy. Three checks
 follow each other, and an error names the file, the key, the given value and the remedy:
 
-1. ``tables`` checks names and types of all keys. An unknown key is an error, so that a misspelt key is never ignored.
+1. ``schema`` checks names and types of all keys. An unknown key is an error, so that a misspelt key is never ignored.
 2. The classes of ``taciturn.model`` check shapes and values. A ``Problem`` that is built in Python gets the same check.
 3. The design function of the kind declares its parameters (``parameters``). An argument that it ignores is an error.
 
 A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
-and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``functions``).
+and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
 For the opposite direction, ``draft`` builds a problem part by part from text (``matrices``) or from a file of matrices
-(``given``), ``suggested`` proposes parameters, and ``written`` writes the file with a comment for each key.
+(``files``), proposes parameters, and writes the file with a comment for each key.
 """
 
 from __future__ import annotations
@@ -66,12 +66,7 @@ from taciturn.problem.read import (
     with_exosystem,
 )
 from taciturn.problem.read import read_function as read_function
-from taciturn.problem.schema import ControllerTable as ControllerTable
 from taciturn.problem.schema import File, ValidationError, first_mistake, suggest, validate
-from taciturn.problem.schema import InitialTable as InitialTable
-from taciturn.problem.schema import JumpsTable as JumpsTable
-from taciturn.problem.schema import NetworkTable as NetworkTable
-from taciturn.problem.schema import PlantTable as PlantTable
 from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again

@@ -1,9 +1,9 @@
-"""Problems of a policy without a problem file, and of a function that returns the policy for its parameters.
+"""Problems without a file: of a policy, or of a function that returns the policy for its parameters.
 
 A policy is studied on the plant, the cost and the network that it was designed for. Its policy kind is a record that
 returns the given policy; the parameters of the kind are those of the function.
 
-A problem that a process passes to the processes that it starts, if there is no problem file that they could read.
+A process that starts other processes passes such a problem to them, since there is no file that they could read.
 """
 
 from __future__ import annotations

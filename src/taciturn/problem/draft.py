@@ -1,8 +1,14 @@
-"""A problem under construction: each part is checked against the earlier parts, and the result is written as TOML.
+"""A problem under construction, and the text of its file, as ``taciturn new`` and scripts write it.
 
-The required parameters of a policy kind, and suggested initial values.
+A ``Draft`` holds the matrices that are known so far. Each new part is checked against the earlier parts by making the
+plant and the cost as far as they are known: an unknown noise covariance is 0, and an unknown weight R is the identity.
 
-The text of problem files: every key below a comment that describes it, and optional keys as comments.
+A required parameter may have a suggested value (``suggest_value``): a usual one, or one digit computed from plant
+and cost. A period is a fifth of the fastest time constant of the controlled plant, and the price of a send is a fifth
+of the cost of a step with every sample.
+
+The text (``problem_text``) has every key below a comment that describes it, and optional keys as comments. It is read
+back, and its policy is designed, before it is written.
 """
 
 from __future__ import annotations

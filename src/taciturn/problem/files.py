@@ -1,6 +1,6 @@
-"""Matrices of a problem that are read from a MATLAB or NumPy file.
+"""Matrices of a plant or a controller that are read from a MATLAB or NumPy file.
 
-Reading of matrix files: MATLAB's with scipy (version 7.3 with h5py), and NumPy's.
+MATLAB files are read with scipy, and those of version 7.3 with h5py; neither is imported for a file of NumPy.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Parsing and printing of matrices: MATLAB notation, Python lists, single numbers and diagonals.
+"""Text to values and back: matrices, and the values of options on the command line.
 
-Parsing of values on the command line: ``--over NAME=v1,v2,…`` and ``--set NAME=VALUE``.
+A matrix is typed in MATLAB's notation or as a Python list; a square matrix may be one number or a diagonal. Options
+are ``--over NAME=v1,v2,…`` for several values of a key, and ``--set NAME=VALUE`` for one.
 """
 
 from __future__ import annotations

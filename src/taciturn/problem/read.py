@@ -1,15 +1,17 @@
-"""The parts of a problem from the tables of its file: the rules that no table states by itself.
+"""Rules of problem files that no field states: tables that depend on each other, on files and on functions.
 
-The tables have been checked for names and types of their keys. This file applies the rules between keys: some exclude
-each other, some have defaults that depend on others, and some name files, which are read here.
+``schema`` checks each table by itself. Here, in the order of this file, they become the parts of a problem:
 
-- A plant with ``dt`` is in discrete time. A function of a nonlinear plant is specified as ``file.py:name``; reading it
-  executes the file, so a caller may refuse it.
-- Disturbances and set-points become states of the plant. Integral action is a slow disturbance at the inputs, whose
-  speed follows from the noise there.
-- The tables ``[nodes]`` and ``[links]`` are the graph of the network. ``[network]`` is a short form of three nodes; it
-  is read as their links, and the network remembers its keys for messages.
-- Messages of the classes of ``taciturn.model`` get the key of the file in front.
+* ``[reference]`` is a trajectory or set-points; set-points and ``[[disturbance]]`` become signals that act on the plant
+  (``with_exosystem``), with a timetable from a file, or a disturbance for each output that has integral action.
+* ``plant.function`` names a Python function as ``file.py:name``. Reading it executes the file, unless functions are
+  refused. Relative paths start at the folder of the problem file.
+* ``[plant]`` and ``[plant.actual]`` have the same time base and sizes.
+* ``[cost]`` states weights, variances (Bryson's rule), or weights by the present loop of ``[controller]``.
+* ``[controller]`` states gains, matrices or a file, with the sign of its feedback: u = −(C z + D y) by default.
+* ``[limits]`` are of the measured outputs if it states no others.
+* ``[nodes]`` and ``[links]`` are the graph of the network. ``[network]`` is a short form of three nodes; it is read as
+  their links, and the network remembers its keys for messages.
 """
 
 from __future__ import annotations
@@ -47,11 +49,10 @@ from taciturn.problem.files import read_controller
 from taciturn.problem.schema import (
     ControllerTable,
     CostTable,
-    DisturbanceEntry,
+    EntryKeys,
     File,
     InitialTable,
-    JumpsTable,
-    LimitsTable,
+    LimitsKeys,
     NetworkTable,
     PlantTable,
     ReferenceTable,
@@ -110,11 +111,13 @@ def with_exosystem(
     return with_target(plant, target, given)
 
 
-def _disturbance(place: int, one: DisturbanceEntry, E: Rows | None) -> ExternalDisturbance:
+def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturbance:
     """Return the disturbance of a table ``[[disturbance]]``; messages contain its place."""
     try:
-        enters = one.enters if E is None else Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one.enters])[:, 0]
-        return ExternalDisturbance(enters, one.wander, one.kind, one.frequency, one.measured, one.matrix)  # type: ignore[arg-type]
+        if E is not None:
+            moved = Inverse.of(E, len(E)).times("disturbance.enters", np.c_[one["enters"]])
+            one = {**one, "enters": moved[:, 0]}
+        return ExternalDisturbance(**one)
     except ProblemError as error:
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
@@ -124,7 +127,7 @@ def _changes(table: ReferenceTable) -> Changes | None:
     if table.steps is not None and table.file is not None:
         raise ProblemError("reference.steps and reference.file are given; expected one of them")
     if table.steps is not None:
-        return RandomSteps(table.steps.rate, table.steps.covariance)
+        return RandomSteps(**table.steps)
     if table.file is None:
         return None
     try:
@@ -296,14 +299,14 @@ def plant_of(
 ) -> Plant | ContinuousPlant:
     """Return the plant of a table, with the ``usual`` operating point if it states none."""
     initial, at = table.initial or InitialTable(), table.operating_point
-    point = usual if at is None else OperatingPoint(at.x, at.u)
+    point = usual if at is None else OperatingPoint(**at)
     if table.dt is None:
         if table.function is not None:
             raise ProblemError(
                 "plant.function is given without plant.dt; expected dt, the seconds per step of the function: "
                 "taciturn.integrate converts a differential equation into such a function"
             )
-        jumps = None if table.jumps is None else _jumps(table.jumps)
+        jumps = None if table.jumps is None else Jumps(**table.jumps)
         return ContinuousPlant(
             table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
             input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
@@ -373,7 +376,7 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
     _expect_stated(table, plant)
     disturbance = table.disturbance
     if disturbance is not None:
-        disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**vars(disturbance))
+        disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**disturbance)
     stated: Mapping[str, object] = {name: rows for name in "ABCDE" if (rows := getattr(table, name)) is not None}
     given = [name for name in ("pid", "file") if getattr(table, name) is not None] + [*stated][:1]
     if len(given) > 1:
@@ -387,11 +390,7 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
         if table.setpoint is not None:
             raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
         loops = table.pid if isinstance(table.pid, list) else [table.pid]
-        pids = list[PID]()
-        for one in loops:
-            changed = {name: -sign * getattr(one, name) for name in GAINS}
-            given_pid: dict[str, Any] = {**vars(one), **changed, "setpoint": one.setpoint or 0.0}
-            pids.append(PID(**given_pid))
+        pids = [PID(**{key: -sign * one[key] if key in GAINS else one[key] for key in one}) for one in loops]
         pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
         return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
     dt = None
@@ -426,33 +425,29 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
     return Controller(A, B, sign * C, D, E, dt, disturbance, table.setpoint)
 
 
-def limits_of(table: LimitsTable | None, plant: Plant | ContinuousPlant) -> Limits | None:
+def limits_of(table: LimitsKeys | None, plant: Plant | ContinuousPlant) -> Limits | None:
     """Return the limits of a table, by default of the measured outputs, or None without a table."""
     if table is None:
         return None
-    if table.outputs is None and plant.D is not None:
+    if "outputs" not in table and plant.D is not None:
         raise ProblemError(
             "limits.outputs is missing, and the measured outputs have a direct feedthrough plant.D; expected "
             "limits.outputs, combinations of the states"
         )
-    return Limits(plant.C if table.outputs is None else table.outputs, table.low, table.high)
+    return Limits(**{"outputs": plant.C, **table})
 
 
 def _expect_stated(table: ControllerTable, plant: Plant | ContinuousPlant) -> None:
     """Raise an error if a set-point is 0 at an operating point, where 0 means the output at this point."""
     p = len(plant.C)
     pids = [] if table.pid is None else table.pid if isinstance(table.pid, list) else [table.pid]
-    stated = {one.output - 1: one.setpoint for one in pids} | dict(enumerate(table.setpoint or []))
+    stated = {one.get("output", 1) - 1: one.get("setpoint") for one in pids} | dict(enumerate(table.setpoint or []))
     y = plant.rest_outputs
     for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
         raise ProblemError(
             f"the controller has the set-point 0 of output {i + 1}, which is {y[i]:g} at plant.operating_point; "
             "expected another set-point, or none for that of the operating point"
         )
-
-
-def _jumps(table: JumpsTable) -> Jumps:
-    return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
 
 
 def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Network:
@@ -493,18 +488,13 @@ def _graph_of(file: File) -> Network:
     nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
     for name, table in (file.nodes or {}).items():
         try:
-            nodes[name] = NodeRole(table.measures, table.applies, table.controls, table.site)
+            nodes[name] = NodeRole(**table)
         except ProblemError as error:
             raise ProblemError(f"nodes.{name}: {error}") from None
     for name, table in (file.links or {}).items():
-        for key in (key for key in ("delay", "buffer") if getattr(table, key) is not None):
-            raise ProblemError(
-                f"links.{name}.{key} is given, but links model no delay yet; expected no {key}: remove it"
-            )
-        law = {key: value for key, value in vars(table).items() if key not in ("delay", "buffer", "burst")}
-        burst = _burst(f"links.{name}.burst", table.burst)
+        law: dict[str, Any] = {**table, "burst": _burst(f"links.{name}.burst", table.get("burst"))}
         try:
-            links[name] = LinkLaw(burst=burst, **law)
+            links[name] = LinkLaw(**law)
         except ProblemError as error:
             raise ProblemError(f"links.{name}.{error}") from None
     delay = 0 if file.network is None else file.network.delay

@@ -1,22 +1,41 @@
 """The tables of a problem file, and error messages with remedies for mistakes in them.
 
-Validation of tables from a file against annotated types, by pydantic-core (its import is faster than pydantic's).
+A table is described by a class, whose fields are its keys (``keys_of``). Three kinds of tables:
+
+* A class of the model is the schema of its own table, such as ``LinkLaw`` of ``[links.NAME]``. The table is read as the
+  arguments of the class, which ``read`` makes, so that a value out of range is reported after all mistakes of types.
+* A table that states an object in several ways has a class here: weights or variances for a cost, gains, matrices or a
+  file for a controller, and a plant with its noise, initial state and function.
+* A law of losses, which a package of another author may define, is made directly.
+
+Types are checked by pydantic-core, whose import is faster than that of pydantic, and strictly: numbers given as text,
+true given as a number, and unknown keys are mistakes. ``first_mistake`` makes one clause of the first of them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
+from inspect import signature
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, Union, cast, get_args, get_origin, get_type_hints
 
 from pydantic_core import SchemaValidator, core_schema
 from pydantic_core import ValidationError as ValidationError
 
 from taciturn._arrays import quoted
 from taciturn._display import Displayed
+from taciturn.model.controller import PID
+from taciturn.model.disturbance import Disturbance
+from taciturn.model.key import Rows
+from taciturn.model.limits import Limits
+from taciturn.model.link import LinkLaw
+from taciturn.model.network import NodeRole
+from taciturn.model.operating_point import OperatingPoint
+from taciturn.model.plant import Jumps
+from taciturn.model.signals import ExternalDisturbance, RandomSteps
 
 _SIMPLE = {
     Any: core_schema.any_schema(),
@@ -54,19 +73,61 @@ def _schema(hint: Any) -> core_schema.CoreSchema:
         return core_schema.list_schema(_schema(parts[0]))
     if origin is dict:
         return core_schema.dict_schema(_schema(parts[0]), _schema(parts[1]), strict=True)
-    if is_dataclass(hint):
-        hints, build = get_type_hints(hint), cast("Callable[..., object]", hint)
+    if _is_table(hint):
         keys = {
-            field.name: core_schema.typed_dict_field(_schema(hints[field.name]), required=field.default is MISSING)
-            for field in fields(hint)
+            name: core_schema.typed_dict_field(_schema(one.kind), required=one.required)
+            for name, one in keys_of(hint).items()
         }
         table = core_schema.typed_dict_schema(keys, extra_behavior="forbid", strict=True)
+        if not is_dataclass(hint):
+            arguments = {name: one.argument for name, one in keys_of(hint).items()}
+            return core_schema.no_info_after_validator_function(lambda found: _given(found, arguments), table)
+        build = cast("Callable[..., object]", hint)
         return core_schema.no_info_after_validator_function(lambda found: build(**found), table)
     return _SIMPLE[hint]
 
 
-Rows = list[list[float]]
-REFUSED = {"refused": True}  # a key that only has a message of its own
+class Key(NamedTuple):
+    """A key of a table: its type, whether it must be given, and the argument of the class that it states."""
+
+    kind: Any
+    required: bool
+    argument: str
+
+
+@cache
+def keys_of(table: Any) -> dict[str, Key]:
+    """Return the keys of a table by name: the fields of a dataclass, except those that state no key."""
+    model = get_args(table)[1] if get_origin(table) is Annotated else table
+    hints, arguments = get_type_hints(model, include_extras=True), signature(model).parameters
+    found = dict[str, Key]()
+    for one in fields(model):
+        kind = one.metadata.get("kind", hints[one.name])
+        needed = arguments[one.name].default is arguments[one.name].empty and NoneType not in get_args(kind)
+        found |= {} if kind is None else {one.metadata.get("name", one.name): Key(kind, needed, one.name)}
+    return found
+
+
+def _is_table(hint: Any) -> bool:
+    return is_dataclass(hint) or get_origin(hint) is Annotated
+
+
+def _given(keys: Mapping[str, object], arguments: Mapping[str, str]) -> dict[str, object]:
+    """Return the arguments that a table states; None, in a table of Python, is as an omitted key."""
+    return {arguments[name]: value for name, value in keys.items() if value is not None}
+
+
+# tables whose keys are fields of a model class: read as its arguments, which the class checks when it is made
+StepsKeys: TypeAlias = Annotated[dict[str, Any], RandomSteps]
+EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
+JumpsKeys: TypeAlias = Annotated[dict[str, Any], Jumps]
+DisturbanceKeys: TypeAlias = Annotated[dict[str, Any], Disturbance]
+OperatingPointKeys: TypeAlias = Annotated[dict[str, Any], OperatingPoint]
+NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
+LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw]
+LimitsKeys: TypeAlias = Annotated[dict[str, Any], Limits]
+PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
+NO_DELAY = ("delay", "buffer")  # keys of a link that have a message of their own
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -75,23 +136,6 @@ class InitialTable(Displayed):
 
     mean: list[float] | None = None
     covariance: Rows | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class JumpsTable(Displayed):
-    """The keys of the table ``[plant.jumps]``."""
-
-    rate: float
-    covariance: Rows
-    distribution: str = "normal"
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class OperatingPointTable(Displayed):
-    """The keys of the table ``[plant.operating_point]``."""
-
-    x: list[float]
-    u: list[float]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -110,8 +154,8 @@ class PlantTable(Displayed):
     input_rate: list[float] | None = None
     function: str | None = None
     initial: InitialTable | None = None
-    jumps: JumpsTable | None = None
-    operating_point: OperatingPointTable | None = None
+    jumps: JumpsKeys | None = None
+    operating_point: OperatingPointKeys | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -156,54 +200,6 @@ class NetworkTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class NodeTable(Displayed):
-    """The keys of the tables ``[nodes.NAME]``."""
-
-    measures: Any = False  # checked by the role of the node: true or a list of indices
-    applies: Any = False
-    controls: bool = False
-    site: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class LinkTable(Displayed):
-    """The keys of the tables ``[links.NAME]``."""
-
-    loss: float = 0.0
-    burst: dict[str, Any] | None = None
-    acknowledged: bool | None = None
-    payload: str = "float64"
-    range: float | list[float] | None = None
-    price: float = 1.0
-    energy: float | None = None
-    battery: float | None = None
-    min_interval: int = 1
-    max_interval: int | None = None
-    delay: float | list[float] | None = field(default=None, metadata=REFUSED)
-    buffer: int | None = field(default=None, metadata=REFUSED)
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class DisturbanceEntry(Displayed):
-    """The keys of the tables ``[[disturbance]]``."""
-
-    enters: list[float]
-    wander: float
-    kind: str = "constant"
-    frequency: float | None = None
-    measured: list[float] | None = None
-    matrix: Rows | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class StepsTable(Displayed):
-    """The keys of ``steps`` in the table ``[reference]``."""
-
-    rate: float
-    covariance: Rows
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
 class ReferenceTable(Displayed):
     """The keys of the table ``[reference]``: a trajectory (states, inputs), or what outputs are to follow."""
 
@@ -211,50 +207,16 @@ class ReferenceTable(Displayed):
     inputs: Rows | None = None
     outputs: Rows | None = None
     value: list[float] | None = None
-    steps: StepsTable | None = None
+    steps: StepsKeys | None = None
     file: str | None = None
     integral_action: list[str] | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class LimitsTable(Displayed):
-    """The keys of the table ``[limits]``."""
-
-    outputs: Rows | None = None
-    low: list[float] | None = None
-    high: list[float] | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class PIDTable(Displayed):
-    """The keys of ``pid`` in the table ``[controller]``."""
-
-    kp: float
-    ki: float = 0.0
-    kd: float = 0.0
-    filter: float | None = None
-    input: int = 1
-    output: int = 1
-    setpoint: float | None = None
-    b: float = 1.0
-    c: float = 0.0
-    tracking_time: float | None = None
-    start_input: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class DisturbanceTable(Displayed):
-    """The keys of ``disturbance`` in the table ``[controller]``."""
-
-    time_constant: float | None = None
-    deviation: float | list[float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ControllerTable(Displayed):
     """The keys of the table ``[controller]``."""
 
-    pid: PIDTable | list[PIDTable] | None = None
+    pid: PIDKeys | list[PIDKeys] | None = None
     file: str | None = None
     A: Rows | None = None
     B: Rows | None = None
@@ -264,7 +226,7 @@ class ControllerTable(Displayed):
     method: Literal["tustin", "zoh"] | None = None
     sign: Literal["negative", "positive"] = "negative"
     setpoint: list[float] | None = None
-    disturbance: DisturbanceTable | Literal["none"] | None = None
+    disturbance: DisturbanceKeys | Literal["none"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -274,12 +236,12 @@ class File(Displayed):
     plant: NominalPlantTable
     cost: CostTable
     network: NetworkTable | None = None
-    nodes: dict[str, NodeTable] | None = None
-    links: dict[str, LinkTable] | None = None
+    nodes: dict[str, NodeKeys] | None = None
+    links: dict[str, LinkKeys] | None = None
     reference: ReferenceTable | None = None
-    disturbance: list[DisturbanceEntry] | None = None
+    disturbance: list[EntryKeys] | None = None
     controller: ControllerTable | None = None
-    limits: LimitsTable | None = None
+    limits: LimitsKeys | None = None
     policy: dict[str, Any]
 
 
@@ -294,6 +256,8 @@ def first_mistake(error: ValidationError, root: type, within: Sequence[str] = ()
     place = [*place, first["loc"][-1]] if extra else place
     whole = [*within, *place]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in whole).removeprefix(".")
+    if extra and place[0] == "links" and place[-1] in NO_DELAY:
+        return f"{where} is given, but links model no delay yet; expected no {place[-1]}: remove it"
     if extra:
         names = _keys_at(root, [part for part in place[:-1] if isinstance(part, str)])
         return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(place[-1]), names)}"
@@ -314,21 +278,21 @@ def _place(root: type, location: Sequence[str | int]) -> list[str | int]:
     kept = list[str | int]()
     table: Any = root
     for part in location:
-        hints: dict[str, Any] = get_type_hints(table) if is_dataclass(table) else {}
+        keys = keys_of(table) if _is_table(table) else {}
         if isinstance(part, int):
             kept.append(part)
         elif get_origin(table) is dict:
             kept.append(part)
             table = get_args(table)[1]
-        elif part in hints:
+        elif part in keys:
             kept.append(part)
-            table = _table_of(hints[part])
+            table = _table_of(keys[part].kind)
     return kept
 
 
 def _table_of(hint: Any) -> Any:
-    """Return the dataclass of a table, or the mapping of tables, in a list or in a type that may have alternatives."""
-    if is_dataclass(hint) or get_origin(hint) is dict:
+    """Return a table, or the mapping of tables, in a list or in a type that may have alternatives."""
+    if _is_table(hint) or get_origin(hint) is dict:
         return hint
     found = (_table_of(kind) for kind in get_args(hint))
     return next((kind for kind in found if kind is not object), object)
@@ -337,8 +301,8 @@ def _table_of(hint: Any) -> Any:
 def _keys_at(root: type, path: Sequence[str]) -> list[str]:
     table: Any = root
     for part in path:
-        table = get_args(table)[1] if get_origin(table) is dict else _table_of(get_type_hints(table)[part])
-    return [one.name for one in fields(table) if "refused" not in one.metadata]
+        table = get_args(table)[1] if get_origin(table) is dict else _table_of(keys_of(table)[part].kind)
+    return list(keys_of(table))
 
 
 def _required(path: Sequence[str | int]) -> str:

@@ -1,0 +1,23 @@
+"""How a problem file states the fields of a model class: the class is the schema of its table.
+
+``problem.schema`` reads a table by the fields of its class: each field is a key with its type, which must be given if
+its argument has no default. So a new property of a link is one field of ``LinkLaw`` and one line of its docstring.
+Ranges are checked by the class itself, since an instance may also be made without a file.
+
+Only what a file states in another way needs metadata: an array, which is a list there, or a table of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+Rows = list[list[float]]  # a matrix
+NO_KEY = {"kind": None}  # of a field that the table does not state
+
+
+def stated_as(kind: Any, name: str | None = None) -> dict[str, Any]:
+    """Return the metadata of a field whose key has another type than the field, or another name.
+
+    A key whose type contains None may be omitted.
+    """
+    return {"kind": kind} if name is None else {"kind": kind, "name": name}
