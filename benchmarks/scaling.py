@@ -117,7 +117,7 @@ def row(task: str, family: str, n: int) -> dict[str, Any]:
     """Measure one row in this process."""
     import taciturn
     from taciturn import design
-    from taciturn.analyse.limits import bound_below
+    from taciturn_limits.bounds import bound_below
 
     def solve(A: Array, B: Array, C: Array, W: Array, V: Array, Q: Array, R: Array) -> None:
         plant, cost = taciturn.Plant(A, B, W, C, V), taciturn.Cost(Q, R)

@@ -15,8 +15,8 @@ from taciturn.model import cost, link, signals
 from taciturn.problem import files as matrices
 from taciturn.problem import read
 from taciturn.renewal.chain import MOST_STATES
-from taciturn.renewal.fitted import DIRECTIONS
 from taciturn.simulation import sampling
+from taciturn_limits.fitted import DIRECTIONS
 
 COSTS = {"average": "average", "horizon": "`horizon`", "discount": "`discount`"}
 PLANTS = {"outputs": "outputs with noise", "jumps": "Poisson jumps"}
@@ -47,7 +47,7 @@ def problems(kinds: Sequence[Kind]) -> str:
         lambda kind: (
             plants(kind),
             ", ".join(COSTS[word] for word in kind.costs),
-            "yes" if _drops(kind) else "no",
+            "yes" if kind.takes_losses else "no",
             "yes" if "reference" in kind.arguments else "no",
             _set_points(kind),
             kind.refused,
@@ -60,7 +60,7 @@ def nodes(kinds: Sequence[Kind]) -> str:
     return _grouped(
         ("nodes", "plant", "links", "kinds"),
         kinds,
-        lambda kind: (kind.nodes, plants(kind), "drop packets" if _drops(kind) else "ideal"),
+        lambda kind: (kind.nodes, plants(kind), "drop packets" if kind.takes_losses else "ideal"),
         last=True,
     )
 
@@ -93,7 +93,7 @@ def limits(kinds: Sequence[Kind]) -> str:
         "no set-points and no disturbances of known shape": lambda kind: _set_points(kind) == "no",
         "the set-points of its controller": lambda kind: _set_points(kind) == KEPT,
         "constant set-points": lambda kind: kind.follows == ("constant",),
-        "links that deliver every packet, in the design": lambda kind: not _drops(kind),
+        "links that deliver every packet, in the design": lambda kind: not kind.takes_losses,
         "one sensor and one actuator": lambda kind: not (kind.several_nodes or kind.joint_links),
         "one sensor": lambda kind: kind.joint_links and not kind.several_nodes,
     }
@@ -135,11 +135,6 @@ def _set_points(kind: Kind) -> str:
     """Return which set-points a kind follows."""
     required = kind.keeps_controller and kind.arguments["controller"].default is Parameter.empty
     return KEPT if required and not kind.follows else FOLLOWS[kind.follows]
-
-
-def _drops(kind: Kind) -> bool:
-    """Return whether a kind is designed for links that drop or delay packets."""
-    return "network" in kind.tables and not kind.ideal_links
 
 
 def _grouped(

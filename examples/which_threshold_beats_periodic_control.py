@@ -5,8 +5,8 @@ from matplotlib.figure import Figure
 
 import taciturn
 from taciturn.lqg.prediction import prediction_cost
-from taciturn.simulation.events import average_events
-from taciturn.study.losses import find_losses
+from taciturn_events.losses import find_losses
+from taciturn_events.policy import average_events
 
 # position and velocity; two gusts per second on average push the velocity, and the position a little
 gusts = taciturn.Jumps(rate=2.0, covariance=[[0.02, 0.0], [0.0, 1.0]])

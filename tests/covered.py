@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from taciturn import ContinuousPlant, Cost, Jumps, Network, Plant, ProblemError, Reference, close, design
-from taciturn.analyse.limits import resets
-from taciturn.analyse.renewal import chain_of
+from taciturn.analyse.renewal import chain_of, resets
 from taciturn.analyse.switched import switched
 from taciturn.loop import Loop
 from taciturn.model.coverage import SIMULATED

@@ -128,7 +128,7 @@ def test_an_upward_and_a_sideways_import_are_found(tmp_path: Path) -> None:
     (tmp_path / "model").mkdir()
     (tmp_path / "program").mkdir()
     (tmp_path / "model" / "plant.py").write_text("def f():\n    from taciturn.loop import close\n")
-    (tmp_path / "program" / "ir.py").write_text("import taciturn.renewal.events\n")
+    (tmp_path / "program" / "ir.py").write_text("import taciturn.renewal.chain\n")
     (tmp_path / "_figure.py").write_text("from taciturn import _modes\n")
     (tmp_path / "loop.py").write_text("from taciturn.model.plant import Plant\n")
     assert len(violations(tmp_path)) == 3
@@ -183,8 +183,8 @@ def test_only_its_own_file_names_a_kind() -> None:
     about = {("study/periodic.py", "periodic"), ("study/evaluation.py", "periodic"), ("study/tradeoff.py", "periodic")}
     about |= {("study/compare.py", "periodic"), ("study/compare.py", "all-time"), ("study/tune.py", "consistent")}
     about |= {("study/evaluation.py", "consistent"), ("program/functions.py", "absolute"), ("loop.py", "excess")}
-    about |= {("design/kinds/optimal.py", "near-optimal"), ("design/kinds/excess.py", "lqg")}  # the gains of LQG
-    about |= {("model/schedule.py", "variance"), ("renewal/events.py", "integral"), ("base/certainty.py", "excess")}
+    about |= {("design/kinds/excess.py", "lqg")}  # the gains of LQG
+    about |= {("model/schedule.py", "variance"), ("base/certainty.py", "excess")}
     kinds, found = own_kinds(), set[tuple[str, str]]()
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()

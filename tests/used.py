@@ -16,7 +16,7 @@ import numpy as np
 
 from taciturn import Burst, ContinuousPlant, Cost, Jumps, Network, Plant, Policy, Problem, close
 from taciturn._modes import root
-from taciturn.analyse.limits import resets
+from taciturn.analyse.renewal import resets
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -24,7 +24,8 @@ from taciturn.model.disturbance import Reference
 from taciturn.model.estimate import Estimate
 from taciturn.problem.draft import example_of
 from taciturn.program.ops import Sent, is_entry
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn_events.policy import EventPolicy
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 A, B, C, V, W = [[1.1, 0.2], [0.0, 0.8]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.2]], [[0.1, 0.0], [0.0, 0.1]]
 COST = Cost(np.eye(2), [[0.5]])
@@ -286,7 +287,7 @@ def of_network(problem: Problem, name: str) -> tuple[Use, Use]:
 def uses_of(kind: str) -> Mapping[str, tuple[Use, ...]]:
     """Return what becomes of each property with a kind; of the network in a problem, and where a loop is closed."""
     problem = KINDS[kind]
-    module = import_module("taciturn.design.kinds.integral")
+    module = import_module("taciturn_events.integral")
     slope = patch.object(module, "_largest_slope", lambda *_: np.inf)  # these two checks take long, and decide no law
     alpha = patch.object(module._Search, "given", lambda _, alpha: Estimate(alpha, 0.0, "exact"))
     with slope, alpha:

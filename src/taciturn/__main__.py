@@ -1,6 +1,6 @@
 """The command line as ``python -m taciturn``."""
 
-from taciturn.cli import main
+from taciturn.cli.frame import main
 
 if __name__ == "__main__":
     main()

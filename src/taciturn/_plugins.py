@@ -2,11 +2,13 @@
 
 | group | name | value |
 |---|---|---|
+| `taciturn.bounds` | `schedules` | function that bounds the cost of every schedule of a loop from below |
 | `taciturn.bursts` | name of the law | class derived from `taciturn.model.losses.LossLaw` |
 | `taciturn.commands` | any | module that adds commands to `taciturn.cli.frame.app` when it is imported |
 | `taciturn.functions` | name `f` | function that users call as `taciturn.f` |
 | `taciturn.kinds` | name of the policy kind | its record, a `taciturn.design.kind.Kind` |
 | `taciturn.problems` | any | package that contains problem files, which are built in |
+| `taciturn.quadratures` | `jumps` | function that solves a chain whose noise consists of jumps |
 | `taciturn.wires` | name of the wire | function that returns the encoder and decoder of a node |
 """
 
@@ -67,7 +69,12 @@ def load_entry(entry: EntryPoint, purpose: str) -> Any:
 
 def package_of(entry: EntryPoint) -> str:
     """Return the name of the package that an entry point belongs to, with the word package."""
-    return "taciturn itself" if entry.dist is None else f"the package {entry.dist.name}"
+    return "taciturn itself" if in_this_wheel(entry) else f"the package {entry.dist.name if entry.dist else ''}"
+
+
+def in_this_wheel(entry: EntryPoint) -> bool:
+    """Return whether an entry point is one of this wheel."""
+    return entry.dist is None or entry.dist.name == "taciturn"
 
 
 @cache

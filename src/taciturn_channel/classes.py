@@ -14,7 +14,7 @@ from math import gcd, lcm
 import numpy as np
 import numpy.typing as npt
 
-from taciturn.analyse.limits import resets
+from taciturn.analyse.renewal import resets
 from taciturn.design.prediction import modelled
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.extend import Array, Displayed, count, instance, radius
@@ -25,8 +25,8 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.trigger import Form
 from taciturn.problem import Problem
 from taciturn.problem.bare import as_problem
-from taciturn.renewal.fitted import decayed
 from taciturn.study.evaluation import Unit, cost_unit, rate_unit
+from taciturn_limits.fitted import decayed
 
 LONGEST_INTERVAL = 1 << 17  # most checks between two sends; an error with a longer interval is never sent
 FIRST = 64  # intervals that are computed first; their number is doubled when needed
@@ -269,7 +269,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
 def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
         if problem.network != Network():
-            given = "[network]" if problem.network.triangle else "[nodes]"
+            given = "[nodes]" if problem.network.own_nodes else "[network]"
             raise ProblemError(
                 f"{given} is given, but the shared channel replaces the network; expected a problem without {given}"
             )

@@ -63,8 +63,8 @@ def channel(
 ) -> None:
     """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
-    from taciturn.analyse.limits import LEVEL
     from taciturn.extend import answered_within, check_format, save
+    from taciturn.model.theory import LEVEL
     from taciturn.study.record import origin
     from taciturn.study.workers import processes
 

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.extend import Array, Displayed, Progress, crossing, symmetrised
 from taciturn.lqg.equation import stationary
 from taciturn.model.estimate import Estimate
+from taciturn.model.theory import LEVEL
 from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.renewal.chain import NoQuadratureError
-from taciturn.renewal.fitted import bound_rare_sends
 from taciturn.simulation.statistics import rate_of
 from taciturn.study.workers import answer_all, idle
 from taciturn_channel.classes import Kind
 from taciturn_channel.simulated import RULE_ERROR, Group, measure_freely
+from taciturn_limits.fitted import bound_rare_sends
 
 if TYPE_CHECKING:
-    from taciturn.renewal.dual import SampledDual
-    from taciturn.renewal.fitted import Fitted
+    from taciturn_limits.dual import SampledDual
+    from taciturn_limits.fitted import Fitted
 
 PER_OCTAVE = 2  # prices of the table per octave
 USUAL_SLOPE = 0.25  # approximate decrease of the load between neighbouring prices of the table, in octaves
@@ -177,7 +177,7 @@ class Curves:
 
         The confidence applies only to the sum of the sampled bounds.
         """
-        from taciturn.renewal.dual import SampledDual, bound_sum
+        from taciturn_limits.dual import SampledDual, bound_sum
 
         base = sum(kind.count * kind.cost_all_time for kind in self.kinds)
         if not price:
@@ -247,7 +247,7 @@ def _settle(job: Job) -> Settled:
 
 def _fit(kind: Kind, price: float, seed: int, points: int) -> Fitted | None:
     """Return a schedule that is fitted at a price, or None if sends are too rare or there is nothing to fit."""
-    from taciturn.renewal.fitted import fit_schedule  # slow to import
+    from taciturn_limits.fitted import fit_schedule  # slow to import
 
     error = kind.F, kind.noise, kind.Gamma
     if kind.clocked.forever == 0 or bound_rare_sends(*error, price).rate < RAREST:
@@ -332,9 +332,9 @@ def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[E
 
 def _least_gain(job: Job, fitted: Fitted | None) -> float | SampledDual:
     """Return a lower bound on the least mean cost of a check at a price."""
-    from taciturn.renewal.dual import sample_dual
-    from taciturn.renewal.fitted import fit_schedule
-    from taciturn.renewal.optimal import solve_optimal
+    from taciturn_limits.dual import sample_dual
+    from taciturn_limits.fitted import fit_schedule
+    from taciturn_limits.optimal import solve_optimal
 
     kind, price = job.kind, job.price
     error = kind.F, kind.noise, kind.Gamma

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
-from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.extend import (
     Displayed,
@@ -37,6 +36,7 @@ from taciturn.extend import (
 )
 from taciturn.model.estimate import Estimate
 from taciturn.model.result import Columns, Tabular, columns_of
+from taciturn.model.theory import LEVEL
 from taciturn.problem import Problem
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE

@@ -49,8 +49,8 @@ _COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", 
 
 
 def link_code(policy: Policy, link: str) -> str:
-    """Return the number of a link in C; the links of three nodes have names."""
-    named = policy.network.triangle and link != SETPOINT
+    """Return the number of a link in C; the links of the usual nodes have names."""
+    named = not policy.network.own_nodes and link != SETPOINT
     return f"TAC_{link.upper()}_LINK" if named else f"{wire_links(policy).index(link)}u"
 
 

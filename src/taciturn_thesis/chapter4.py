@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from taciturn.design.kinds.integral import integral
 from taciturn.extend import Panel, Progress, Series, draw
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Jumps
 from taciturn.problem import load
-from taciturn.renewal.cycles import estimate_cycles, sample_cycles, sweep_thresholds
-from taciturn.renewal.events import IntegralTrigger, JumpProcess
-from taciturn.renewal.policy import EventPolicy
-from taciturn.study.losses import Losses, find_losses
+from taciturn_events.cycles import estimate_cycles, sample_cycles, sweep_thresholds
+from taciturn_events.events import IntegralTrigger, JumpProcess
+from taciturn_events.integral import integral
+from taciturn_events.losses import Losses, find_losses
+from taciturn_events.policy import EventPolicy
 from taciturn_thesis.chapter5 import price_of
 from taciturn_thesis.reproduction import Reproduction, Row, Table
 

@@ -9,10 +9,11 @@ import pytest
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, ProblemError, close, design
-from taciturn.analyse.limits import EASY, LowerBound, bound_below
 from taciturn.model.plant import Jumps
+from taciturn.model.theory import LowerBound
 from taciturn.problem import parse
-from taciturn.renewal import dual
+from taciturn_limits import dual
+from taciturn_limits.bounds import EASY, bound_below
 
 PLANT = Plant([[1.0, 0.2], [0.0, 0.9]], [[0.0], [1.0]], [[0.5, 0.1], [0.1, 0.3]])
 COST = Cost(np.eye(2), [[1.0]])

@@ -11,7 +11,7 @@ from cli.conftest import COST, POLICY, Run, Write
 
 import taciturn
 from taciturn import ProblemError
-from taciturn.analyse.limits import LowerBound
+from taciturn.model.theory import LowerBound
 from taciturn.study.tradeoff import Point, Tradeoff
 
 EXCESS = '[policy]\nkind = "excess"\ntheta = 0.5\nactuation = "model"\n'

@@ -32,8 +32,8 @@ from everything.toml import text_of
 import taciturn
 from taciturn.errors import TaciturnError
 from taciturn.problem import Problem, parse
-from taciturn.renewal.policy import OptimalPolicy
 from taciturn.study.evaluation import Evaluation
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 Tables = Mapping[str, Any]
 DOUBT, SURE, LONGER = 4.0, 5.0, 16

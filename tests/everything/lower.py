@@ -13,8 +13,8 @@ from typing import Protocol
 from everything.interpreters import SkippedError
 from everything.routes import is_sentence
 
-from taciturn.analyse.limits import LowerBound
 from taciturn.errors import ProblemError
+from taciturn.model.theory import LowerBound
 from taciturn.problem import Problem
 from taciturn.study.evaluate import expect_bound
 from taciturn.study.evaluation import Evaluation

@@ -15,13 +15,13 @@ from scipy.optimize import newton
 from systems import System, make_system, systems, well_posed
 
 from taciturn import Plant, ProblemError, design
-from taciturn.analyse.limits import bound_below
-from taciturn.renewal import dual
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
-from taciturn.renewal.dual import bound_schedules
-from taciturn.renewal.fitted import Fitted, fit_schedule
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.renewal.optimal import Optimum, solve_optimal
+from taciturn_limits import dual
+from taciturn_limits.bounds import bound_below
+from taciturn_limits.dual import bound_schedules
+from taciturn_limits.fitted import Fitted, fit_schedule
+from taciturn_limits.optimal import Optimum, solve_optimal
 
 ACCURACY = {1: 1e-7, 2: 1e-5, 3: 1e-3}
 RATE = {1: 1e-6, 2: 1e-3, 3: 3e-3}  # of log(δ), to which a rate is met

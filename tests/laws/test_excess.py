@@ -11,9 +11,9 @@ from systems import System, make_system, well_posed
 
 import taciturn
 from taciturn import design
-from taciturn.analyse.limits import bound_below
 from taciturn.simulation.average import average
 from taciturn.simulation.sampling import Averages
+from taciturn_limits.bounds import bound_below
 
 Actuation = Literal["hold", "model"]
 STEPS = 1_600_000

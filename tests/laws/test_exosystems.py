@@ -13,7 +13,7 @@ from counts import few
 from scipy.linalg import block_diag, solve_discrete_are
 from systems import make_system, well_posed
 
-from taciturn import (  # fmt: skip
+from taciturn import (
     ContinuousPlant,
     Cost,
     Network,
@@ -28,7 +28,6 @@ from taciturn import (  # fmt: skip
     load,
     simulate,
 )
-from taciturn.analyse.limits import bound_below
 from taciturn.base.certainty import design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise, has_average
@@ -38,6 +37,7 @@ from taciturn.model.signals import Exosystem, ExternalDisturbance, SetPoint, Tim
 from taciturn.problem import parse
 from taciturn.simulation.average import completed_squares, plain_average
 from taciturn.study.describe import describe
+from taciturn_limits.bounds import bound_below
 
 A = np.array([[0.9, 0.2, 0], [0, 0.8, 0.3], [0, 0, 1.05]])
 B = np.array([[0, 0.1], [0.5, 0], [0.2, 1.0]])

@@ -18,11 +18,11 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, close, design, simulate
 from taciturn.lqg.prediction import PredictionCost
 from taciturn.problem import parse
-from taciturn.renewal.cycles import estimate_cycles, sweep_thresholds
-from taciturn.renewal.events import IntegralTrigger, JumpProcess
-from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import plain_average
-from taciturn.study.losses import find_losses
+from taciturn_events.cycles import estimate_cycles, sweep_thresholds
+from taciturn_events.events import IntegralTrigger, JumpProcess
+from taciturn_events.losses import find_losses
+from taciturn_events.policy import EventPolicy
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -32,7 +32,7 @@ FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck
 def fewer_cycles(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Search fixed points with a hundredth of the usual cycles, in the full counts with a fortieth."""
     cycles = 20_000 if request.node.get_closest_marker("evidence") is None else 50_000
-    monkeypatch.setattr(import_module("taciturn.design.kinds.integral"), "CYCLES", cycles)
+    monkeypatch.setattr(import_module("taciturn_events.integral"), "CYCLES", cycles)
 
 
 DOUBLE = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], jumps=Jumps(5.0, np.diag([0.0, 0.5])))
@@ -117,7 +117,7 @@ LIMITS = [{}, {"h_max": 1.0}, {"saturation": 0.4}, {"h_min": 0.3, "h_max": 1.5}]
 def test_nodes_do_what_cycles_tell(case: tuple[str, dict]) -> None:
     """Rate and cost by the loop with its plant, by its exact identity, and by the cycles of the error alone."""
     plant, limits = DOUBLE if case[0] == "jumps" else WIENER, case[1]
-    from taciturn.design.kinds.integral import sampled_error
+    from taciturn_events.integral import sampled_error
 
     policy = design.integral(plant, COST, slope=8.0, alpha=0.15, period=0.05, **limits)
     loop = close(plant, policy)
@@ -166,7 +166,7 @@ def test_looking_more_often_comes_to_every_instant() -> None:
     """The mean interval and the cost under jumps, looked at every 2 ms and watched between jumps."""
     watched = design.integral(DOUBLE, COST, slope=5.0, alpha=0.6, h_max=2.0)
     exact = estimate_cycles(watched.process, watched.trigger, cycles=100_000, seed=1)
-    from taciturn.design.kinds.integral import sampled_error
+    from taciturn_events.integral import sampled_error
 
     seen = sampled_error(DOUBLE, price_of(DOUBLE, COST), 0.002)
     found = estimate_cycles(seen, watched.trigger, cycles=20_000, seed=2)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.renewal.optimal import Optimum, solve_optimal
+from taciturn_limits.optimal import Optimum, solve_optimal
 
 FEW = settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 ACCURACY = 1e-3

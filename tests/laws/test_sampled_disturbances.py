@@ -19,7 +19,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, expm
 
-from taciturn import (  # fmt: skip
+from taciturn import (
     PID,
     ContinuousPlant,
     Cost,

@@ -21,7 +21,7 @@ from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.nodes.node import Node
 from taciturn.problem.draft import example_of
 from taciturn.program.ops import Sent
-from taciturn.renewal.policy import OptimalPolicy
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 SYSTEM = make_system(5, 2, 1, 2, full_state=False)
 NAMES = (*POLICIES, *(kind for kind in CATALOGUE if kind not in POLICIES))

@@ -10,7 +10,6 @@ import pytest
 
 import taciturn
 from taciturn import Cost, Guarantee, Network, Plant, Policy, ProblemError, Trigger, close
-from taciturn.analyse.limits import bound_below
 from taciturn.analyse.renewal import bound_rate, solve_renewal
 from taciturn.analyse.switched import switched
 from taciturn.errors import InformationError
@@ -18,6 +17,7 @@ from taciturn.model.packets import fingerprint
 from taciturn.model.steps import Apply, Assign, Decide, Received, Send, Step
 from taciturn.model.theory import Theory
 from taciturn.model.trigger import Form
+from taciturn_limits.bounds import bound_below
 
 PLANT = Plant([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2))
 COST = Cost(np.eye(2), [[1.0]])

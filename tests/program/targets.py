@@ -19,7 +19,7 @@ from taciturn.program.functions import exponential_of, falling, logarithm
 from taciturn.program.ir import Builder, Program
 from taciturn.program.llvm import Build, Target, print_llvm
 from taciturn.program.ops import Precision, State
-from taciturn.renewal.events import IntegralTrigger, JumpProcess, cycle_program
+from taciturn_events.events import IntegralTrigger, JumpProcess, cycle_program
 
 LINUX, WINDOWS, APPLE = "x86_64-unknown-linux-gnu", "x86_64-pc-windows-msvc", "x86_64-apple-macosx"
 TARGETS = {

@@ -11,7 +11,7 @@ from numpy.polynomial import Polynomial
 
 from taciturn._arrays import Array
 from taciturn.program.machine import Kernel
-from taciturn.renewal.events import ERROR, WAIT, CycleTrigger, JumpProcess, LevelTrigger, cycle_program, start_cycles
+from taciturn_events.events import ERROR, WAIT, CycleTrigger, JumpProcess, LevelTrigger, cycle_program, start_cycles
 
 
 def error_polynomials(A: Array, e: Array) -> list[Polynomial]:

@@ -12,8 +12,8 @@ from taciturn._arrays import Array
 from taciturn.model.plant import Jumps
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
-from taciturn.renewal.cycles import sample_cycles
-from taciturn.renewal.events import (
+from taciturn_events.cycles import sample_cycles
+from taciturn_events.events import (
     DURATION,
     ENDED,
     ERROR,

@@ -11,10 +11,10 @@ from counts import few
 from drawn import rows
 
 from taciturn.errors import ProblemError
-from taciturn.renewal import dual
-from taciturn.renewal.dual import DualBound, Martingale, bound_schedules
-from taciturn.renewal.fitted import Fitted, fit_schedule
-from taciturn.renewal.optimal import solve_optimal
+from taciturn_limits import dual
+from taciturn_limits.dual import DualBound, Martingale, bound_schedules
+from taciturn_limits.fitted import Fitted, fit_schedule
+from taciturn_limits.optimal import solve_optimal
 
 UNIT = np.eye(1)
 PLANE = (

@@ -11,7 +11,7 @@ from counts import few
 from renewal.crossings import jumps
 from scipy import stats
 
-import taciturn.renewal.cycles as cycles_module
+import taciturn_events.cycles as cycles_module
 from taciturn._arrays import Array
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
@@ -20,8 +20,8 @@ from taciturn.program import machine
 from taciturn.program import numpy as interpreter
 from taciturn.program.engine import prepare
 from taciturn.program.machine import Kernel
-from taciturn.renewal.cycles import CycleEstimate, estimate_cycles, sample_cycles, sweep_thresholds
-from taciturn.renewal.events import (
+from taciturn_events.cycles import CycleEstimate, estimate_cycles, sample_cycles, sweep_thresholds
+from taciturn_events.events import (
     CycleTrigger,
     IntegralTrigger,
     JumpProcess,

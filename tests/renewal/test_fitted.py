@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 
 from taciturn.errors import ProblemError
 from taciturn.renewal.chain import Chain
-from taciturn.renewal.dual import PRECISE
-from taciturn.renewal.fitted import PATHS, SNAPSHOTS, Lattice, fit_schedule, keep_errors
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.renewal.optimal import solve_optimal
+from taciturn_limits.dual import PRECISE
+from taciturn_limits.fitted import PATHS, SNAPSHOTS, Lattice, fit_schedule, keep_errors
+from taciturn_limits.optimal import solve_optimal
 
 UNIT = np.eye(1)
 SPIRAL = np.array([[0.9, 0.4], [-0.3, 1.0]])

@@ -11,9 +11,9 @@ from scipy.stats import poisson, qmc
 
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.plant import JumpNoise, Jumps
-from taciturn.renewal import jumps as quadrature
 from taciturn.renewal.chain import Chain, NoQuadratureError
-from taciturn.renewal.jump_density import (
+from taciturn_events import jumps as quadrature
+from taciturn_events.jump_density import (
     TABLES_MEET,
     CompoundPoissonNoise,
     Density,
@@ -22,7 +22,7 @@ from taciturn.renewal.jump_density import (
     legendre_nodes,
     plane_flow,
 )
-from taciturn.renewal.jumps import solve_jumps
+from taciturn_events.jumps import solve_jumps
 
 # period: sends per second and average cost of the consistent periodic trigger on a double integrator
 KNOWN = {

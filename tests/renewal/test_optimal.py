@@ -12,10 +12,10 @@ from drawn import rows
 from taciturn.errors import ProblemError
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.lqg.sampling import sample
-from taciturn.renewal import optimal
 from taciturn.renewal.chain import Chain, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.renewal.optimal import solve_optimal
+from taciturn_limits import optimal
+from taciturn_limits.optimal import solve_optimal
 
 UNIT = np.eye(2)
 TURNING = np.array([[0.9, 0.5], [-0.4, 1.0]])  # an unstable spiral

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taciturn.renewal.chain import NoQuadratureError
-from taciturn.renewal.fitted import bound_rare_sends
-from taciturn.renewal.optimal import solve_optimal
+from taciturn_limits.fitted import bound_rare_sends
+from taciturn_limits.optimal import solve_optimal
 
 
 @settings(max_examples=4, deadline=None)

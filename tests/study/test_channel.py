@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 import taciturn
 from taciturn import PID, Cost, Estimate, Plant, Problem, ProblemError, UnstableError
 from taciturn._arrays import Array
-from taciturn.analyse.limits import solve_optimum
 from taciturn.model.network import Network
 from taciturn.model.trigger import Form
 from taciturn.renewal.chain import Chain
@@ -36,6 +35,7 @@ from taciturn_channel.simulated import (
     contend,
     measure_freely,
 )
+from taciturn_limits.bounds import solve_optimum
 
 UNIT = np.eye(1)
 WALK = Problem(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "all-time", {})

@@ -12,9 +12,8 @@ import pytest
 import taciturn
 from taciturn import Estimate
 from taciturn._text import ordinal, percent, wrapped_text
-from taciturn.analyse.limits import LowerBound
 from taciturn.model.schedule import Schedule
-from taciturn.renewal.policy import EventPolicy
+from taciturn.model.theory import LowerBound
 from taciturn.study.evaluate import contradicted
 from taciturn.study.evaluation import (
     Evaluation,
@@ -26,6 +25,7 @@ from taciturn.study.evaluation import (
     rounded,
 )
 from taciturn.study.periodic import Timed, fair_clock
+from taciturn_events.policy import EventPolicy
 
 SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
 COST = taciturn.Cost(Q=[[1.0]], R=[[1.0]])

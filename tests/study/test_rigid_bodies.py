@@ -9,7 +9,7 @@ from counts import few
 import taciturn
 from taciturn._modes import eigenvalues, radius
 from taciturn.model.plant import ContinuousPlant
-from taciturn.renewal.fitted import decayed
+from taciturn_limits.fitted import decayed
 
 
 def body(seed: int) -> ContinuousPlant:

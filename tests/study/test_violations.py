@@ -22,9 +22,10 @@ from taciturn.model.limits import Limits, Violation
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.signals import ExternalDisturbance
 from taciturn.program.engine import prepare
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.violations import violations
 from taciturn.study.record import decode, encode
+from taciturn_events.policy import EventPolicy
+from taciturn_limits.optimal_kind import OptimalPolicy
 
 SURE = 4.0  # standard errors
 SLOW, UNIT = Plant([[0.95]], [[1.0]], [[1.0]]), Cost([[1.0]], [[10.0]])

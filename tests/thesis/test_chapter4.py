@@ -10,8 +10,8 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, design
 from taciturn.lqg.prediction import prediction_cost
 from taciturn.problem import parse
-from taciturn.renewal.cycles import estimate_cycles
-from taciturn.renewal.events import JumpProcess, LevelTrigger
+from taciturn_events.cycles import estimate_cycles
+from taciturn_events.events import JumpProcess, LevelTrigger
 
 DOUBLE = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], jumps=Jumps(5.0, np.diag([0.0, 0.5])))
 COST = Cost(np.eye(2), [[10.0]])

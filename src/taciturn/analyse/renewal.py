@@ -7,11 +7,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from taciturn._arrays import Array, count, instance
+from taciturn._plugins import load_plugin
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.coverage import JUMPS, LINEAR_LOOP, Coverage, uncovered
+from taciturn.model.coverage import INTERVALS, JUMPS, LINEAR_LOOP, STEPS, Coverage, uncovered
 from taciturn.model.policy import Policy
+from taciturn.model.theory import Reset
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
@@ -94,7 +96,7 @@ class RenewalQuadrature:
         """Return the result of ``solve_renewal``."""
         if self.gaussian is not None:
             return self.gaussian.solve(accuracy, progress)
-        from taciturn.renewal.jumps import solve_jumps
+        solve_jumps = load_plugin("taciturn.quadratures", "jumps", "a quadrature under jumps")
 
         return solve_jumps(self.chain, self.usual if accuracy is None else accuracy, progress)
 
@@ -261,3 +263,35 @@ def _parts(form: Form, signals: Mapping[str, Array]) -> tuple[Array | None, floa
         return None, form.constant
     seen = [signals[name] for name in form.signals if name in signals]
     return (seen[0].T @ form.Psi @ seen[0], form.constant) if seen else None
+
+
+def resets(loop: Loop) -> Reset:
+    """Return the error of a loop that a send resets to zero and that only Gaussian noise drives."""
+    instance("loop", loop, Loop)
+    if loop.violated_assumptions:
+        raise ProblemError(
+            f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, which a lower bound "
+            "requires"
+        )
+    if loop.problem.plant.changes is not None:
+        raise ProblemError(
+            "the set-points change (reference.steps or file); expected constant set-points for optimal schedules and "
+            "lower bounds"
+        )
+    if loop.policy.theory.reset is None or loop.horizon is not None:
+        kind, links = loop.policy.kind, loop.policy.scheduled
+        several = f"{kind} decides on several links ({', '.join(links)})"
+        raise ProblemError(
+            "a lower bound requires that a send resets the error that determines the cost, but "
+            f"{several if len(links) > 1 else f'a send of {kind} does not reset it'}; expected LQG control of the kind "
+            "excess with one link and actuation = 'model', or the kind consistent or near-optimal"
+        )
+    if loop.problem.jumps is not None:
+        raise ProblemError(
+            "the noise consists of jumps; expected Gaussian noise for optimal schedules and lower bounds"
+        )
+    BOUNDED.check(loop.parts)
+    return loop.policy.theory.reset
+
+
+BOUNDED = Coverage(LINEAR_LOOP | STEPS | INTERVALS, "lower bounds and optimal schedules do not support")

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from taciturn._plugins import find_plugins, load_entry, package_of
+from taciturn._plugins import find_plugins, in_this_wheel, load_entry, package_of
 from taciturn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -47,9 +47,15 @@ CATALOGUE: Mapping[str, Kind] = Catalogue()
 
 @cache
 def own_kinds() -> tuple[str, ...]:
-    """Return the names of the kinds of this package, from the files of the folder ``kinds``."""
+    """Return the names of the kinds of this wheel: the files of the folder ``kinds``, and those of its packages."""
+    registered = {name for name, found in find_plugins(GROUP).items() if any(map(in_this_wheel, found))}
+    return tuple(sorted(registered | _kinds_in_files()))
+
+
+@cache
+def _kinds_in_files() -> frozenset[str]:
     folder = str(Path(__file__).parent / "kinds")
-    return tuple(sorted(module.name.replace("_", "-") for module in pkgutil.iter_modules([folder])))
+    return frozenset(module.name.replace("_", "-") for module in pkgutil.iter_modules([folder]))
 
 
 @cache
@@ -59,7 +65,7 @@ def _kind(name: str) -> Kind:
     from taciturn.design.kind import Kind
 
     entries = find_plugins(GROUP).get(name, ())
-    if name in own_kinds():
+    if name in _kinds_in_files():
         entries = (EntryPoint(name, f"taciturn.design.kinds.{name.replace('-', '_')}:KIND", GROUP), *entries)
     if len(entries) > 1:
         raise ProblemError(

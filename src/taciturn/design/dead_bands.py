@@ -15,7 +15,6 @@ from taciturn.base.filter import ESTIMATE, HELD, SEND
 from taciturn.base.receiver import nonempty
 from taciturn.base.value import Base
 from taciturn.design.bounds import shares_of
-from taciturn.design.several_nodes import decision
 from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.gain import largest_gain
@@ -169,14 +168,13 @@ class DeadBands:
     """The policy steps of sensors and of a controller, each of which sends a value that has changed by more than Δ."""
 
     def __init__(self, network: Network, plant: Plant, delta: float, shares: Mapping[str, float]) -> None:
-        """Find what each node measures and applies."""
-        self._network, self._plant = network, plant
-        wired = set(network.actuators) if network.triangle else set[str]()
-        self._links = [link for link in network.links if link not in wired]
-        self._bands = {link: delta * share for link, share in shares_of(shares, self._links).items()}
+        """Find what each node measures and applies; of the usual nodes, the actuator is at the controller's place."""
+        self._suffixed, self._network, self._plant = network.own_nodes, network.beside("actuator"), plant
+        links = [*self._network.links]
+        self._bands = {link: delta * share for link, share in shares_of(shares, links).items()}
         self._measured = network.measurements(plant.outputs).items()
         self._applied = network.applications(plant.inputs).items()
-        self.sites = (frozenset({network.controller, *wired}),) if network.triangle else network.sites_of_controller
+        self.sites = self._network.sites_of_controller
 
     @property
     def of_outputs(self) -> Array:
@@ -260,7 +258,7 @@ class DeadBands:
     ) -> tuple[Step, ...]:
         """Return the steps that send a signal if one of its entries has changed by more than Δ since the last send."""
         unit, last = np.eye(size), self._named(LAST, link) if last is None else last
-        moved, on = self._named("moved", link), SEND if self._network.triangle else decision((link,))
+        moved, on = self._named("moved", link), self._named(SEND, link)
         options = {f"{entry} {i}": Form((moved,), -np.diag(row), self._bands[link] ** 2) for i, row in enumerate(unit)}
         return (
             Assign(at, moved, {signal: unit, last: -unit}),
@@ -274,4 +272,4 @@ class DeadBands:
         return self._named(HEARD, node) if node in self._bands else signal
 
     def _named(self, name: str, node: str) -> str:
-        return name if self._network.triangle else f"{name}_{node}"
+        return f"{name}_{node}" if self._suffixed else name

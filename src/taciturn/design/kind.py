@@ -1,14 +1,19 @@
 """The record of a policy kind: its design function, and all that the library and its pages say about the kind.
 
-Catalogue of all policy kinds: those of the folder ``kinds``, and those that installed packages register.
+The record also says which networks a kind takes, and is the only place that decides this: whether links may drop or
+delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network,
+for problems and for design functions that are called in Python.
 
-A package registers a kind by an entry point of the group ``taciturn.kinds``: its name is the name of the kind, and its
-value is the place of the ``Kind``, ``module:KIND``. A kind is imported at its first use.
+Most design functions know the usual nodes only: a sensor, a controller and an actuator. On a network with nodes of
+one's own, such a kind is designed in two steps:
 
-Policies of a sensor, a controller and an actuator on a network whose nodes have other names.
+1. ``usual_nodes`` returns the usual nodes with the laws of the given links, and with their keys for messages. Several
+   sensors at one place act as one sensor of all their outputs, and several actuators at one place as one actuator.
+2. ``placed`` gives the policy the nodes of the network. A policy is data, so the names of its nodes and links can be
+   replaced. If the actuators have several links, the controller decides on sets of them (``several_nodes``).
 
-A policy is data, so the names of its nodes and links can be replaced. Several sensors at one place act as one sensor of
-all their outputs, and several actuators at one place as one actuator.
+The places must fit: a kind whose sensor runs the filter needs the sensor at the controller's place, and a kind that
+sends measurements needs it at another one.
 """
 
 from __future__ import annotations
@@ -17,9 +22,8 @@ import hashlib
 import inspect
 import re
 import sys
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_type_hints
@@ -28,19 +32,21 @@ import numpy as np
 
 from taciturn._arrays import instance, quoted
 from taciturn._display import Displayed
-from taciturn.design.several_nodes import JointSets
+from taciturn._plugins import find_plugins, in_this_wheel
+from taciturn.design.several_nodes import JointSets, decides_on_sets, expect_ideal_sets
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
+from taciturn.model.coverage import SIMULATED
 from taciturn.model.link import LinkLaw
-from taciturn.model.network import TRIANGLE, Network
+from taciturn.model.network import Network
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide, Draw, Received, Send, Step, assigned
 
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
     from taciturn.model.plant import ContinuousPlant, Plant
-    from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+    from taciturn.renewal.policy import PolicyWithoutSteps
 
-AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
+AnyPolicy: TypeAlias = "Policy | PolicyWithoutSteps"
 Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
@@ -96,6 +102,7 @@ class Kind(Displayed):
         joint_links: whether the controller decides on sets of links to several actuators; then the design is that of
             one actuator, and ``taciturn.design.several_nodes`` derives the decision on sets.
         ideal_links: whether the design takes a network, but refuses links that drop or delay packets.
+        delay: the largest delay of computations, in steps, that a design with a network supports.
         shares: the parameter that divides a threshold among several links, if there is one.
         for_dropouts: whether ``taciturn new`` offers the kind for links that drop packets.
         keeps_controller: whether the argument ``controller`` of the design is a controller that the user has.
@@ -129,6 +136,7 @@ class Kind(Displayed):
     several_nodes: bool = False
     joint_links: bool = False
     ideal_links: bool = False
+    delay: int = 0
     shares: str | None = None
 
     def __post_init__(self) -> None:
@@ -179,13 +187,51 @@ class Kind(Displayed):
         """The types of the arguments of the design function by name."""
         return get_type_hints(self.design)
 
-    def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
-        """Return the policy for a plant, a cost and further arguments of the design function.
+    @property
+    def takes_losses(self) -> bool:
+        """True if the design is for links that drop or delay packets."""
+        return "network" in self.tables and not self.ideal_links
+
+    def network_for(self, network: Network | None) -> Network:
+        """Return the network for which the design computes: the given one, or the usual nodes with its links.
+
+        Args:
+            network: the given network; None for ideal links between the usual nodes.
 
         Raises:
-            ProblemError: the record does not list the class of the plant or of the cost, or the design function of
-                another package fails or returns no policy of this kind.
+            ProblemError: the record does not list losses or delays that the network has.
+            PlacementError: the record does not list so many sensors or actuators as the network has.
         """
+        network = Network() if network is None else network
+        instance("network", network, Network)
+        SIMULATED.check(network)
+        if not self.takes_losses:
+            expect_ideal_links(self.name, network)
+        if self.in_house and network.delay > self.delay:
+            few = " or ".join(map(str, range(self.delay + 1)))
+            raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
+        return network if self.several_nodes else usual_nodes(network, self.name, self.joint_links)
+
+    def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:
+        """Return the policy for a plant, a cost, a network and further arguments of the design function.
+
+        Raises:
+            ProblemError: the record does not list the class of the plant or of the cost or a property of the network,
+                or the design function of another package fails or returns no policy of this kind.
+        """
+        links = self.network_for(network)
+        policy = self.call(plant, cost, {"network": links, **given} if "network" in self.tables else given)
+        if isinstance(policy, Policy):
+            return placed(policy, network)
+        if network.own_nodes:
+            raise ProblemError(
+                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
+                "[network], or no network"
+            )
+        return policy
+
+    def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
+        """Return the policy of the design function for all its arguments, with a check of what it returns."""
         design = f"the design function {self._place} of the policy kind {self.name}"
         unlisted = None if self.in_house else self._unlisted(plant, cost)  # the designs of this package check
         try:
@@ -204,8 +250,9 @@ class Kind(Displayed):
 
     @property
     def in_house(self) -> bool:
-        """True if the design function belongs to this package."""
-        return self.design.__module__.startswith("taciturn.")
+        """True if the design function belongs to this wheel."""
+        registered = find_plugins("taciturn.kinds").get(self.name, ())
+        return self.design.__module__.startswith("taciturn.") or any(map(in_this_wheel, registered))
 
     @property
     def _place(self) -> str:
@@ -267,18 +314,16 @@ def code_digest(module: str) -> str:
 Value = TypeVar("Value")
 
 
-def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
-    """Return the network of a sensor, a controller and an actuator whose links have the laws of a given network.
-
-    The limits on the intervals between sends are left out; ``placed`` adds them to the policy.
-    """
-    if network.triangle:
-        return network.with_intervals(None)
-    links = dict[str, LinkLaw]()
+def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
+    """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
+    # without the limits on the intervals between sends, which ``placed`` adds to the policy
+    if not network.own_nodes:
+        return network.unlimited
+    links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
-        if joint and name == "actuator" and _apart(network):
-            _expect_ideal(network, kind, at)
+        if joint and name == "actuator" and decides_on_sets(network):
+            expect_ideal_sets(network, kind, at)
         elif len({network.place(node) for node in nodes}) > 1 or len(at) > 1:
             raise PlacementError(
                 f"{kind} has one {name} node, but the network has {' and '.join(nodes)}; expected one {name} node with "
@@ -286,40 +331,8 @@ def three_nodes(network: Network, kind: str, joint: bool = False) -> Network:
             )
         if at:
             links[name] = network.links[at[0]]
-    return Network(delay=network.delay, nodes=TRIANGLE, links=links).with_intervals(None)
-
-
-@contextmanager
-def renamed_keys(network: Network) -> Generator[None]:
-    """Name the keys of a given network in the errors of a design for three nodes."""
-    try:
-        yield
-    except TaciturnError as error:
-        raise type(error)(_with_keys(str(error), network)) from None
-
-
-def _with_keys(text: str, network: Network) -> str:
-    for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
-        for node in [node for node in nodes if node in network.links and not network.triangle][:1]:
-            text = text.replace(f"network.{name}_", f"links.{node}.")
-    return text
-
-
-def _apart(network: Network) -> bool:
-    """Return whether the actuators have several links, or some of them have a link and others have none."""
-    linked = [node for node in network.actuators if node in network.links]
-    return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
-
-
-def _expect_ideal(network: Network, kind: str, links: Sequence[str]) -> None:
-    for link in links:
-        if not network.links[link].ideal:
-            law, name = network.links[link], "acknowledged"
-            name = "burst" if law.burst is not None else "loss" if law.loss else name
-            raise PlacementError(
-                f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
-                f"{', '.join(links)}; expected ideal links"
-            )
+            stated |= {(name, one.name): network.key(at[0], one.name) for one in fields(LinkLaw)}
+    return Network(delay=network.delay, links=links, stated=stated).unlimited
 
 
 def placed(policy: Policy, network: Network) -> Policy:
@@ -329,17 +342,15 @@ def placed(policy: Policy, network: Network) -> Policy:
     """
     instance("policy", policy, Policy)
     instance("network", network, Network)
-    if network.nodes == policy.network.nodes or not policy.network.triangle:
+    if network.nodes == policy.network.nodes or policy.network.own_nodes:
         return with_intervals(policy, network)
-    joint = _apart(network)
-    three_nodes(network, policy.kind, joint)
+    joint, names = decides_on_sets(network), {"controller": network.controller}
+    usual_nodes(network, policy.kind, joint)
     sets = JointSets(policy, network) if joint else None
     if sets is not None:
         sets.check()
-    names = {"controller": network.controller, "sensor": network.sensors[0], "actuator": network.actuators[0]}
-    if joint:
-        names["actuator"] = next(node for node in network.actuators if node in network.links)
-    for role in ("sensor", "actuator"):
+    for role, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        names[role] = next((node for node in nodes if node in network.links), nodes[0])
         check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
     links = {
         names[link]: replace(network.links[names[link]], loss=law.loss, burst=law.burst, acknowledged=law.acknowledged)
@@ -369,15 +380,14 @@ def placed(policy: Policy, network: Network) -> Policy:
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
-        notes=tuple(_with_keys(note, network) for note in policy.notes),
     )
 
 
 def expect_ideal_links(kind: str, network: Network) -> None:
     """Raise a ``PlacementError`` if links drop, acknowledge or delay packets, which a kind does not use."""
-    if network.unusual:
+    if network.losing is not None:
         raise PlacementError(
-            f"{network.unusual[0]} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
+            f"{network.losing} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
             "network FILE --loss P` drops packets of policies of any kind)"
         )
 

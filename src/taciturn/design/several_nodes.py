@@ -1,16 +1,18 @@
-"""The Kalman filter of several sensors as a sum of contributions, one from each sensor and one from the inputs.
+"""Several sensors and several actuators: contributions to one estimate, and decisions on sets of links.
 
-With Ω = (I − GC)A, the estimate is x̂ = ξ⁰ + Σ ξˢ, ξˢ⁺ = Ωξˢ + G_s y_s at sensor s, and ξ⁰⁺ = Ωξ⁰ + (I − GC)Bu at the
-controller. The controller uses a copy of ξˢ, of which sensor s runs a duplicate. In the names of signals, ``part`` is
-the contribution of a sensor, ``copy`` the sensor's duplicate, ``used`` the controller's copy, and ``own`` is ξ⁰.
+**Sensors** (``ContributionSteps``). The Kalman filter of several sensors is a sum of contributions, one from each
+sensor and one from the inputs. With Ω = (I − GC)A, the estimate is x̂ = ξ⁰ + Σ ξˢ, ξˢ⁺ = Ωξˢ + G_s y_s at sensor s, and
+ξ⁰⁺ = Ωξ⁰ + (I − GC)Bu at the controller. The controller uses a copy of ξˢ, of which sensor s runs a duplicate. In the
+names of signals, ``part`` is the contribution of a sensor, ``copy`` the sensor's duplicate, ``used`` the controller's
+copy, and ``own`` is ξ⁰.
 
-Inputs over several actuator links: the controller decides for each link, or chooses the cheapest set of packets.
+**Actuators of LQG control** (``InputSteps``). The controller decides for each link whether the error of its input
+exceeds its threshold, or chooses the cheapest set of packets that leaves a total error of at most the threshold.
 
-A policy that decides on one actuator link, on a network with several of them: the controller decides on sets.
-
-In silence on some links, the inputs of these links differ from the command by their part of the error. The cost of this
-silence is the form of the policy with the other entries of the error replaced by zero. Two rules choose the set of
-links that send:
+**Actuators of any policy** (``JointSets``). A policy that decides on one actuator link is put on a network with several
+of them. In silence on some links, the inputs of these links differ from the command by their part of the error. The
+cost of this silence is the form of the policy with the other entries of the error replaced by zero. Two rules choose
+the set of links that send:
 
 - If silence costs nothing without an error, its cost is compared with a price δ of a packet on every link, of which a
   set has the share of its packets' prices. The set with the least sum of cost and price sends.
@@ -339,6 +341,23 @@ def _label(sent: tuple[str, ...]) -> str:
 
 MOST_LINKS = 4  # whose sets are compared
 ERROR, CANDIDATE, COMMAND, INPUT = "error", "candidate", "command", "input"
+
+
+def decides_on_sets(network: Network) -> bool:
+    """Return whether the actuators have several links, or some of them have a link and others have none."""
+    linked = [node for node in network.actuators if node in network.links]
+    return len(linked) > 1 or (bool(linked) and len(linked) < len(network.actuators))
+
+
+def expect_ideal_sets(network: Network, kind: str, links: Sequence[str]) -> None:
+    """Raise a ``PlacementError`` if one of the links whose sets the controller decides on drops packets."""
+    for link in (link for link in links if not network.links[link].ideal):
+        law = network.links[link]
+        name = "burst" if law.burst is not None else "loss" if law.loss else "acknowledged"
+        raise PlacementError(
+            f"{network.key(link, name)} is {getattr(law, name)}, and {kind} decides on sets of the links "
+            f"{', '.join(links)}; expected ideal links"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

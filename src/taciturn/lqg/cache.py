@@ -26,7 +26,10 @@ def remembered(compute: Callable[[*Args], Result]) -> Callable[[*Args], Result]:
     @wraps(compute)
     def found(*args: *Args) -> Result:
         check_time()
-        key = pickle.dumps(args, protocol=5)
+        try:
+            key = pickle.dumps(args, protocol=5)
+        except (pickle.PicklingError, AttributeError, TypeError):  # of a class that was made inside a function
+            return compute(*args)
         result = latest.pop(key) if key in latest else compute(*args)
         latest[key] = result  # now the latest
         while len(latest) > MOST:

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -60,12 +60,14 @@ class Channel(Displayed):
         sensor_loss: β, loss probability of the sensor link, in [0, 1].
         acknowledged: whether the actuator acknowledges packets (TCP-like) or not (UDP-like).
         delayed: whether the controller uses the measurement of step k only at step k + 1.
+        keys: names of the two losses in messages.
     """
 
     actuator_loss: float
     sensor_loss: float
     acknowledged: bool
     delayed: bool
+    keys: tuple[str, str] = field(default=("network.actuator_loss", "network.sensor_loss"), compare=False)
 
     def at(self, link: Literal["actuator", "sensor"], loss: float) -> Channel:
         """Return these links with another loss of one of them."""

@@ -340,8 +340,8 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
             limits.append(f"{link} losses {found} at this {other} loss")
     allowed = " or ".join(limits) or "smaller losses on both links"
     return (
-        f"network.actuator_loss is {channel.actuator_loss:g} and network.sensor_loss is {channel.sensor_loss:g}, and "
-        f"for this plant (largest eigenvalue {mode_text(complex(radius(A)))}) mean-square stability allows {allowed}"
+        f"{channel.keys[0]} is {channel.actuator_loss:g} and {channel.keys[1]} is {channel.sensor_loss:g}, and for"
+        f" this plant (largest eigenvalue {mode_text(complex(radius(A)))}) mean-square stability allows {allowed}"
     )
 
 

@@ -60,7 +60,7 @@ CHANGES = (
 WEIGHTS = names("cost", "Q R N")
 ENDING = frozenset({"cost.horizon", "cost.terminal", "cost.discount"})
 # a range has an effect only with a payload; prices and energies affect no packet
-LINKS = names("network", "links delay") | names("links", "acknowledged range price energy battery")
+LINKS = names("network", "links delay stated") | names("links", "acknowledged range price energy battery")
 GRAPH = names("nodes", "measures applies controls site") | {"network.nodes"}
 LOSSES = frozenset({"links.loss"})
 BURSTS = frozenset({"links.burst"})

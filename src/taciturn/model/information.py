@@ -10,7 +10,7 @@ import numpy as np
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
 from taciturn.model.coverage import INTERVALS, STEPS, TRACKING, Coverage
-from taciturn.model.network import Network
+from taciturn.model.network import PROTOCOL, Network
 from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import Policy, at_rest
 from taciturn.model.steps import (
@@ -65,7 +65,7 @@ def check_network(policy: Policy, network: Network) -> None:
         )
     for link in network.links:
         limited = [name for name, limit in network.links[link].intervals.items() if limit not in (None, 1)]
-        stated = [*network.stated(link), *(network.key(link, name) for name in limited)]
+        stated = [*network.unusual(link, "loss", "burst", "range"), *(network.key(link, name) for name in limited)]
         if stated and link not in carrying:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
@@ -160,13 +160,11 @@ class _Knowledge:
                     f"{at} uses an acknowledgement of the {condition.link} link; expected a link on which it sends"
                 )
             if self.network.links[condition.link].acknowledged is False:
-                raise InformationError(
-                    f"{at} uses an acknowledgement of the {condition.link} link, but protocol 'udp' sends none; "
-                    "expected protocol 'tcp'"
-                    if self.network.triangle
-                    else f"{at} uses an acknowledgement of the {condition.link} link, which sends none; "
-                    f"expected links.{condition.link}.acknowledged = true"
-                )
+                key = self.network.key(condition.link, "acknowledged")
+                sends_none = f"which sends none; expected {key} = true"
+                if key == PROTOCOL:
+                    sends_none = "but protocol 'udp' sends none; expected protocol 'tcp'"
+                raise InformationError(f"{at} uses an acknowledgement of the {condition.link} link, {sends_none}")
 
     def _check_read(self, name: str, at: str, arrived: str | None) -> None:
         packet = self.packets[arrived][1] if arrived in self.packets else ()

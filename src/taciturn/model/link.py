@@ -151,15 +151,15 @@ class LinkLaw(Displayed):
 IDEAL_LINK = LinkLaw()
 
 
-def two_links(
-    protocol: ProtocolName, payload: EncodingName, stated: Mapping[str, Mapping[str, Any]]
+def usual_links(
+    protocol: ProtocolName, payload: EncodingName, laws: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, LinkLaw]:
-    """Return the links of a sensor and an actuator, with messages in the words of ``[network]``."""
+    """Return the links of a sensor and an actuator by their properties, with messages in the words of ``[network]``."""
     if protocol not in ACKNOWLEDGED:
         raise ProblemError(f"network.protocol is {protocol!r}; expected 'udp', 'tcp' or 'ideal'")
     choice("network.payload", payload, ("float64", "float32", "int16"))
     found: dict[str, LinkLaw] = {}
-    for link, law in reversed(tuple(stated.items())):
+    for link, law in reversed(tuple(laws.items())):
         loss = number(f"network.{link}_loss", law["loss"], 0.0, 1.0, closed=True)
         if law["burst"] is not None:
             instance(f"network.{link}_burst", law["burst"], LossLaw)
@@ -170,8 +170,12 @@ def two_links(
                 f"network.{link}_{'loss' if law['burst'] is None else 'burst'} is given for an ideal network; "
                 "expected protocol = 'udp' or 'tcp' for a network with packet losses"
             )
+        if law.get("battery") is not None and law.get("energy") is None:
+            raise ProblemError(
+                f"network.{link}_battery is given without network.{link}_energy; expected the joules per packet"
+            )
         try:
-            found[link] = LinkLaw(loss, law["burst"], ACKNOWLEDGED[protocol], payload, law["range"])
+            found[link] = LinkLaw(**law, acknowledged=ACKNOWLEDGED[protocol], payload=payload)
         except ProblemError as error:
             raise ProblemError(f"network.{link}_{error}") from None
-    return {link: found[link] for link in stated}
+    return {link: found[link] for link in laws}

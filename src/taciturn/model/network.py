@@ -1,6 +1,17 @@
 """The network of a control loop as a graph: nodes that measure, control or apply inputs, and the links between them.
 
-The roles of the nodes in a network: to measure outputs of the plant, to apply inputs, or to control.
+One node controls. Every other node sends its measurements to it, or receives inputs from it, over a link that has the
+name of the node; a node at the controller's place (``site``) needs none. This graph is the only form of a network.
+
+A network that states no nodes has the usual ones: a sensor, a controller and an actuator, each at a place of its own.
+Their places are open: a policy kind may put sensor and controller, or controller and actuator, at one place. The
+arguments of ``Network`` from ``protocol`` on, and the table ``[network]`` of a problem file, state the links of these
+three nodes. Such a network remembers the keys of the table (``stated``), so that messages name what the user has
+written: ``network.sensor_loss`` and not ``links.sensor.loss``. Networks that differ only in these keys are equal.
+
+The names of signals follow from the nodes. If one node measures all outputs in their order, its signal is ``y``, and
+otherwise that of each node is ``y_NODE``; likewise ``input`` and ``input_NODE``. Names of signals, and the order of the
+nodes, enter the fingerprint of a policy, so they belong to the packet format.
 """
 
 from __future__ import annotations
@@ -20,7 +31,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.link import IDEAL_LINK as IDEAL_LINK
 from taciturn.model.link import LinkLaw as LinkLaw
 from taciturn.model.link import ProtocolName as ProtocolName
-from taciturn.model.link import two_links
+from taciturn.model.link import usual_links
 from taciturn.model.losses import LossLaw
 from taciturn.model.wire import PLANT, Encoding, EncodingName
 
@@ -103,7 +114,7 @@ def _whole_numbers(value: object) -> list[int] | None:
     return whole if len(whole) == len(given) else None
 
 
-TRIANGLE: Mapping[str, NodeRole] = {
+USUAL: Mapping[str, NodeRole] = {
     "sensor": NodeRole(measures=True),
     "controller": NodeRole(controls=True),
     "actuator": NodeRole(applies=True),
@@ -113,6 +124,13 @@ TRIANGLE: Mapping[str, NodeRole] = {
 
 TOLD = {"udp": " (no acknowledgement)", "tcp": " (acknowledged)"}
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,31}"
+PROTOCOL = "network.protocol"
+SHORT: Mapping[tuple[str, str], str] = {
+    (link, name): {"acknowledged": PROTOCOL, "payload": "network.payload"}.get(name, f"network.{link}_{name}")
+    for link in ("sensor", "actuator")
+    for name in ("loss", "burst", "range", "energy", "battery", "acknowledged", "payload")
+}
+"""The keys of the table [network], which states properties of the links between the usual nodes."""
 REFERENCE = "reference"  # signal of the set-points that the controller is given
 
 
@@ -136,6 +154,7 @@ class Network(Displayed):
         sensor_range: with ``"int16"``, full-scale value of packets from the sensor: one number, or one per entry.
         nodes: the roles of the nodes by name, of which one controls.
         links: the laws of the links by node; a link that is not listed is ideal.
+        stated: the key of a problem file by link and property, for messages; default ``links.LINK.PROPERTY``.
 
     Raises:
         ProblemError: if a probability is outside [0, 1], an ideal network has losses, a link has both loss and burst,
@@ -148,9 +167,10 @@ class Network(Displayed):
         ('plc', ['level'])
     """
 
-    nodes: Mapping[str, NodeRole] = field(default_factory=lambda: TRIANGLE)
+    nodes: Mapping[str, NodeRole] = field(default_factory=lambda: USUAL)
     links: Mapping[str, LinkLaw] = field(default_factory=lambda: {"sensor": IDEAL_LINK, "actuator": IDEAL_LINK})
     delay: int = 0
+    stated: Mapping[tuple[str, str], str] = field(default_factory=lambda: {}, compare=False)
 
     def __init__(
         self,
@@ -166,18 +186,20 @@ class Network(Displayed):
         *,
         nodes: Mapping[str, NodeRole] | None = None,
         links: Mapping[str, LinkLaw] | None = None,
+        stated: Mapping[tuple[str, str], str] | None = None,
     ) -> None:
         """Check the arguments and store the graph."""
         object.__setattr__(self, "delay", count("network.delay", delay, 0))
-        stated = {
+        laws = {
             "sensor": {"loss": sensor_loss, "burst": sensor_burst, "range": sensor_range},
             "actuator": {"loss": actuator_loss, "burst": actuator_burst, "range": actuator_range},
         }
         if nodes is None and links is None:
-            object.__setattr__(self, "nodes", TRIANGLE)
-            object.__setattr__(self, "links", two_links(protocol, payload, stated))
+            object.__setattr__(self, "nodes", USUAL)
+            object.__setattr__(self, "links", usual_links(protocol, payload, laws))
+            object.__setattr__(self, "stated", SHORT)
             return
-        if protocol != "ideal" or payload != "float64" or any(any(law.values()) for law in stated.values()):
+        if protocol != "ideal" or payload != "float64" or any(any(law.values()) for law in laws.values()):
             raise ProblemError(
                 "nodes or links are given with a protocol, losses or encodings of a network of three nodes; expected "
                 "these properties in links"
@@ -185,7 +207,8 @@ class Network(Displayed):
         for name, given in (("nodes", nodes), ("links", links)):
             if given is not None:
                 instance(name, given, Mapping)
-        object.__setattr__(self, "nodes", dict(TRIANGLE if nodes is None else nodes))
+        object.__setattr__(self, "nodes", dict(USUAL if nodes is None else nodes))
+        object.__setattr__(self, "stated", dict(stated or {}))
         self._check_nodes()
         object.__setattr__(self, "links", self._checked_links(links or {}))
 
@@ -268,19 +291,16 @@ class Network(Displayed):
         return tuple(group for group in self.sites if self.controller in group)
 
     @property
-    def triangle(self) -> bool:
-        """True if the nodes are a sensor, a controller and an actuator, which a policy kind may place together."""
-        return self.nodes == TRIANGLE
+    def own_nodes(self) -> bool:
+        """True if the network states nodes; the usual ones may be placed together by a policy kind."""
+        return self.nodes != USUAL
 
-    @property
-    def shorthand(self) -> Mapping[str, object] | None:
-        """The arguments that describe the links of a sensor, a controller and an actuator; None for other nodes."""
-        if not self.triangle:
-            return None
-        found: dict[str, object] = {"protocol": self.protocol, "delay": self.delay, "payload": self.payload}
-        for link, law in self.links.items():
-            found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-        return found
+    def beside(self, node: str) -> Network:
+        """Return the network in which one of the usual nodes is at the controller's place; other nodes stay."""
+        if self.own_nodes:
+            return self
+        nodes = {**self.nodes, node: replace(self.nodes[node], site=self.controller)}
+        return replace(self, nodes=nodes, links={name: law for name, law in self.links.items() if name != node})
 
     def place(self, node: str) -> str:
         """Return the node that names the place of a node."""
@@ -372,26 +392,24 @@ class Network(Displayed):
 
     def key(self, link: str, name: str) -> str:
         """Return the key of a problem file that states a property of a link."""
-        if self.triangle and name not in ("acknowledged", "price", "min_interval", "max_interval"):
-            return "network.payload" if name == "payload" else f"network.{link}_{name}"
-        return f"links.{link}.{name}"
+        return self.stated.get((link, name), f"links.{link}.{name}")
 
     def lost(self, link: str) -> str:
         """Return the key of a problem file that states the losses of a link."""
         return self.key(link, "loss" if self.burst(link) is None else "burst")
 
-    def stated(self, link: str) -> list[str]:
-        """Return the keys of the properties of a link that differ from those of an ideal link."""
+    def unusual(self, link: str, *names: str) -> list[str]:
+        """Return the keys of some properties of a link that differ from those of an ideal link."""
         law = self.links[link]
-        return [self.key(link, name) for name in ("loss", "burst", "range") if getattr(law, name) not in (None, 0.0)]
+        return [self.key(link, name) for name in names if getattr(law, name) != getattr(IDEAL_LINK, name)]
 
     @property
-    def unusual(self) -> list[str]:
-        """The keys by which the delivery of packets differs from that of ideal links."""
-        keys = [key for link in reversed(tuple(self.links)) for key in self.stated(link) if not key.endswith("range")]
-        told = [self.key(link, "acknowledged") for link, law in self.links.items() if not law.ideal]
-        first = ["network.protocol"] * bool(told) if self.triangle else []
-        return first + keys + ([] if self.triangle else told) + ["network.delay"] * (self.delay > 0)
+    def losing(self) -> str | None:
+        """The first key by which the delivery of packets differs from that of ideal links."""
+        lost = [key for link in reversed(tuple(self.links)) for key in self.unusual(link, "loss", "burst")]
+        told = [key for link in self.links for key in self.unusual(link, "acknowledged")]
+        found = sorted([*lost, *told], key=lambda key: key != PROTOCOL) + ["network.delay"] * (self.delay > 0)
+        return found[0] if found else None
 
     def encoding(self, link: str) -> Encoding:
         """Return the encoding of the payloads of a link.
@@ -454,18 +472,26 @@ class Network(Displayed):
     @property
     def limited(self) -> bool:
         """True if a link limits the intervals between its sends."""
-        return self.with_intervals(None) is not self
+        return any(law.intervals != IDEAL_LINK.intervals for law in self.links.values())
+
+    @property
+    def unlimited(self) -> Network:
+        """The network without limits on the intervals between sends."""
+        return self.with_laws(IDEAL_LINK.intervals) if self.limited else self
 
     @property
     def delivery(self) -> Network:
         """The network that delivers the same packets, without rounding, prices, energies and limits of intervals."""
         usual = {"payload": "float64", "range": None, "price": 1.0, "energy": None, "battery": None}
-        return self.with_laws(usual).with_intervals(None)
+        return self.with_laws(usual | IDEAL_LINK.intervals)
 
-    def with_intervals(self, other: Network | None) -> Network:
-        """Return the network with another network's limits on the intervals between sends, or with none."""
-        laws = {name: IDEAL_LINK if other is None else other.links[name] for name in self.links}
-        changed = {name: one.intervals for name, one in laws.items() if one.intervals != self.links[name].intervals}
+    def with_intervals(self, other: Network) -> Network:
+        """Return the network with another network's limits on the intervals between sends."""
+        changed = {
+            name: other.links[name].intervals
+            for name, law in self.links.items()
+            if law.intervals != other.links[name].intervals
+        }
         return self.changed(changed) if changed else self
 
 

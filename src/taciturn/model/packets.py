@@ -1,6 +1,14 @@
 """The packets that the nodes of a policy exchange, and the fingerprint that identifies a policy.
 
-The sites of a policy: the nodes that run in the same process, and the name of that process (its role).
+Nodes at one site run in one process, whose role is the name of one of them: the controller, if it is there, and
+otherwise the first. Within a step, the processes of sensors run first, then that of the controller, then those of
+actuators. The packets between the processes follow from the links of the network; those between the plant and the
+processes, from what the nodes measure and apply. Each packet contains the number of its link. The numbers 0 and 1
+belong to the first two links of the network and 2 to the plant, as they did before networks could have more links.
+
+All nodes of a loop must run the same policy. A packet therefore contains the fingerprint of the policy: a digest of its
+steps, locations and initial values, with six digits of each matrix. It contains the nodes unless they are the usual
+ones, which were the only ones in earlier versions.
 """
 
 from __future__ import annotations
@@ -195,7 +203,7 @@ def fingerprint(policy: Policy, network: Network) -> int:
     policy = policy.in_units
     steps = [_sampled(policy, step) if isinstance(step, Apply) else step for step in policy.steps]
     data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
-    data = data if network.triangle else (*data, network.nodes)
+    data = (*data, network.nodes) if network.own_nodes else data
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
     limit, rate = policy.model.input_limit, policy.model.input_rate
     limits = [None if limit is None else _sides(limit), *([] if rate is None else [_sides(rate)])]

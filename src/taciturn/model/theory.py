@@ -332,3 +332,28 @@ class Theory(Displayed):
                 f"{kind} computes {others[0]} by a function and has {claims[0]}, which holds for linear steps only; "
                 f"expected no {claims[0]}"
             )
+
+
+@dataclass(frozen=True, repr=False)
+class LowerBound(Displayed):
+    """A lower bound on the cost of every send schedule of a controller at a given rate of sends.
+
+    Args:
+        cost: the bound, in units of the cost.
+        confidence: one-sided confidence of the bound.
+        rate: sends per step.
+        price: price of a send for which the bound is computed, in units of the cost times steps; at another rate r per
+            step the bound is cost + price·(rate − r).
+    """
+
+    cost: float
+    confidence: float
+    rate: float
+    price: float
+
+    def at_rate(self, rate: float) -> float:
+        """Return the lower bound on the cost at another rate of sends per step, for the same price per send."""
+        return self.cost + self.price * (self.rate - rate)
+
+
+LEVEL = 0.999  # default confidence level of a bound

@@ -34,7 +34,7 @@ from taciturn._plugins import problem_folders
 from taciturn._progress import OutOfTime
 from taciturn._text import backslash_text
 from taciturn.design.catalogue import CATALOGUE, own_kinds
-from taciturn.design.kind import AnyPolicy, Kind, expect_ideal_links, placed, renamed_keys, three_nodes
+from taciturn.design.kind import AnyPolicy, Kind
 from taciturn.errors import PlacementError, ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.controller import Kept
@@ -62,7 +62,6 @@ from taciturn.problem.read import (
     plant_of,
     reference_of,
     refuse_functions,
-    takes_losses,
     used_tables,
     with_exosystem,
 )
@@ -73,7 +72,7 @@ from taciturn.problem.schema import InitialTable as InitialTable
 from taciturn.problem.schema import JumpsTable as JumpsTable
 from taciturn.problem.schema import NetworkTable as NetworkTable
 from taciturn.problem.schema import PlantTable as PlantTable
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
 PARTS: dict[str, tuple[str, ...]] = {
@@ -163,16 +162,8 @@ class Problem(Displayed):
                 or it is triggered in continuous time.
         """
         policy = self.designed()
-        if isinstance(policy, OptimalPolicy):
-            raise ProblemError(
-                f"{policy.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
-                f"{policy.instead}"
-            )
-        if isinstance(policy, EventPolicy):
-            raise ProblemError(
-                f"{policy.kind} without a period is triggered in continuous time and cannot run as a loop of nodes; "
-                "expected policy.period, the seconds between checks of the error"
-            )
+        if isinstance(policy, PolicyWithoutSteps):
+            raise ProblemError(policy.why_it_cannot_run)
         return policy
 
     def designed(self) -> AnyPolicy:
@@ -233,19 +224,8 @@ class Problem(Displayed):
         SIMULATED.check(self.plant, self.actual, self.cost, self.network, self.reference)
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
-        network = self.network if kind.several_nodes else three_nodes(self.network, kind.name, kind.joint_links)
-        if not takes_losses(kind):
-            expect_ideal_links(kind.name, self.network)
-        used = used_tables(kind, network, {"reference": self.reference, "controller": self.controller})
-        with renamed_keys(self.network):
-            policy = kind.make(self.plant, self.cost, {**used, **parameters})
-        if isinstance(policy, Policy):
-            policy = placed(policy, self.network)
-        elif not self.network.triangle:
-            raise ProblemError(
-                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
-                "[network], or no network"
-            )
+        used = used_tables(kind, {"reference": self.reference, "controller": self.controller})
+        policy = kind.make(self.plant, self.cost, self.network, {**used, **parameters})
         _expect_packets(policy, self.network)
         if isinstance(policy, Policy):
             check_network(policy, self.network)
@@ -397,8 +377,8 @@ def parse(
 
 def _expect_packets(policy: AnyPolicy, network: Network) -> None:
     """Raise a ``ProblemError`` if an energy is given for a link on which the policy decides on no packet."""
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    carrying: tuple[str, ...] = nodes.scheduled if isinstance(nodes, Policy) else ("sensor",)
+    nodes = nodes_of(policy)
+    carrying = ("sensor",) if nodes is None else nodes.scheduled
     for link in (link for link, law in network.links.items() if law.energy is not None and link not in carrying):
         raise ProblemError(
             f"{network.key(link, 'energy')} is given, but {policy.kind} decides on no packet of the {link} link; "

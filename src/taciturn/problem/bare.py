@@ -119,7 +119,7 @@ class BareKind(Kind):
         """No types: the function checks its arguments."""
         return {}
 
-    def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
+    def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
         """Return the policy for some parameters."""
         return self.design(**{name: value for name, value in given.items() if name != "network"})
 

@@ -1,8 +1,15 @@
-"""Plants, networks and controllers from the tables of a problem file.
+"""The parts of a problem from the tables of its file: the rules that no table states by itself.
 
-Disturbances, set-points and trajectories of the tables of a problem file.
+The tables have been checked for names and types of their keys. This file applies the rules between keys: some exclude
+each other, some have defaults that depend on others, and some name files, which are read here.
 
-Functions of nonlinear plants, which problem files specify as ``file.py:name``.
+- A plant with ``dt`` is in discrete time. A function of a nonlinear plant is specified as ``file.py:name``; reading it
+  executes the file, so a caller may refuse it.
+- Disturbances and set-points become states of the plant. Integral action is a slow disturbance at the inputs, whose
+  speed follows from the noise there.
+- The tables ``[nodes]`` and ``[links]`` are the graph of the network. ``[network]`` is a short form of three nodes; it
+  is read as their links, and the network remembers its keys for messages.
+- Messages of the classes of ``taciturn.model`` get the key of the file in front.
 """
 
 from __future__ import annotations
@@ -16,7 +23,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, number, quoted
+from taciturn._arrays import Array, quoted
 from taciturn._files import read_text, why_unreadable
 from taciturn._modes import pace
 from taciturn._text import backslash_text
@@ -30,9 +37,9 @@ from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Disturbance, Reference, with_target
 from taciturn.model.dynamics import Dynamics, dynamics_of
 from taciturn.model.limits import Limits
-from taciturn.model.link import LinkLaw
+from taciturn.model.link import LinkLaw, usual_links
 from taciturn.model.losses import USUAL, LossLaw, find_law
-from taciturn.model.network import Network, NodeRole
+from taciturn.model.network import SHORT, Network, NodeRole
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant, stated_function
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
@@ -273,20 +280,15 @@ def expect_argument(kind: Kind, name: str, given: str, expected: str) -> None:
         raise ProblemError(f"{given} is given, which {kind.name} does not use; expected {expected}")
 
 
-def used_tables(kind: Kind, network: Network, stated: Mapping[str, object]) -> dict[str, Any]:
-    """Return the arguments of a policy kind's design function that are no parameters."""
+def used_tables(kind: Kind, stated: Mapping[str, object]) -> dict[str, Any]:
+    """Return the arguments of a policy kind's design function that are neither parameters nor the network."""
     for name in (name for name, value in stated.items() if value is not None):
         expect_argument(kind, name, f"[{name}]", f"no {name}: remove it")
-    used = {key: value for key, value in {"network": network, **stated}.items() if key in kind.tables}
+    used = {key: value for key, value in stated.items() if key in kind.tables}
     needed = [name for name in used if kind.arguments[name].default is Parameter.empty]
     for name in (name for name in needed if used[name] is None):
         raise ProblemError(f"[{name}] is missing, which {kind.name} requires; expected this table")
     return used
-
-
-def takes_losses(kind: Kind) -> bool:
-    """Return whether a policy kind is designed for links that drop or delay packets."""
-    return "network" in kind.tables and not kind.ideal_links
 
 
 def plant_of(
@@ -455,45 +457,28 @@ def _jumps(table: JumpsTable) -> Jumps:
 
 def network_of(file: File, kind: Kind, plant: Plant | ContinuousPlant) -> Network:
     """Return the network of a file, or ideal links; ``kind`` must use losses that no protocol states."""
-    network = _graph_of(file) if file.nodes or file.links else _two_links_of(file.network or NetworkTable(), kind)
+    network = _graph_of(file) if file.nodes or file.links else _usual_of(file.network or NetworkTable(), kind)
     if any(law.energy is not None for law in network.links.values()) and isinstance(plant, Plant) and plant.dt is None:
         raise ProblemError("the energy of a packet is given without plant.dt; expected the seconds per step")
     return network
 
 
-def _two_links_of(table: NetworkTable, kind: Kind) -> Network:
-    actuator_burst = _burst("network.actuator_burst", table.actuator_burst)
-    sensor_burst = _burst("network.sensor_burst", table.sensor_burst)
+def _usual_of(table: NetworkTable, kind: Kind) -> Network:
+    """Return the usual nodes with the links that the table [network] states, by keys such as ``sensor_loss``."""
+    laws: dict[str, dict[str, Any]] = {"sensor": {}, "actuator": {}}
+    for key, value in vars(table).items():
+        link, _, name = key.partition("_")
+        if link in laws:
+            laws[link][name] = _burst(f"network.{key}", value) if name == "burst" else value
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
-    if lost and table.protocol == "ideal" and not takes_losses(kind):
-        able = [one.name for name in own_kinds() if takes_losses(one := CATALOGUE[name])]
+    if lost and table.protocol == "ideal" and not kind.takes_losses:
+        able = [name for name in own_kinds() if CATALOGUE[name].takes_losses]
         raise ProblemError(
             f"network.{lost[0]} is given, which {kind.name} does not use; expected ideal links: remove it, or "
             f"network.protocol and a kind such as {' or '.join(able)}"
         )
-    network = Network(
-        cast("Any", table.protocol),
-        table.actuator_loss,
-        table.sensor_loss,
-        table.delay,
-        actuator_burst,
-        sensor_burst,
-        cast("Any", table.payload),
-        table.actuator_range,
-        table.sensor_range,
-    )
-    for link in network.links:
-        for name in ("energy", "battery"):
-            value = getattr(table, f"{link}_{name}")
-            if value is None:
-                continue
-            number(f"network.{link}_{name}", value, 0.0)
-            if getattr(table, f"{link}_energy") is None:
-                raise ProblemError(
-                    f"network.{link}_battery is given without network.{link}_energy; expected the joules per packet"
-                )
-            network = network.changed({link: {name: value}})
-    return network
+    links = usual_links(cast("Any", table.protocol), cast("Any", table.payload), laws)
+    return Network(delay=table.delay, links=links, stated=SHORT)
 
 
 def _graph_of(file: File) -> Network:

@@ -24,7 +24,7 @@ from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.node import steps_of_a_fault
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
 from taciturn.study.evaluation import cost_unit, proof_text, rounded, time_unit
 
 SHOWN_OPTIONS = 4  # options of a decision that are printed
@@ -66,8 +66,11 @@ class Description(Displayed):
     @property
     def notes(self) -> tuple[str, ...]:
         """Warnings and remarks."""
-        told = () if isinstance(self.policy, OptimalPolicy) else self.policy.notes
-        return told + self.remarks + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
+        return (
+            self.policy.notes
+            + self.remarks
+            + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn show --json``."""
@@ -132,7 +135,7 @@ class Description(Displayed):
             lines += _decision_lines(name, trigger)
             lines += [line for name, form in self._computed(trigger).items() for line in _form_lines(name, form)]
         lines.append(("network", problem.network.short()))
-        if self.nodes is not None and not problem.network.triangle:
+        if self.nodes is not None and problem.network.own_nodes:
             sizes = self.nodes.model.outputs, self.nodes.model.inputs
             lines += [(f"node, {name}", role.text(*sizes)) for name, role in problem.network.nodes.items()]
         if self.diagram is not None:
@@ -175,12 +178,12 @@ class Description(Displayed):
     def _guarantee(self) -> dict[str, Any] | None:
         """Return the proven guarantee, and whether it holds for this loop."""
         policy, holds = self.policy, not self.violated_assumptions
-        if isinstance(policy, EventPolicy):
+        if isinstance(policy, PolicyWithoutSteps):
             bound = policy.bound()
             if policy.statement is None or bound is None:
                 return None
             return {"statement": policy.statement, "cost": bound, "source": policy.source, "holds": holds}
-        if isinstance(policy, OptimalPolicy) or policy.guarantee is None:
+        if policy.guarantee is None:
             return None
         found = policy.guarantee
         deciders = [{"links": list(group), "delta": delta} for group, delta in found.deciders.items()]
@@ -215,9 +218,9 @@ def describe(problem: Studied) -> Description:
     """Design a problem's policy and describe it, without a simulation."""
     problem = as_problem("problem", problem)
     policy = problem.designed()
-    if isinstance(policy, EventPolicy):
+    nodes = nodes_of(policy)
+    if nodes is None:
         return Description(problem, policy, None, ())
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     loop = problem.close(nodes)
     return Description(problem, policy, nodes, loop.violated_assumptions, loop.problem.remarks)
 

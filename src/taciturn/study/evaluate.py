@@ -19,13 +19,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from taciturn._arrays import number
+from taciturn._plugins import load_plugin
 from taciturn._progress import OutOfTime, Progress, Stages, answered_within, in_notebook, late_text, part_of_time
 from taciturn._text import magnitude
-from taciturn.analyse.limits import LEVEL, LowerBound, bound_below, resets
-from taciturn.analyse.renewal import bound_rate
+from taciturn.analyse.renewal import bound_rate, resets
 from taciturn.design.silence import send_every_sample
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
@@ -35,13 +35,12 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.limits import Limits
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
-from taciturn.model.theory import Linearisation
+from taciturn.model.theory import LEVEL, Linearisation, LowerBound
 from taciturn.problem import Problem
 from taciturn.problem.bare import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
-from taciturn.simulation.events import average_events
 from taciturn.simulation.violations import violations
 from taciturn.study.evaluation import (
     AsWritten,
@@ -55,7 +54,7 @@ from taciturn.study.evaluation import (
     precisely,
     rate_unit,
 )
-from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
+from taciturn.study.measure import CONDITIONAL, Request, measure
 from taciturn.study.periodic import ClockMix, periodic_at
 
 
@@ -94,12 +93,13 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
 def expect_bound(problem: Problem) -> None:
     """Reject a problem without a lower bound on the cost of any scheduling."""
     policy = problem.designed()
-    if isinstance(policy, EventPolicy):
+    nodes = nodes_of(policy)
+    if nodes is None:
         raise ProblemError(
             f"a lower bound is requested, but none is available for {policy.kind} without a period; expected no "
             "confidence level"
         )
-    resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
+    resets(problem.close(nodes))
 
 
 def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
@@ -108,6 +108,7 @@ def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: 
         raise ProblemError("nothing is sent")
     from statistics import NormalDist  # which most evaluations do not need
 
+    bound_below = load_plugin("taciturn.bounds", "schedules", "a lower bound")
     lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
     margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
     return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
@@ -301,8 +302,8 @@ def _evaluated(
 ) -> Evaluation:
     """Return the evaluation; the caller adds the time that it took."""
     policy = problem.designed()
-    optimum = isinstance(policy, OptimalPolicy)
-    if isinstance(policy, EventPolicy):
+    optimum = isinstance(policy, PolicyWithoutSteps)
+    if optimum and policy.looked_at is None:
         if confidence is not None:
             expect_bound(problem)
         if precision != "float64":
@@ -314,9 +315,9 @@ def _evaluated(
     most = 1.0 - share if confidence is None else 0.5
     first, certified = told.stage(0.0, most), None
     with part_of_time(most * MEASURED):
-        if isinstance(policy, OptimalPolicy):
-            loop = problem.close(policy.looked_at)
-            measured = measure_optimum(loop, policy.price, request, first)
+        if isinstance(policy, PolicyWithoutSteps):
+            loop = problem.close(cast("Policy", policy.looked_at))
+            measured = policy.measure(loop, request, first)
         else:
             loop = replace(problem.close(policy), precision=precision)
             measured = measure(loop, request, first)
@@ -393,13 +394,9 @@ def _evaluated(
     )
 
 
-def _events(problem: Problem, policy: EventPolicy, request: Request, progress: Progress) -> Evaluation:
+def _events(problem: Problem, policy: PolicyWithoutSteps, request: Request, progress: Progress) -> Evaluation:
     """Return the evaluation of a policy without sampling steps."""
-    if request.method not in ("auto", "simulation"):
-        raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation' for {policy.kind}")
-    found = average_events(
-        policy, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
-    )
+    found = policy.measure(None, request, progress).averages
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
     assert interval is not None

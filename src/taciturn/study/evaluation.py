@@ -22,7 +22,6 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import LARGE, Lines, magnitude, negligible, number_text, pairs_text, per_unit, percent, table_text
-from taciturn.analyse.limits import LowerBound
 from taciturn.base.filter import SEND
 from taciturn.design.kind import placed
 from taciturn.design.silence import send_every_sample
@@ -37,7 +36,7 @@ from taciturn.model.result import Columns, Tabular, columns_of
 from taciturn.model.saturation import Saturation
 from taciturn.model.schedule import Schedule
 from taciturn.model.steps import Decide
-from taciturn.model.theory import Linearisation
+from taciturn.model.theory import Linearisation, LowerBound
 from taciturn.model.trigger import Form, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import BareKind
@@ -290,7 +289,7 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
     link = "sensor" if sensed else "actuator"
     always = send_every_sample(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
-    return placed(always, network.with_intervals(None)) if len(links) == 1 else always
+    return placed(always, network.unlimited) if len(links) == 1 else always
 
 
 def sends_every_sample(policy: Policy) -> Policy:
@@ -303,7 +302,7 @@ def sends_every_sample(policy: Policy) -> Policy:
         replace(step, trigger=always(step.trigger)) if isinstance(step, Decide) and step.decision == SEND else step
         for step in policy.steps
     )
-    return replace(policy, steps=steps, network=policy.network.with_intervals(None))
+    return replace(policy, steps=steps, network=policy.network.unlimited)
 
 
 PATHS, TICKS = 512, 512  # over which the share of steps at a limit is counted, after the transient

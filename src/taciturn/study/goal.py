@@ -19,9 +19,8 @@ from taciturn._text import per_unit
 from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.model.policy import Policy
 from taciturn.problem import Problem
-from taciturn.renewal.policy import OptimalPolicy
+from taciturn.renewal.policy import nodes_of
 from taciturn.study.evaluation import Evaluation
 
 EXACT = 1e-9  # relative tolerance of the budget, for the rounding errors of costs and rates
@@ -268,8 +267,8 @@ def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: ob
         raise ProblemError(f"{name} is {budget!r}, but {sought}; expected a number")
     start = given.get(tuning.name, max(tuning.least, 1) if tuning.whole else tuning.least + 1.0)
     policy = problem.changed({tuning.name: start}).designed()
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    loop = problem.close(nodes) if isinstance(nodes, Policy) else None
+    nodes = nodes_of(policy)
+    loop = None if nodes is None else problem.close(nodes)
     if name != "cost":
         if loop is None:
             raise ProblemError(f"{name} is {budget!r}, but {policy.kind} has no sampling steps; expected a number")

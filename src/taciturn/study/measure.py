@@ -10,7 +10,6 @@ from functools import cache
 
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, part_of_time, seconds_left
-from taciturn.analyse.limits import solve_optimum
 from taciturn.analyse.renewal import ConditionalSampling, RenewalQuadrature, decides_alone, expect_affordable
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -131,25 +130,6 @@ def rank(candidates: list[Candidate]) -> tuple[list[Candidate], str]:
     return ordered, f"{', '.join(parts)}"
 
 
-def measure_optimum(loop: Loop, price: float, request: Request, progress: Progress | None) -> Measured:
-    """Return cost and rate of the optimal schedule at a price per send."""
-    if request.method not in ("auto", "exact") or request.steps is not None:
-        raise ProblemError(
-            "method or steps is given, but the policy 'optimal' is solved and never simulated; expected neither of "
-            "these options, or the policy 'near-optimal'"
-        )
-    policy = loop.policy
-    asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), request.standard_error)
-    ceiling = price / policy.tick  # the excess cost of an optimal schedule is at most that of sending every sample
-    best = solve_optimum(loop, price, _clipped(asked / ceiling), progress)
-    if best.excess_error > asked:
-        best = solve_optimum(loop, price, _clipped(asked / max(best.excess, 1e-300)), progress)
-    cost = Estimate(best.excess, 0.0, "quadrature", best.excess_error).scaled(1.0, policy.cost_all_time)
-    rate = Estimate(best.rate, 0.0, "quadrature", best.rate_error)
-    found = Averages(cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= _wanted(cost, request.standard_error))
-    return Measured(found, "quadrature", "the optimal schedule is solved and never simulated")
-
-
 def candidates_of(
     loop: Loop, request: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
@@ -178,18 +158,18 @@ def _quadrature(loop: Loop, request: Request) -> Candidate:
     assert identity is not None
 
     error = request.standard_error
-    accuracy = quadrature.usual if error is None else _clipped(quadrature.accuracy(error))
+    accuracy = quadrature.usual if error is None else clipped_accuracy(quadrature.accuracy(error))
 
     def run(progress: Progress | None) -> Averages:
         renewal = quadrature.solve(accuracy, progress)
         if error is not None and renewal.excess_error > error and loop.problem.jumps is None:
             with suppress(OutOfTime):
-                renewal = quadrature.solve(_clipped(error / renewal.excess), progress)
+                renewal = quadrature.solve(clipped_accuracy(error / renewal.excess), progress)
         rounding = ROUNDED * (renewal.excess + abs(identity.constant))
         cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error + rounding)
         cost = cost.scaled(1.0, identity.constant)
         rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error + ROUNDED * renewal.rate)
-        reached = cost.error <= _wanted(cost, request.standard_error)
+        reached = cost.error <= wanted_error(cost, request.standard_error)
         return Averages(cost, {link[0]: rate}, 0, 0, reached)
 
     return Candidate("quadrature", quadrature.least, lambda _: quadrature.predict(accuracy), run, False)
@@ -205,7 +185,7 @@ def _conditional(loop: Loop, request: Request, progress: Progress | None) -> Can
     def run(_: Progress | None) -> Averages:
         found = sampling.run(asked)
         cost = found.excess.scaled(1.0, identity.constant)
-        reached = cost.standard_error <= _wanted(cost, request.standard_error)
+        reached = cost.standard_error <= wanted_error(cost, request.standard_error)
         rates = {link[0]: found.rate}
         return Averages(cost, rates, found.steps, 0, reached, estimator="conditional sampling")
 
@@ -235,13 +215,13 @@ def _run(candidate: Candidate, progress: Progress | None, alone: bool) -> Averag
 
 
 def _asked(loop: Loop, standard_error: float | None) -> float:
-    """Return the requested error before the cost is known; it is at most the result of ``_wanted`` for the cost."""
+    """Return the requested error before the cost is known; it is at most ``wanted_error`` for the cost."""
     identity = loop.policy.theory.identity
     constant = loop.policy.cost_all_time if identity is None else identity.constant
-    return _wanted(Estimate(constant, 0.0, "exact"), standard_error)
+    return wanted_error(Estimate(constant, 0.0, "exact"), standard_error)
 
 
-def _wanted(cost: Estimate, standard_error: float | None) -> float:
+def wanted_error(cost: Estimate, standard_error: float | None) -> float:
     """Return the requested error of a cost."""
     return USUAL_RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
@@ -250,7 +230,8 @@ def _off(found: Averages) -> float:
     return found.cost.standard_error + found.cost.error
 
 
-def _clipped(accuracy: float) -> float:
+def clipped_accuracy(accuracy: float) -> float:
+    """Return an accuracy within the range of a quadrature."""
     return min(max(accuracy, FINEST), COARSEST)
 
 

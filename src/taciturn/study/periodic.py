@@ -29,7 +29,7 @@ from taciturn._progress import OutOfTime, check_time, late_text
 from taciturn.base.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
 from taciturn.design.at_fixed_steps import predicted_cost
-from taciturn.design.kind import AnyPolicy, three_nodes
+from taciturn.design.kind import AnyPolicy, usual_nodes
 from taciturn.design.kinds.all_time import all_time
 from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
@@ -43,7 +43,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Send, Terms
 from taciturn.problem import Problem
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.renewal.policy import nodes_of
 
 SENDS = 4  # of a cycle, at most
 BELOW, ABOVE = 1, 2  # steps by which its intervals may be off the mean one
@@ -372,8 +372,8 @@ def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
 
 def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     """Return fair periodic control for a policy: the same measurements and actuator, and optimal gains."""
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
+    nodes = nodes_of(policy)
+    if nodes is None or nodes.prediction is not None:
         return sampling_clock(problem, "model")
     continuous = isinstance(problem.plant, ContinuousPlant)
     period = nodes.tick if continuous else None
@@ -398,7 +398,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
         every = all_time(problem.plant, problem.cost, period=period)
-        links = three_nodes(problem.network, "periodic control")
+        links = usual_nodes(problem.network, "periodic control")
         differences = close(problem.actual or problem.plant, every, links, problem.cost).violated_assumptions
     except TaciturnError as error:
         raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
@@ -493,7 +493,7 @@ def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
     """Return the exact cost of a periodic policy, or None where it is not stable or not the designed loop."""
     try:
         policy = design()
-        network = problem.network.with_intervals(None)
+        network = problem.network.unlimited
         nominal = close(problem.actual or problem.plant, policy, network, problem.cost).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None

@@ -25,6 +25,7 @@ from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.link import IDEAL_LINK
+from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
@@ -59,17 +60,24 @@ def digest(text: str) -> str:
 
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
-    short = problem.network.shorthand
-    network = problem.network if short is None else {**short, KIND: "Network"}
+    network = problem.network if problem.network.own_nodes else _short(problem.network)
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [one for one in (problem.controller, problem.limits) if one is not None]
-    if short is not None:  # it has no prices, energies and limits of intervals
+    if not problem.network.own_nodes:  # the short form has no prices, energies and limits of intervals
         laws = problem.network.links.items()
         paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
         limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
         own += [found for found in (paid, limits) if found]
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
+
+
+def _short(network: Network) -> dict[str, object]:
+    """Return the links of the usual nodes as the arguments that describe them."""
+    found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
+    for link, law in network.links.items():
+        found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
+    return found | {KIND: "Network"}
 
 
 def origin(
@@ -113,7 +121,8 @@ def _plain(value: object) -> object:
 
 def _fields(value: Any, *apart: str) -> dict[str, object]:
     """Return the fields of a dataclass, without later ones that are neutral, which digests of earlier versions lack."""
-    held = {field.name: getattr(value, field.name) for field in fields(value) if field.name not in apart}
+    counted = [field.name for field in fields(value) if field.compare and field.name not in apart]
+    held = {name: getattr(value, name) for name in counted}
     plain = {name: _plain(one) for name, one in held.items()}
     return {name: one for name, one in plain.items() if name not in LATER or one != LATER[name]}
 

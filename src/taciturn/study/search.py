@@ -27,7 +27,6 @@ from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
-from taciturn.renewal.policy import OptimalPolicy
 from taciturn.study.evaluate import evaluate, with_violations
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.goal import EXACT, Goal, RatesGoal, ViolationGoal
@@ -49,17 +48,18 @@ def look_at(
             "sending every sample costs nothing, so that no budget determines a parameter; expected noise W or V that "
             "the cost depends on"
         )
-    if isinstance(policy, OptimalPolicy) or (isinstance(policy, Policy) and _serves(problem, policy)):
+    solved = not isinstance(policy, Policy) and policy.looked_at is not None
+    if solved or (isinstance(policy, Policy) and _serves(problem, policy)):
         wanted = standard_error if steps is None else ROUGHLY * abs(policy.cost_all_time) or None
         try:
             found = evaluate(
                 problem, seed=seed, method="exact", standard_error=wanted, after_step=False, progress=progress
             )
         except ProblemError:
-            if isinstance(policy, OptimalPolicy):
+            if solved:
                 raise
         else:
-            if found.reached or isinstance(policy, OptimalPolicy):
+            if found.reached or solved:
                 return found
     return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, after_step=False, progress=progress)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from math import sqrt
 
-from taciturn._arrays import choice, flag, instance
+from taciturn._arrays import choice, flag
 from taciturn.analyse.switched import MOST_LINKS, outcomes
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
@@ -19,7 +19,7 @@ from taciturn.loop import close
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.stored import Allowance
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, SIMULATED, THEORY
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -92,11 +92,7 @@ def distributed(
         >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 9)
         (('sensor', 'actuator'), 1.2)
     """
-    network = Network() if network is None else network
-    instance("network", network, Network)
-    SIMULATED.check(network)
-    if network.delay:
-        raise ProblemError(f"network.delay is {network.delay}; expected 0 with distributed")
+    network = KIND.network_for(network)
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)
@@ -106,7 +102,7 @@ def distributed(
             "dropout grows; expected links that deliver every packet, or no disturbances and set-points"
         )
     if 0 < len(lossy) <= MOST_LINKS:
-        all_time = _with_every_attempt(plant, cost, period, network.with_intervals(None), *given[1:])
+        all_time = _with_every_attempt(plant, cost, period, network.unlimited, *given[1:])
     thresholds = _thresholds(network, threshold_of(all_time, delta, theta), shares, flag("joint", joint))
     return _policy(certainty, *given, thresholds, all_time)
 

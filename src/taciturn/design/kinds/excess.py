@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from taciturn._arrays import choice, count, instance
+from taciturn._arrays import choice, count
 from taciturn.base.certainty import Actuation as LQGActuation
 from taciturn.base.certainty import certainty_policy, control_steps, design_certainty
 from taciturn.base.filter import SEND
@@ -13,13 +13,12 @@ from taciturn.base.gains import gains_for_losses
 from taciturn.base.given_controller import lqg_observer
 from taciturn.base.receiver import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
-from taciturn.design.kind import Kind, TradeoffParameter, placed, renamed_keys, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed
 from taciturn.design.silence import drops, keep_controller, total_excess
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import SIMULATED
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -100,38 +99,25 @@ def excess(
     """
     expect_one_threshold(delta, theta)
     network = Network() if network is None else network
-    instance("network", network, Network)
-    SIMULATED.check(network)
+    links, every = KIND.network_for(network), count("every", every)
     choice("link", link, ("actuator", "sensor"))
-    if network.delay:
-        raise ProblemError(f"network.delay is {network.delay}; expected 0 with excess")
-    if not network.triangle:
-        with renamed_keys(network):
-            alone = excess(
-                plant, cost, delta=delta, theta=theta, period=period, actuation=actuation, controller=controller,
-                link=link, network=three_nodes(network, "excess", joint=True), every=every, gains=gains, retry=retry,
-            )  # fmt: skip
-        return placed(alone, network)
-    every, links = count("every", every), network.with_intervals(None)
     if every > LONGEST:
         raise ProblemError(f"every is {every}; expected at most {LONGEST} steps between packets of the base")
 
     def price_at(cost_all_time: float) -> float:
         return threshold_of(cost_all_time, delta, theta)
 
-    ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(network, link))
+    ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(links, link))
     if controller is None and ideal and actuation != "zero":
         return placed(_lqg(discretise(plant, cost, period), actuation, price_at), network)
     L = None
     if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
-        if controller is not None or not drops(network, link) or actuation == "model" or link == "sensor" or every > 1:
+        if controller is not None or not drops(links, link) or actuation == "model" or link == "sensor" or every > 1:
             raise ProblemError(
                 "gains is 'loss-optimal'; expected an actuator link that drops packets and acknowledges those that "
                 "arrive, no controller, actuation 'hold' or 'zero', and every = 1; or gains = 'lqg'"
             )
-        L = gains_for_losses(
-            discretise(plant, cost, period), network.loss(link), actuation == "zero", network.lost(link)
-        )
+        L = gains_for_losses(discretise(plant, cost, period), links.loss(link), actuation == "zero", links.lost(link))
     if controller is None:  # a model predicts the input that LQG with every sample would apply
         problem = discretise(plant, cost, period)
         lqg = lqg_observer("excess", problem, L=L)

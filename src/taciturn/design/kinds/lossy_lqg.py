@@ -7,7 +7,7 @@ import numpy as np
 from taciturn._arrays import instance, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
-from taciturn.design.kind import Kind, TradeoffParameter, placed, renamed_keys, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed
 from taciturn.errors import ProblemError
 from taciturn.lqg.critical_losses import Channel
 from taciturn.lqg.discrete import discretise
@@ -21,7 +21,6 @@ from taciturn.lqg.lossy import (
 )
 from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Reference, Tracking
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -85,25 +84,22 @@ def lossy_lqg(
     price = number("price", price, 0.0, closed=True)
     instance("plant", plant, Plant, ContinuousPlant)
     given = Network() if network is None else network
-    instance("network", given, Network)
-    SIMULATED.check(given)
-    if not given.triangle:
-        alone = three_nodes(given, "lossy-lqg")
-        with renamed_keys(given):
-            return placed(lossy_lqg(plant, cost, price=price, network=alone, reference=reference), given)
+    links = KIND.network_for(given)
     if reference is not None:
         instance("reference", reference, Reference)
     plant = refuse_what_is_not_covered(plant, cost)
     reference = None if reference is None else reference.relative_to(plant)
-    if given.delay > 1:
-        raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
     if reference is not None and cost.horizon is None:
         raise ProblemError(
             "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
         )
-    network = given.without_bursts()
+    network = links.without_bursts()
     channel = Channel(
-        network.loss("actuator"), network.loss("sensor"), network.acknowledges("actuator"), network.delay == 1
+        network.loss("actuator"),
+        network.loss("sensor"),
+        network.acknowledges("actuator"),
+        network.delay == 1,
+        (network.key("actuator", "loss"), network.key("sensor", "loss")),
     )
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
@@ -147,11 +143,11 @@ def lossy_lqg(
         ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
         initial={"prior": plant.mean},
-        network=given,
+        network=links,
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )
-    return within_limits(policy)
+    return placed(within_limits(policy), given)
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
@@ -279,6 +275,7 @@ KIND = Kind(
     ),
     offered=7,
     for_dropouts=True,
+    delay=1,
     requires="a discrete-time model, a measurement of the full state, and N = 0",
     check=refuse_what_is_not_covered,
 )

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from taciturn._arrays import block_diagonal, choice, instance, number, symmetrised
+from taciturn._arrays import block_diagonal, choice, number, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn.base.certainty import (
     Actuation,
@@ -18,7 +18,7 @@ from taciturn.base.certainty import (
     silence_form,
 )
 from taciturn.design.bounds import less_noise
-from taciturn.design.kind import Kind, TradeoffParameter, expect_ideal_links, placed
+from taciturn.design.kind import Kind, TradeoffParameter, placed
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -85,8 +85,7 @@ def lqg(
             "epsilon: use separate runs to compare both triggers"
         )
     network = Network() if network is None else network
-    instance("network", network, Network)
-    expect_ideal_links("lqg", network)
+    KIND.network_for(network)
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
     threshold = theta * certainty.estimation_cost

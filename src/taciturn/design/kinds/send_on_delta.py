@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from taciturn._arrays import Array, Bits, instance, number
+from taciturn._arrays import Array, Bits, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import (
     CertaintyEquivalentDesign,
@@ -20,7 +20,7 @@ from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
-from taciturn.design.kind import Kind, TradeoffParameter, expect_ideal_links, placed, three_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, placed, usual_nodes
 from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -87,27 +87,26 @@ def send_on_delta(
         ('sensor',)
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    network = Network() if network is None else network
-    instance("network", network, Network)
-    expect_ideal_links("send-on-delta", network)
-    shares, links = shares or {}, list(network.links)
-    if network.triangle and (controller is not None or link != "sensor"):
-        if shares:
-            raise ProblemError("shares is given with a controller or a link; expected shares with LQG, or with nodes")
-        return _keep(plant, cost, period, controller, delta, link)
-    if link != "sensor":
+    network = KIND.network_for(network)
+    own, shares, links = network.own_nodes, shares or {}, list(network.links)
+    if own and link != "sensor":
         raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")
-    if controller is None:
+    if controller is None and link == "sensor":
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
-    if len(links) > 1:
+    if own and len(links) > 1:
         kept = controller_from(controller)
         return keep_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
-        raise ProblemError("shares is given with a controller and one link; expected shares with several links")
-    three_nodes(network, "send-on-delta")
-    route = "sensor" if network.nodes[links[0]].measures else "actuator"
-    return placed(_keep(plant, cost, period, controller, delta, route), network)
+        raise ProblemError(
+            "shares is given with a controller and one link; expected shares with several links"
+            if own
+            else "shares is given with a controller or a link; expected shares with LQG, or with nodes"
+        )
+    if own:
+        usual_nodes(network, "send-on-delta")
+        link = "actuator" if any(network.nodes[one].applies for one in links) else "sensor"
+    return placed(_keep(plant, cost, period, controller, delta, link), network)
 
 
 def _filter(

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from taciturn._arrays import Array, instance, number
+from taciturn._arrays import Array, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import design_certainty, steps_at_the_actuator
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
-from taciturn.design.kind import Kind, TradeoffParameter, check_place, expect_ideal_links
+from taciturn.design.kind import Kind, TradeoffParameter, check_place
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import corrections_of, schedule_by_variance
@@ -70,8 +70,7 @@ def variance(
         {'sensor': 0.3333333333333333}
     """
     threshold = number("threshold", threshold, 0.0, closed=True)
-    network = Network() if network is None else network
-    instance("network", network, Network)
+    network = KIND.network_for(network)
     wired = _wired(network)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("variance", problem), problem.plant
@@ -119,9 +118,7 @@ def variance(
 
 def _wired(network: Network) -> tuple[frozenset[str], ...]:
     """Return the nodes at the controller's place, as a group if there are several."""
-    expect_ideal_links("variance", network)
-    if network.triangle:
-        return (frozenset({network.controller, *network.actuators}),)
+    network = network.beside("actuator")
     for node in network.actuators:
         check_place("variance", network, "actuator", node, True)
     if not any(node in network.links for node in network.sensors):

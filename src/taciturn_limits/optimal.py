@@ -11,9 +11,19 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import NO_VARIANCE, Array, ArrayLike, array, number, semidefinite, square
-from taciturn._display import Displayed
-from taciturn._progress import Progress, Stages, check_time
+from taciturn.extend import (
+    NO_VARIANCE,
+    Array,
+    ArrayLike,
+    Displayed,
+    Progress,
+    Stages,
+    array,
+    check_time,
+    number,
+    semidefinite,
+    square,
+)
 from taciturn.renewal.chain import AGES, Chain, NoQuadratureError, Renewal, White, unsent_covariance, whiten
 from taciturn.renewal.gaussian import intervals
 from taciturn.renewal.quadrature import (

@@ -18,13 +18,10 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from taciturn._arrays import Array, number, symmetrised
-from taciturn._display import Displayed
-from taciturn._modes import root
-from taciturn._progress import OutOfTime, Progress, Stages
+from taciturn.extend import Array, Displayed, OutOfTime, Progress, Stages, number, root, symmetrised
 from taciturn.model.plant import JumpNoise
 from taciturn.renewal.chain import Chain, Intervals, NoQuadratureError, Renewal
-from taciturn.renewal.jump_density import (
+from taciturn_events.jump_density import (
     TABLES_MEET,
     CompoundPoissonNoise,
     Density,

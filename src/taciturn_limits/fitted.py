@@ -17,12 +17,19 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from taciturn import _scipy
-from taciturn._arrays import Array, Bits, frozen, symmetrised
-from taciturn._display import Displayed
-from taciturn._modes import radius, root
-from taciturn._progress import check_time
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.extend import (
+    Array,
+    Bits,
+    Displayed,
+    check_time,
+    frozen,
+    normal_quantile,
+    radius,
+    root,
+    sobol,
+    symmetrised,
+)
 from taciturn.lqg.equation import stationary
 
 
@@ -43,14 +50,14 @@ class Lattice:
         are returned.
         """
         levels = (self.places + draws.random((copies, 1, self.places.shape[1]))[wanted]) % 1.0
-        found = _scipy.normal_quantile(np.clip(levels, 1e-300, 1 - 1e-16))
+        found = normal_quantile(np.clip(levels, 1e-300, 1 - 1e-16))
         return found[..., : self.dimensions]
 
 
 @cache
 def _places(points: int, dimensions: int) -> Array:
     """Return Sobol points with a fixed seed, cached, as computing them takes longer than using them."""
-    return frozen(_scipy.sobol(dimensions, points, np.random.default_rng(points)))
+    return frozen(sobol(dimensions, points, np.random.default_rng(points)))
 
 
 SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative to the largest with a finite moment

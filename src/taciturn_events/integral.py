@@ -7,13 +7,11 @@ from functools import cache, partial
 
 import numpy as np
 
-from taciturn import _scipy
-from taciturn._arrays import number
-from taciturn._progress import check_time
 from taciturn.base.filter import SEND
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
+from taciturn.extend import check_time, crossing, number
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
@@ -24,9 +22,9 @@ from taciturn.model.policy import Policy
 from taciturn.model.steps import Evaluate, Location
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
-from taciturn.renewal.cycles import PERIOD_TOLERANCE, CycleEstimate, SampledProcess, estimate_cycles
-from taciturn.renewal.events import IntegralTrigger, JumpProcess
-from taciturn.renewal.policy import EventPolicy
+from taciturn_events.cycles import PERIOD_TOLERANCE, CycleEstimate, SampledProcess, estimate_cycles
+from taciturn_events.events import IntegralTrigger, JumpProcess
+from taciturn_events.policy import EventPolicy
 
 MARGIN, SINCE = "margin", "since"
 MOST_PLACES = 20_000  # largest number of checks after a send that a node can count
@@ -301,7 +299,7 @@ class _Search:
             check_time()
             low, high = (low if excess(low) <= 0 else 0.99 * low), (high if excess(high) > 0 else 1.01 * high)
             if excess(low) <= 0 < excess(high):
-                alpha = _scipy.crossing(excess, low, high, RESOLVED * low)
+                alpha = crossing(excess, low, high, RESOLVED * low)
                 return Estimate(alpha, interval(alpha).standard_error / (1 - gain), "simulation")
         raise ProblemError(
             f"no solution of alpha = L(alpha) was found near {low:g}; expected another slope, or a given alpha"

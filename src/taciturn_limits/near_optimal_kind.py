@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import modelled
+from taciturn.extend import number
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -50,7 +50,7 @@ def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, pe
 
 
 def _silence(problem: Discrete, reset: Reset, price: float) -> Form:
-    from taciturn.renewal.fitted import fit_schedule  # imported here, since its import is slow
+    from taciturn_limits.fitted import fit_schedule  # imported here, since its import is slow
 
     found = fit_schedule(problem.plant.A, reset.covariance, reset.weight, price / problem.tick)
     return Form((reset.error,), reset.weight, -found.gain, bell=GaussianTerm(-found.height, found.Pi))

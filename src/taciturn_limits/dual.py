@@ -13,12 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from taciturn._arrays import NO_VARIANCE, Array, Bits
-from taciturn._display import Displayed
-from taciturn._modes import root
-from taciturn._progress import Progress, Stages, check_time
 from taciturn.errors import ProblemError
-from taciturn.renewal.fitted import Fitted, Lattice, decayed
+from taciturn.extend import NO_VARIANCE, Array, Bits, Displayed, Progress, Stages, check_time, root
+from taciturn_limits.fitted import Fitted, Lattice, decayed
 
 BLOCK = 2**17  # numbers per block: larger blocks do not fit the cache, and their memory is allocated anew each time
 

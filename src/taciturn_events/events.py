@@ -29,10 +29,8 @@ from math import comb, factorial, inf
 
 import numpy as np
 
-from taciturn._arrays import Array, array, instance, number, semidefinite, square, symmetrised
-from taciturn._display import Displayed
-from taciturn._modes import balancing
 from taciturn.errors import ProblemError
+from taciturn.extend import Array, Displayed, array, balancing, instance, number, semidefinite, square, symmetrised
 from taciturn.model.plant import Jumps
 from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw_numbers, minus_two_log, seed_generators
 from taciturn.program.ir import Builder, Program

@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, number, semidefinite
-from taciturn._display import Displayed
-from taciturn._figure import Panel, Series, Size, draw
 from taciturn.design.prediction import refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
+from taciturn.extend import Array, ArrayLike, Displayed, Panel, Series, Size, draw, number, semidefinite
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.result import Columns, Tabular, columns_of
 from taciturn.renewal.chain import Chain
-from taciturn.renewal.cycles import estimate_cycles
-from taciturn.renewal.events import JumpProcess, LevelTrigger
 from taciturn.renewal.gaussian import solve_gaussian
+from taciturn_events.cycles import estimate_cycles
+from taciturn_events.events import JumpProcess, LevelTrigger
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,10 +20,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, array, count, instance, number
-from taciturn._display import Displayed
-from taciturn._modes import factor
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.extend import Array, Displayed, array, count, factor, instance, number
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import JumpNoise
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
@@ -32,7 +30,7 @@ from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep
 from taciturn.program.ops import State
 from taciturn.program.signals import add_jumps
-from taciturn.renewal.events import (
+from taciturn_events.events import (
     CLOSING,
     COST,
     CYCLES,

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from taciturn._arrays import Array
-from taciturn._display import Displayed
+from taciturn.extend import Array, Displayed
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.quadrature import legendre
 

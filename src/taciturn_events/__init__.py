@@ -1,0 +1,6 @@
+"""Triggers in continuous time for plants with Poisson jumps: the kind ``integral`` and its analysis.
+
+``integral`` is the kind. ``events`` computes the times between sends exactly, ``cycles`` their costs, and ``policy``
+has the policy that is analysed without steps. ``jumps`` solves the renewal equations of checks under jumps by
+quadrature, with the ``jump_density`` of summed jumps. ``losses`` finds thresholds that lose to periodic control.
+"""
