@@ -350,15 +350,6 @@ def solve_optimal(
     )
 
 
-def optimal_curve(
-    F: ArrayLike, noise: ArrayLike, Gamma: ArrayLike, prices: ArrayLike, accuracy: float | None = None
-) -> tuple[Optimum, ...]:
-    """Return the optimal send schedules for several prices per send, which trace the curve of least cost against
-    rate.
-    """
-    return tuple(solve_optimal(F, noise, Gamma, float(price), accuracy) for price in array("prices", prices, (None,)))
-
-
 class _Iteration:
     """Policy iteration on the region of unsent errors; the nodes are placed anew in every iteration."""
 

@@ -18,7 +18,7 @@ from taciturn.renewal import paths
 from taciturn.renewal import paths as _randomisation
 from taciturn.renewal.chain import Chain, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.renewal.paths import expect_quicker, solve_paths
+from taciturn.renewal.paths import solve_paths
 from taciturn.simulation.average import average
 
 UNIT = np.eye(2)
@@ -197,12 +197,6 @@ def test_truncated_draws_stay_on_their_chord_however_far_out_it_is(low, high):
     nearer, farther = sorted((abs(low), abs(high)))
     expected = scipy.special.ndtr(-nearer) - scipy.special.ndtr(-farther) if low * high > 0 else None
     assert share == pytest.approx(scipy.special.ndtr(high) - scipy.special.ndtr(low) if expected is None else expected)
-
-
-def test_short_intervals_are_expected_to_be_quicker_by_paths():
-    """A tight threshold says yes, a wide one no."""
-    assert expect_quicker(large_chain(1, 6, 2, delta=0.5))
-    assert not expect_quicker(large_chain(1, 6, 2, delta=200.0))
 
 
 @pytest.mark.evidence

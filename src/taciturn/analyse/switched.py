@@ -1,21 +1,20 @@
 """Closed loops as switched linear maps z⁺ = F_i z + G w, with the action i that minimises z'Ψ_i z + c_i.
 
-Switched linear maps, and their reduction to reachable and observable states, scaled to about unit size.
+A loop is converted by following its steps, and reduced to its reachable and observable states, scaled to about unit
+size. Two questions are then answered without simulation.
 
-Jump linear maps z⁺ = F_o z + G w of loops over lossy links; the outcome o lists the links that drop a packet.
+Over lossy links the map is z⁺ = F_o z + G w, where the outcome o lists the links that drop a packet. The probability of
+an outcome depends only on the state of the links. Therefore the second and the fourth moments of z satisfy linear
+recursions, and exist in the long run only if these are stable. Let X_s be the second moment while the links are in
+state s, T the transition probabilities of the links, and π_r the share of the steps in state r. Then
 
-The probability of an outcome depends only on the state of the links. Therefore the second and the fourth moments of z
-satisfy linear recursions. The moments exist in the long run only if these recursions are stable:
+    X_s⁺ = Σ_r T_rs Σ_o p(o | r) (F_o X_r F_o' + π_r G G').
 
-    X_s⁺ = Σ_r T_rs Σ_o p(o | r) (F_o X_r F_o' + π_r G G'),
+For the fourth moment F_o acts on all four indices.
 
-where X_s is the second moment while the links are in state s, T contains the transition probabilities of the links, and
-π_r is the share of the steps in state r. For the fourth moment F_o acts on all four indices.
-
-Links whose decisions depend on disturbances and set-points that wander without limit, so that no rate is an average.
-
-Let d⁺ = Sd be disturbances and set-points, and let every link send in every step. Then the loop is linear, and all its
-other states approach the response z = Πd that satisfies
+Disturbances and set-points may wander without limit, and then a link whose decisions depend on them has no average
+rate. Let d⁺ = Sd be these signals, and let every link send in every step. Then the loop is linear, and all its other
+states approach the response z = Πd that satisfies
 
     F_zz Π + F_zd = Π S.
 

@@ -1,6 +1,19 @@
-"""Data of an error that each send resets to 0, and the results of its renewal analysis.
+"""An error that each send resets to 0: its data, the results of its renewal analysis, and its reduced coordinates.
 
-Reduced coordinates of an error with Gaussian noise, in which the noise is white and the trigger is diagonal.
+Before a check the error is e⁺ = F e + w. If e⁺'Ψe⁺ > δ, it is sent, and is 0 afterwards; otherwise it costs e⁺'Γe⁺. As
+every send resets the error, the intervals between sends are independent and have one distribution, so that by renewal
+
+    rate = 1/E[T],    excess = E[cost of an interval]/E[T],    E[T] = Σ_k P(T > k).
+
+The methods work in as few coordinates as possible. First the directions are left out that the noise never reaches
+(outside the span of G, FG, F²G, …, for noise of covariance GG'), then those that affect neither trigger nor cost, now
+or later (which Ψ and Γ do not observe). For the quadrature the rest is transformed such that the noise is white and the
+trigger diagonal: with the eigenvectors V and the eigenvalues m_i of G'ΨG/δ, the noise of x = (GV)⁻¹e is N(0, I), and x
+is unsent if Σ_i m_i x_i² ≤ 1.
+
+The size of the region that unsent errors reach is estimated with a random trigger, which does not send with probability
+exp(−½ (π/2) Σ_i m_i x_i²), and hence has the mass of the interval m x² ≤ 1 along each axis. Under this rule the errors
+are Gaussian at any number of checks since the last send, so that covariances and probabilities have a closed form.
 """
 
 from __future__ import annotations
@@ -202,13 +215,7 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
 
 
 def unsent_covariance(white: White) -> Array:
-    """Return the approximate covariance of unsent errors, computed as if the trigger were random.
-
-    Then the error x is not sent with probability exp(−½ SOFT Σ m_i x_i²).
-
-    Under this random rule, errors are Gaussian at any number of checks since the last send, so that their covariances
-    and probabilities have a closed form.
-    """
+    """Return the approximate covariance of unsent errors, computed as if the trigger were random."""
     unit = np.eye(len(white.m))
     before, last, share = unit, np.zeros_like(unit), 1.0
     total, shares = np.zeros_like(unit), 0.0

@@ -1,6 +1,18 @@
-"""Send rate and cost of an error with Gaussian noise: renewal equations by quadrature, with an error estimate.
+"""Send rate, cost and intervals of an error with Gaussian noise, by quadrature of its renewal equations.
 
-Distribution of the intervals between sends, by propagating the density of unsent errors from check to check.
+Let k be the density of the next error and E = {e: e'Ψe ≤ δ}. The expected checks T and the expected cost C until the
+next send satisfy
+
+    T = 1 + ∫_E k T,    C = e'Γe + ∫_E k C,
+
+and the rate is 1/T₀, the excess C₀/T₀, both from an error of 0. :mod:`taciturn.renewal.quadrature` solves these
+equations on nodes; resolution and window increase together until rate and excess no longer change. The operations of a
+solution can be predicted from the numbers of nodes before it is computed.
+
+The distribution of the intervals follows from the density of unsent errors, which is propagated from check to check
+until the probability of no send is negligible, or decreases geometrically. Long intervals take many checks per product,
+with powers of the map. After the last check, the survival is assumed to decrease by a constant factor per check, such
+that its sum is the mean interval. If the survival is geometric, this factor is the dominant eigenvalue of the map.
 """
 
 from __future__ import annotations
@@ -48,13 +60,7 @@ MOST_CHECKS = 1 << 22
 
 
 def intervals(start: Array, check: CheckMatrix | GridCheck, checks: Array, mean: float) -> Intervals:
-    """Return the distribution of the number of checks between two sends.
-
-    It is computed check by check until the probability of no send is negligible, or decreases geometrically.
-
-    After the last check, the survival is assumed to decrease by a constant factor per check, such that its sum is the
-    mean interval. If the survival is geometric, this factor is the dominant eigenvalue of the map.
-    """
+    """Return the distribution of the number of checks between two sends."""
     survival, error, done = _one_by_one(start, check)
     if not done and isinstance(check, CheckMatrix) and len(start) <= MOST_NODES:
         more, error = _many_at_once(error, check.entries)

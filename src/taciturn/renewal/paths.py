@@ -1,6 +1,31 @@
 """Send rate and cost of an error with Gaussian noise in any dimension, by conditional quasi-Monte Carlo sampling.
 
-One replication of conditional sampling: simulated paths without a send, weighted by the probability of no send.
+The mean interval between sends is T = Σ_j P(no send at the checks 1 … j), and its mean cost is
+C = Σ_j E[e_j'Γe_j, no send so far]. The rate is 1/T, and the excess is C/T.
+
+Sampling is conditional on silence (the simulator of Geweke, Hajivassiliou and Keane). At each check, the coordinates of
+the noise are drawn one after the other such that the error can still remain unsent, and the weight of the path is
+multiplied by the probability of this. The noise is w = G z with z ~ N(0, I), in coordinates in which G'ΨG is diagonal,
+ascending. With Ψ = N'N the columns of NG are orthogonal. So the next error is unsent if
+
+    Σ_i m_i (z_i − c_i)² ≤ 1 − |r|²,    m_i = |(NG)_i|²,    c_i = −(NG)_i'N F e/m_i,
+
+where r is the part of N F e that no noise reaches. Each z_i thus lies on a chord whose length depends on the
+coordinates before it, and is drawn from the normal distribution truncated to this chord. If the chord is wide, z_i is
+drawn without truncation; then no chord may be left for the next coordinate, and the path gets the weight 0. The last
+coordinate is the one on which e'Ψe depends most.
+
+The mean weight after k checks is an unbiased estimate of P(no send at k checks). Resampling does not change this,
+because it depends only on the past, and because the expected number of copies of a path is proportional to its weight.
+The draws are scrambled Sobol points at the first checks and pseudo-random numbers later. Each coordinate of the points
+is scrambled independently, so that it is uniform given the others.
+
+The remaining length of an interval is no longer than a new interval, P(T > j + k) ≤ P(T > j) P(T > k), because an error
+of 0 has the largest probability to stay in a symmetric convex set (Anderson). So the checks after check j contribute at
+most the fraction P(T > j) of the sum, and a course ends when this fraction is negligible. The remainder, which is
+assumed to be geometric, is at most a hundredth of the requested error; the uncertainty of its ratio is part of the
+standard errors. These follow from the spread of independent randomisations. First the number of points, then the number
+of randomisations is increased until they are small enough.
 """
 
 from __future__ import annotations
@@ -31,16 +56,7 @@ LOST = 1e-30  # survival probability at which a cost that has not converged neve
 
 
 class Walk:
-    """Sampler of the next error of many paths, conditioned on the event that the error is not sent.
-
-    The noise is w = G z with z ~ N(0, I), in coordinates in which G'ΨG is diagonal, ascending.
-
-    With Ψ = N'N the columns of NG are orthogonal. So the next error is unsent if Σ_i m_i (z_i − c_i)² ≤ 1 − |r|², where
-    m_i = |(NG)_i|², c_i = −(NG)_i'N F e/m_i, and r is the part of N F e that no noise reaches. Each coordinate z_i thus
-    lies on a chord whose length depends on the coordinates before it, and is drawn from the normal distribution
-    truncated to this chord. If the chord is wide, z_i is drawn without truncation; then no chord may be left for the
-    next coordinate, and the path gets the weight 0. The last coordinate is the one on which e'Ψe depends most.
-    """
+    """Sampler of the next error of many paths, conditioned on the event that the error is not sent."""
 
     def __init__(self, data: Data) -> None:
         """Rotate the noise so that G'ΨG is diagonal."""
@@ -119,18 +135,7 @@ class SampledInterval(Displayed):
 
 
 def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float) -> SampledInterval:
-    """Simulate many paths, conditioned on no send, and return the estimates from one randomisation.
-
-    The draws are scrambled Sobol points at the first checks and pseudo-random numbers at later checks.
-
-    The mean weight after k checks is an unbiased estimate of P(no send at k checks). Resampling does not change this,
-    because it depends only on the past, and because the expected number of copies of a path is proportional to its
-    weight. Each coordinate of the Sobol points is scrambled independently, so that it is uniform given the others.
-
-    The remaining length of an interval is no longer than a new interval, P(T > j + k) ≤ P(T > j) P(T > k), because an
-    error of 0 has the largest probability to stay in a symmetric convex set (Anderson). So the checks after check j
-    contribute at most the fraction P(T > j) of the sum. A course ends when this fraction is negligible.
-    """
+    """Simulate many paths, conditioned on no send, and return the estimates from one randomisation."""
     known = DIMENSIONS // walk.draws
     points = _scipy.sobol(known * walk.draws, paths, draws) if known else np.empty((paths, 0))
     errors, weights = np.zeros((paths, len(walk.F))), np.ones(paths)
@@ -261,17 +266,7 @@ def solve_paths(
     steps: int = USUAL,
     progress: Progress | None = None,
 ) -> PathAnswer:
-    """Return send rate and excess cost of an error of any dimension with Gaussian noise, by conditional sampling.
-
-    The mean interval is T = Σ_j P(no send at the checks 1 … j), and its mean cost is C = Σ_j E[e_j'Γe_j, no send so
-    far]. The rate is 1/T, and the excess is C/T. Sampling is conditional on silence: at each check, the coordinates of
-    the noise are drawn one after the other such that the error can still remain unsent, and the weight of the path is
-    multiplied by the probability of this. This is the simulator of Geweke, Hajivassiliou and Keane. The draws come from
-    scrambled Sobol points in independent randomisations, whose spread gives the standard errors of the ratios. First
-    the number of points, then the number of randomisations is increased until the standard errors are small enough. The
-    remainder of an interval, which is assumed to be geometric, is at most a hundredth of the requested error; the
-    uncertainty of its ratio is part of the standard errors.
-    """
+    """Return send rate and excess cost of an error of any dimension with Gaussian noise, by conditional sampling."""
     number("standard_error", standard_error, 0.0, 1.0)
     count("seed", seed, 0)
     count("steps", steps)
@@ -339,15 +334,6 @@ def fewest_operations(chain: Chain) -> float:
 
 def _fewest(chain: Chain, interval: float) -> float:
     return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST * LASTING * interval
-
-
-def expect_quicker(chain: Chain) -> bool:
-    """Predict whether conditional sampling is faster than a plain simulation, as it is for short send intervals.
-
-    Quasi-random points help only if intervals have few checks; ``benchmarks/paths.py`` measures the limit. The mean
-    interval is at least that of independent checks (:func:`least_interval`), and usually close to it.
-    """
-    return least_interval(chain) <= SHORT
 
 
 def _ratios(courses: list[SampledInterval]) -> tuple[Estimate, Estimate, Array]:

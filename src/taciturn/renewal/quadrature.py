@@ -1,8 +1,23 @@
-"""Renewal equations of an error that sends reset, on quadrature nodes: discretisation, solution, error estimates.
+"""Renewal equations of an error that sends reset, on quadrature nodes: nodes, map of a check, solution, error.
 
-Quadrature nodes for integrals over the part of a region that errors reach under Gaussian noise.
+In white coordinates the error is x⁺ = F x + w with w ~ N(0, I), and is unsent in a symmetric region E. A function X of
+the error, summed until the next send, satisfies
 
-Effect of one trigger check on functions of the error at quadrature nodes, as a matrix or by sums on a grid.
+    X(x) = known(x) + ∫_E (2π)^{−n/2} exp(−½|y − F x|²) X(y) dy,
+
+so that nodes x_j with weights turn the integral into a map from node to node.
+
+Nodes are placed axis by axis, on the chord of the region at given coordinates on the outer axes, within a window of the
+errors that occur. An axis has equidistant nodes if the window ends before the chord on both sides, and Gauss–Legendre
+nodes otherwise. An outer axis has them in the angle φ, x = centre + c sin φ, as the integral over the inner axes ends
+like a square root. By symmetry one node represents both x and −x.
+
+The map of a check is a stored matrix if the nodes are few. Otherwise, as the expectation over the noise is a smooth
+function of F x, it is summed at the points of a grid, one axis after the other because the nodes are nested, and
+interpolated between these points; the equations are then solved by GMRES.
+
+The window is found by iteration on coarse nodes. Then nodes become finer and the window wider until rate and excess no
+longer change. The claimed error is twice the last change, which is the error of the coarser answer.
 """
 
 from __future__ import annotations
@@ -125,14 +140,7 @@ class _Span:
 
 
 def place(white: White, region: Region, window: ErrorRegion, density: float, more: int, most: int) -> QuadratureNodes:
-    """Return quadrature nodes for a region, placed axis by axis.
-
-    The nodes of an axis lie on the chord of the region at given coordinates on the outer axes.
-
-    An axis has equidistant nodes if the window ends before the chord on both sides, and Gauss–Legendre nodes otherwise.
-    An outer axis has them in the angle φ, x = centre + c sin φ, as the integral over the inner axes ends like a square
-    root.
-    """
+    """Return quadrature nodes for a region, placed axis by axis."""
     n = len(white.m)
     levels = list[AxisNodes]()
     x, weight = np.zeros((1, 0)), np.ones(1)
@@ -255,11 +263,7 @@ class QuadratureEffort(Displayed):
 
 
 class GridCheck:
-    """Effect of one trigger check on functions of the error at many quadrature nodes, computed by sums on a grid.
-
-    The expectation over the noise is a smooth function of the error without noise, F x. So it is summed at the points
-    of a grid, one axis after the other because the nodes are nested, and interpolated between these points.
-    """
+    """Effect of one trigger check on functions of the error at many quadrature nodes, computed by sums on a grid."""
 
     def __init__(self, white: White, nodes: QuadratureNodes, effort: QuadratureEffort) -> None:
         """Store the nodes and their effort."""
@@ -458,10 +462,7 @@ def first_density(accuracy: float) -> float:
 def climb(
     attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
 ) -> SolutionPair:
-    """Solve the renewal equations on finer nodes and wider windows until rate and excess no longer change.
-
-    The claimed error is twice the last change, which is the error of the coarser answer.
-    """
+    """Solve the renewal equations on finer nodes and wider windows until rate and excess no longer change."""
     density, factor = first_density(accuracy), NARROW
     previous, best, missed = None, None, 0
     for step in range(RUNGS):

@@ -1,6 +1,28 @@
-"""Certified bounds on the send rate of an error that a send resets, in any dimension.
+"""Certified bounds on the send rate of an error with Gaussian noise that a send resets, in any dimension.
 
-Lower and upper bounds on the distribution of a weighted sum of squared normal variables.
+Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error without sends, and E = {e: e'Ψe ≤ δ}, a convex and
+symmetric set. Let p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E), the survival of an interval. The rate is 1/Σ_j a_j.
+
+Upper bound: a_j ≥ q_j = p_1 ⋯ p_j by the Gaussian correlation inequality (Royen). The omitted terms of the sum are
+positive.
+
+Lower bound: a_j ≤ min_k a_{j−k} p_k. Given the error e after check j − k, the error at check j without a send is
+F^k e + n, where n is distributed as n_k. This error lies in E with the largest probability if e = 0 (Anderson). The
+average over the unsent errors e gives the inequality. So u_0 = 1, u_j = min_{k ≤ j} u_{j−k} p_k is an upper bound of
+a_j. For any k, the sum of the a_j after check J is at most (p_k + p_k² + …)(u_{J−k+1} + … + u_J). This is finite, since
+some p_k < 1.
+
+Sends in a window: intervals are independent and identically distributed, with a survival of at least q_j. So on one
+probability space, each interval is at least as long as an X' with survival q. The first send of a window may come at
+its first check, and every later send ends an interval. So the number of sends in k checks is at most 1 + N'(k − 1),
+where N' counts the renewals with intervals X'. With f_j = q_{j−1} − q_j its mean solves U_m = Σ_{j ≤ m} f_j (1 +
+U_{m−j}). Its distribution follows by convolution from P(1 + N'(k − 1) > m) = P(X'_1 + … + X'_m ≤ k − 1).
+
+Each p_j is the probability P(Σ_i μ_i z_i² ≤ x) of independent z_i ~ N(0, 1). Ruben's series is a mixture of chi-square
+distributions with positive weights. Any partial sum is a lower bound; the missing weight times the probability of the
+first omitted distribution completes it to an upper bound. If very different μ_i would make the series long, Imhof's
+integral is used instead, along a contour around the negative axis on which the integrand decays exponentially. Its
+error is estimated by the change from fewer to more points.
 """
 
 from __future__ import annotations
@@ -25,13 +47,7 @@ FLOOR = 1e-13  # absolute rounding error of the integral along the contour
 
 
 def enclosed(weights: Array, limit: float) -> tuple[float, float]:
-    """Return tight lower and upper bounds on P(Σ_i μ_i z_i² ≤ x) for independent z_i ~ N(0, 1).
-
-    Ruben's series is a mixture of chi-square distributions with positive weights. Any partial sum is a lower bound. The
-    missing weight times the probability of the first omitted distribution completes it to an upper bound. If very
-    different μ_i would make the series long, Imhof's integral is used instead, along a contour around the negative axis
-    on which the integrand decays exponentially. Its error is estimated by the change from fewer to more points.
-    """
+    """Return tight lower and upper bounds on P(Σ_i μ_i z_i² ≤ x) for independent z_i ~ N(0, 1)."""
     scaled = weights[weights > NEGLIGIBLE * limit] / limit
     if not len(scaled):
         return 1.0, 1.0
@@ -103,22 +119,7 @@ class WindowBound(Displayed):
 
 
 def rate_bounds(chain: Chain) -> tuple[float, float]:
-    """Return certified bounds on the sends per check of an error with Gaussian noise, in any dimension.
-
-    Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error without sends, and E = {e: e'Ψe ≤ δ}, a convex and
-    symmetric set. Let p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E), the survival of an interval. The rate is
-    1/Σ_j a_j.
-
-    Upper bound: a_j ≥ p_1 ⋯ p_j by the Gaussian correlation inequality (Royen). The omitted terms of this sum are
-        positive.
-
-    Lower bound: a_j ≤ min_k a_{j−k} p_k. Given the error e after check j − k, the error at check j without a send is
-    F^k e + n, where n is distributed as n_k. This error lies in E with the largest probability if e = 0
-    (Anderson). The average
-    over the unsent errors e gives the inequality. So u_0 = 1, u_j = min_{k ≤ j} u_{j−k} p_k is an upper bound of a_j.
-    For any k, the sum of the a_j after check J is at most (p_k + p_k² + …)(u_{J−k+1} + … + u_J). This is finite, since
-    some p_k < 1.
-    """
+    """Return certified bounds on the sends per check of an error with Gaussian noise, in any dimension."""
     data = _seen(chain)
     onward = _onward(data)
     kept = _kept(data)
@@ -143,25 +144,12 @@ def rate_bounds(chain: Chain) -> tuple[float, float]:
 
 
 def least_interval(chain: Chain, checks: int = FEW) -> float:
-    """Return a lower bound on the mean number of checks between sends.
-
-    It is 1 + Σ_j p_1 ⋯ p_j over a number of checks j, with the p_j of :func:`rate_bounds`.
-
-    Its inverse is the upper bound of :func:`rate_bounds` if this number of checks suffices.
-    """
+    """Return 1 + q_1 + q_2 + …, a lower bound on the mean number of checks between sends, from some checks."""
     return float(_survival(chain, count("checks", checks)).sum())
 
 
 def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound:
-    """Return upper bounds on the number of sends in any window of consecutive checks of a given length.
-
-    Intervals are independent and identically distributed, with a survival P(X > j) ≥ q_j = p_1 ⋯ p_j
-    (:func:`rate_bounds`). So on one probability space, each interval is at least as long as an X' with survival q. The
-    first send of a window may come at its first check, and every later send ends an interval. So the number of sends in
-    k checks is at most 1 + N'(k − 1), where N' counts the renewals with intervals X'. With f_j = q_{j−1} − q_j its mean
-    solves U_m = Σ_{j ≤ m} f_j (1 + U_{m−j}). Its distribution follows by convolution from
-    P(1 + N'(k − 1) > m) = P(X'_1 + … + X'_m ≤ k − 1).
-    """
+    """Return upper bounds on the number of sends in any window of consecutive checks of a given length."""
     count("checks", checks)
     number("confidence", confidence, 0.0, 1 - 1e-10)
     arrives = np.concatenate([[0.0], -np.diff(_survival(chain, checks))])[:checks]  # at 0, 1, …, k − 1
