@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from imports import tree
 
 import taciturn
+import taciturn.extend
 from taciturn.design.catalogue import own_kinds
 
 ROOT = Path(__file__).parent.parent
@@ -176,6 +179,31 @@ def test_public_functions_are_documented_with_known_sources() -> None:
     for name in taciturn.design.__all__:
         text = getattr(taciturn.design, name).__doc__
         assert all(section in text for section in ("Args:", "Returns:", "Raises:", "Source:", "Example:")), name
+
+
+def test_docstrings_are_in_full_for_what_the_reference_lists() -> None:
+    """Everything else has a sentence, and paragraphs that explain; the header of its file tells the method."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        names = importlib.import_module("names")
+    finally:
+        sys.path.pop(0)
+    pages = "".join(path.read_text(encoding="utf-8") for path in sorted(ROOT.glob("docs/reference*.md")))
+    entries = [one for block in re.findall(r"```\{names\}(.*?)```", pages, re.DOTALL) for one in block.split("\n")]
+    listed = [value for entry in filter(None, map(str.strip, entries)) for value in names.public(entry).values()]
+    published = {(value.__module__, value.__qualname__) for value in listed}
+    published |= {(value.__module__, value.__qualname__) for value in vars(taciturn.extend).values() if callable(value)}
+    packages = (
+        SOURCE,
+        *(SOURCE.parent / name for name in SATELLITES if name not in ("taciturn_thesis", "taciturn_twins")),
+    )
+    for path in (path for package in packages for path in package.rglob("*.py") if path.name != "commands.py"):
+        module = ".".join(path.relative_to(SOURCE.parent).with_suffix("").parts).removesuffix(".__init__")
+        for node in tree(path).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and (module, node.name) not in published:
+                inner = [node, *(one for one in ast.walk(node) if isinstance(one, ast.FunctionDef))]
+                long = [one.name for one in inner if re.search("^Args:", ast.get_docstring(one) or "", re.MULTILINE)]
+                assert not long, f"{path.name}: {long}"
 
 
 def test_only_its_own_file_names_a_kind() -> None:

@@ -88,15 +88,10 @@ class Job(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """Lower bound on the cost of a set of loops under any scheduler.
+    """Lower bound on the cost of a set of loops under any scheduler."""
 
-    Args:
-        cost: sum over all loops, in the units of the cost.
-        confidence: confidence of the bound, or None if it is computed entirely by quadrature.
-    """
-
-    cost: float
-    confidence: float | None
+    cost: float  # sum over all loops, in the units of the cost
+    confidence: float | None  # confidence of the bound, or None if it is computed entirely by quadrature
 
 
 class Curves:

@@ -228,23 +228,14 @@ MOST = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CNode(Displayed):
-    """A node as C99.
+    """A node as C99."""
 
-    Args:
-        role: name of the process, such as ``"controller"``.
-        name: name of its C type, and of its files without extension.
-        header: text of the header.
-        source: text of the source file.
-        operations: number of arithmetic and logical operations per step, including random draws.
-        constants: number of constants.
-    """
-
-    role: str
-    name: str
-    header: str
-    source: str
-    operations: int
-    constants: int
+    role: str  # name of the process, such as ``"controller"``
+    name: str  # name of its C type, and of its files without extension
+    header: str  # text of the header
+    source: str  # text of the source file
+    operations: int  # number of arithmetic and logical operations per step, including random draws
+    constants: int  # number of constants
 
 
 def identifier(text: str) -> str:

@@ -49,11 +49,7 @@ SUBJECT = re.compile(r"(\w+)(?: and (\w+))? (?:is|are|has) ")
 
 
 def usage_text(error: Any) -> str:
-    """Return the sentence for an error of the command line's parser, whose texts have no remedy.
-
-    Args:
-        error: the error; its classes are private, so that it is recognised by its attributes.
-    """
+    """Return the sentence for an error of the command line's parser, whose texts have no remedy."""
     context = getattr(error, "ctx", None)
     if context is None:
         sentence = error.format_message().removeprefix("Option ").replace(" requires an argument.", " has no value")
@@ -553,12 +549,7 @@ def can_print(letters: str) -> bool:
 
 @contextmanager
 def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
-    """Show a progress bar with the remaining time on standard error, if it is a terminal.
-
-    Args:
-        what: name of the computation.
-        cells: number of cells; if given, a count of finished cells is shown next to the bar.
-    """
+    """Show a progress bar with the remaining time on standard error, if it is a terminal."""
     if not sys.stderr.isatty():
         yield lambda fraction: None
         return

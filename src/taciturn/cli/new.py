@@ -24,28 +24,14 @@ Answer = TypeVar("Answer")
 
 
 class Questions:
-    """Prompts that are repeated until the answer is valid; from a pipe, an invalid answer raises an error.
-
-    Args:
-        yes: use the suggested values without prompts.
-    """
+    """Prompts that are repeated until the answer is valid; from a pipe, an invalid answer raises an error."""
 
     def __init__(self, yes: bool = False) -> None:
         """Check whether standard input is a terminal."""
         self.yes, self.patient = yes, sys.stdin.isatty()
 
     def ask(self, name: str, text: str, read: Callable[[str], Answer], default: str | None = None) -> Answer:
-        """Ask a question, and return the answer as a value.
-
-        Args:
-            name: name of the value in messages.
-            text: the question.
-            read: function that converts an answer to a value, and raises an error if it is invalid.
-            default: value for an empty answer; if omitted, an answer is required.
-
-        Raises:
-            ProblemError: the input ends, or an answer is invalid and the input is not a terminal.
-        """
+        """Ask a question, and return the answer as a value."""
         from taciturn.errors import ProblemError, TaciturnError
 
         while True:
@@ -176,14 +162,7 @@ def new(
 
 
 class _Interview:
-    """Prompts for the values that are missing in a draft of a problem file.
-
-    Args:
-        questions: object that prompts.
-        given: matrices from a file, or None.
-        source: path of this file, or None.
-        name: name of the problem file.
-    """
+    """Prompts for the values that are missing in a draft of a problem file."""
 
     def __init__(self, questions: Questions, given: Given | None, source: Path | None, name: str) -> None:
         """Start with an empty draft."""

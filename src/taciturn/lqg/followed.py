@@ -141,21 +141,13 @@ def _sizes(found: Array, S: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Followed(Displayed):
-    """Deviations of states and inputs from those that cost nothing.
+    """Deviations of states and inputs from those that cost nothing."""
 
-    Args:
-        states: mask of the states d, (n,).
-        T: matrix of the deviations (x − Xd, d) in the order of the states, (n, n).
-        U: inputs that cost nothing, zero for the states x, (m, n).
-        problem: the problem in the deviations, in which the states d have no cost.
-        exact: the problem in the deviations to any precision; None if its doubles are exact.
-    """
-
-    states: Bits
-    T: Array
-    U: Array
-    problem: Quadratic
-    exact: Exact | None = None
+    states: Bits  # mask of the states d, (n,)
+    T: Array  # matrix of the deviations (x − Xd, d) in the order of the states, (n, n)
+    U: Array  # inputs that cost nothing, zero for the states x, (m, n)
+    problem: Quadratic  # the problem in the deviations, in which the states d have no cost
+    exact: Exact | None = None  # the problem in the deviations to any precision; None if its doubles are exact
 
     @property
     def inputs(self) -> Array:
@@ -169,12 +161,7 @@ class Followed(Displayed):
         return np.where(self.states & (np.abs(found) > CANCELS * size[:, None]), found, 0.0)
 
     def wanders(self, rows: Array, noise: Array) -> bool:
-        """Return whether a combination of the states d does not forget the noise that moves them.
-
-        Args:
-            rows: the combinations, (any, n).
-            noise: covariance of the noise of all states, (n, n).
-        """
+        """Return whether a combination of the states d does not forget the noise that moves them."""
         d = self.states
         late, seen = self.problem.A[np.ix_(d, d)], rows[:, d]
         moved = np.diag(np.sqrt(np.diag(noise)[d]))
@@ -190,16 +177,6 @@ class Followed(Displayed):
         A change moves the deviation ξ = x − Xd by m = −XΔ, before the transient of the change before it has ended. So
         the cost-to-go of the regulator is ξ'Kξ + 2h'ξ + constant with h_k = (A + BL)'(K m_k + h_{k+1}), and an error e
         of the input adds e'He + 2e'g with g_k = B'(K m_k + h_{k+1}).
-
-        Args:
-            L: gain of the regulator.
-            K: cost-to-go of the regulator.
-            H: weight of the error of the input.
-            table: change of the set-points, the last states, from each step to the next, repeated, (steps, z).
-
-        Returns:
-            The cost per step beyond that of unrelated changes, which cost tr(X'KX ΔΔ') each, and the root mean square
-            of g in the norm of the inverse of H.
         """
         x = ~self.states
         A, B, Q, R, N = self.problem

@@ -237,15 +237,10 @@ def _extended(head: tuple[int, ...], left: int, sends: int, intervals: Sequence[
 
 
 class Timing(NamedTuple):
-    """The steps at which a link sends: ``phase``, ``phase + period``, …
+    """The steps at which a link sends: ``phase``, ``phase + period``, …"""
 
-    Args:
-        period: steps from one packet to the next.
-        phase: first step, less than the period.
-    """
-
-    period: int
-    phase: int = 0
+    period: int  # steps from one packet to the next
+    phase: int = 0  # first step, less than the period
 
     def age(self, step: int) -> int:
         """Return the number of steps since the last packet."""

@@ -84,13 +84,7 @@ class Quadratic(NamedTuple):
         return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
     def beside(self, place: int, S: Array, P: Array) -> Quadratic:
-        """Return the problem with further states z⁺ = S z + P u, which cost nothing and move no other state.
-
-        Args:
-            place: number of states before them.
-            S: their dynamics, (r, r).
-            P: how the inputs move them, (r, m).
-        """
+        """Return the problem with further states z⁺ = S z + P u, which cost nothing and move no other state."""
         kept, more = placed(len(self.A), place, len(S))
         A, B, Q, R, N = self
         return Quadratic(kept @ A @ kept.T + more @ S @ more.T, kept @ B + more @ P, kept @ Q @ kept.T, R, kept @ N)

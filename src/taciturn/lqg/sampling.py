@@ -76,15 +76,10 @@ class Builder(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Exact(Displayed):
-    """A problem of one step in any arithmetic; enclosures that were computed once are kept.
+    """A problem of one step in any arithmetic; enclosures that were computed once are kept."""
 
-    Args:
-        build: returns enclosures of the problem.
-        source: the problem before it was sampled; None if it is not the sampled problem of a held input.
-    """
-
-    build: Builder
-    source: Source | None = None
+    build: Builder  # returns enclosures of the problem
+    source: Source | None = None  # the problem before it was sampled
     _kept: dict[tuple[type, float], object] = field(default_factory=dict[tuple[type, float], object])
 
     def __reduce__(self) -> tuple[type[Exact], tuple[Builder, Source | None]]:

@@ -517,15 +517,10 @@ class Jumps(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prediction(Displayed):
-    """The model that an actuator integrates between steps: u = L x̂, dx̂/dt = (A + BL) x̂ with A and B of the design.
+    """The model that an actuator integrates between steps: u = L x̂, dx̂/dt = (A + BL) x̂ with A and B of the design."""
 
-    Args:
-        L: feedback gain, (inputs, states).
-        dynamics: closed-loop state matrix A + BL, (states, states).
-    """
-
-    L: Array
-    dynamics: Array
+    L: Array  # feedback gain, (inputs, states)
+    dynamics: Array  # closed-loop state matrix A + BL, (states, states)
 
     @classmethod
     def of(cls, plant: ContinuousPlant, L: Array) -> Prediction:
@@ -535,17 +530,11 @@ class Prediction(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JumpNoise(Displayed):
-    """The effect of Poisson jumps on the state within a step: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
+    """The effect of Poisson jumps on the state within a step: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i."""
 
-    Args:
-        A: state matrix between jumps, per second, (n, n).
-        jumps: rate, covariance and distribution of the jumps.
-        period: τ, seconds per step.
-    """
-
-    A: Array
-    jumps: Jumps
-    period: float
+    A: Array  # state matrix between jumps, per second, (n, n)
+    jumps: Jumps  # rate, covariance and distribution of the jumps
+    period: float  # τ, seconds per step
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -28,31 +28,18 @@ Truth = int | bool  # an operation, or a truth value that is known during the tr
 
 @dataclass(frozen=True)
 class Program:
-    """Program of one time step, which maps states, inputs and constants to next states, sums and outputs.
+    """Program of one time step, which maps states, inputs and constants to next states, sums and outputs."""
 
-    Args:
-        ops: operations in order; each reads earlier ones only.
-        states: scalars that keep their value from step to step.
-        following: for each state, the operation that computes its next value.
-        inputs: names of the values supplied at each step.
-        constants: values of the ``const`` operations; programs that differ only here share machine code.
-        tables: values of the ``lookup`` and ``pick`` operations.
-        sums: operations whose values are summed over the steps, by name.
-        outputs: operations whose values are recorded at each step, by name.
-        precision: precision of the numbers.
-        matrices: matrices of the ``product`` operations.
-    """
-
-    ops: tuple[Op, ...]
-    states: tuple[State, ...]
-    following: tuple[int, ...]
-    inputs: tuple[Name, ...]
-    constants: tuple[float, ...]
-    tables: tuple[tuple[float, ...], ...]
-    sums: Named
-    outputs: Named
-    precision: Precision = "float64"
-    matrices: tuple[MatrixRows, ...] = ()
+    ops: tuple[Op, ...]  # operations in order; each reads earlier ones only
+    states: tuple[State, ...]  # scalars that keep their value from step to step
+    following: tuple[int, ...]  # for each state, the operation that computes its next value
+    inputs: tuple[Name, ...]  # names of the values supplied at each step
+    constants: tuple[float, ...]  # values of the ``const`` operations
+    tables: tuple[tuple[float, ...], ...]  # values of the ``lookup`` and ``pick`` operations
+    sums: Named  # operations whose values are summed over the steps, by name
+    outputs: Named  # operations whose values are recorded at each step, by name
+    precision: Precision = "float64"  # precision of the numbers
+    matrices: tuple[MatrixRows, ...] = ()  # matrices of the ``product`` operations
 
     @cached_property
     def operations(self) -> int:

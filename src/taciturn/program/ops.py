@@ -48,15 +48,10 @@ MatrixRows = tuple[tuple[float, ...], ...]
 
 
 class Op(NamedTuple):
-    """One operation.
+    """One operation."""
 
-    Args:
-        name: a name from the table above.
-        arguments: indices of earlier operations, or literals.
-    """
-
-    name: str
-    arguments: tuple[int, ...]
+    name: str  # a name from the table above
+    arguments: tuple[int, ...]  # indices of earlier operations, or literals
 
     @property
     def reads(self) -> tuple[int, ...]:
@@ -82,20 +77,12 @@ def needed(ops: Sequence[Op], roots: Sequence[int]) -> set[int]:
 
 @dataclass(frozen=True)
 class State:
-    """State variable of a program: one scalar that keeps its value from step to step.
+    """State variable of a program: one scalar that keeps its value from step to step."""
 
-    Args:
-        name: the signal.
-        index: entry of the signal.
-        start: first value, or a key if the first value differs between paths; states with equal keys have equal first
-            values.
-        word: whether it is a 64-bit word instead of a number.
-    """
-
-    name: str
-    index: int
-    start: float | tuple[str, int] = 0.0
-    word: bool = False
+    name: str  # the signal
+    index: int  # entry of the signal
+    start: float | tuple[str, int] = 0.0  # first value, or a key if the first value differs between paths
+    word: bool = False  # whether it is a 64-bit word instead of a number
 
 
 class Tile(NamedTuple):
@@ -133,17 +120,11 @@ class Total(NamedTuple):
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of a signal.
+    """An entry of a signal."""
 
-    Args:
-        signal: the signal, or a kind of random number.
-        index: number of the entry, from 0.
-        link: link whose packet contains the signal; None for a signal of the node itself.
-    """
-
-    signal: str
-    index: int
-    link: str | None = None
+    signal: str  # the signal, or a kind of random number
+    index: int  # number of the entry, from 0
+    link: str | None = None  # link whose packet contains the signal; None for a signal of the node itself
 
 
 @dataclass(frozen=True)

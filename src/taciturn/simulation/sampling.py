@@ -78,21 +78,13 @@ _FEW_PATHS, _SMALL = 512, 2000  # paths of a large loop; a loop is large if a st
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimator(Displayed):
-    """Estimator of a loop's cost: a simulation program, and the relation cost = offset + scale·(mean of a sum).
+    """Estimator of a loop's cost: a simulation program, and the relation cost = offset + scale·(mean of a sum)."""
 
-    Args:
-        program: program of one step of the loop.
-        whole: the complete program, from which control variates are derived; None for finite-horizon runs.
-        sum: name of the sum.
-        offset: constant term, in the units of the cost.
-        scale: factor of the mean per step.
-    """
-
-    program: Program
-    whole: Program | None
-    sum: str
-    offset: float
-    scale: float
+    program: Program  # program of one step of the loop
+    whole: Program | None  # the complete program, from which control variates are derived; None for finite-horizon runs
+    sum: str  # name of the sum
+    offset: float  # constant term, in the units of the cost
+    scale: float  # factor of the mean per step
 
     @cached_property
     def controlled(self) -> Program | None:

@@ -534,7 +534,7 @@ class _Row(Displayed):
 
     name: str
     cost: Estimate | None  # a proved bound is rounded
-    rates: Mapping[str, Estimate | None]
+    rates: Mapping[str, Estimate | None] = field(hash=False)
     up: int = 0
     exact: Estimate | None = None  # the bound, which the text rounds to the digits of its standard error
 

@@ -34,26 +34,19 @@ Timings = tuple[Timing, ...]
 
 @dataclass(frozen=True, repr=False)
 class LinkClocks(Result):
-    """Periodic control over several links at a traffic: the timing of each link, or two timings that share the time.
-
-    Args:
-        cost: cost at the traffic, exact for the timings that were found.
-        timings: period and phase of each link in steps, for one or two timings.
-        shares: share of the time of each timing.
-        plans: whether a packet to an actuator contains the inputs until the next packet, or one input that is held.
-        tried: number of timings that were tried.
-    """
+    """Periodic control over several links at a traffic: the timing of each link, or two timings that share the time."""
 
     FIELDS: ClassVar[tuple[Field[LinkClocks], ...]] = (
         Field("kind", lambda found: "model" if found.plans else "hold"),
         *plain_fields("cost", "timings", "shares", "tried"),
     )
 
-    cost: float
+    cost: float  # cost at the traffic, exact for the timings that were found
+    # period and phase of each link in steps, for one or two timings
     timings: tuple[Mapping[str, Timing], ...] = field(hash=False)
-    shares: tuple[float, ...]
-    plans: bool
-    tried: int
+    shares: tuple[float, ...]  # share of the time of each timing
+    plans: bool  # whether a packet to an actuator contains the inputs until the next packet, or one input that is held
+    tried: int  # number of timings that were tried
 
     def short(self) -> str:
         """Return the periods and phases of the links in steps as text."""
