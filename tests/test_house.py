@@ -116,6 +116,30 @@ def test_imports_only_go_down() -> None:
     assert violations(SOURCE) == []
 
 
+def circles(source: Path) -> list[str]:
+    """Return the files that import themselves by way of others, wherever in the files, also for types alone."""
+    files = {
+        ".".join((source.name, *path.relative_to(source).with_suffix("").parts)): path for path in source.rglob("*.py")
+    }
+    files = {name.removesuffix(".__init__"): path for name, path in files.items()}
+    uses: dict[str, set[str]] = {}
+    for name, path in files.items():
+        stated = [node for node in ast.walk(tree(path)) if isinstance(node, ast.ImportFrom)]
+        parts = [(str(node.module), f"{node.module}.{one.name}") for node in stated for one in node.names]
+        uses[name] = {whole if whole in files else module for module, whole in parts} - {name}
+    for _ in files:  # what uses nothing that is left is in no circle
+        uses = {name: found & uses.keys() for name, found in uses.items() if found & uses.keys()}
+    return sorted(uses)
+
+
+def test_no_file_imports_itself_by_way_of_others(tmp_path: Path) -> None:
+    """Also under ``TYPE_CHECKING``; and the search itself can fail."""
+    assert circles(SOURCE) == []
+    (tmp_path / "one.py").write_text(f"from {tmp_path.name}.two import b\n")
+    (tmp_path / "two.py").write_text(f"def f():\n    from {tmp_path.name} import one\n")
+    assert circles(tmp_path) == [f"{tmp_path.name}.one", f"{tmp_path.name}.two"]
+
+
 @pytest.mark.parametrize("package", SATELLITES)
 def test_a_satellite_uses_public_names_only(package: str, tmp_path: Path) -> None:
     """As a package of someone else does; the core imports no satellite, and the walk itself can fail."""
