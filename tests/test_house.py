@@ -132,6 +132,18 @@ def circles(source: Path) -> list[str]:
     return sorted(uses)
 
 
+def test_a_package_names_only_modules_that_it_has() -> None:
+    """The header of a package is the way into it."""
+    for header in SOURCE.glob("*/__init__.py"):
+        files = list(header.parent.glob("*.py"))
+        defined = {
+            node.name for path in files for node in tree(path).body if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        }
+        numbered = [line for line in (ast.get_docstring(tree(header)) or "").splitlines() if re.match(r"\d\. ", line)]
+        named = {name for line in numbered for name in re.findall(r"``(\w+)``", line)}
+        assert named <= defined | {path.stem for path in files}, header
+
+
 def test_no_file_imports_itself_by_way_of_others(tmp_path: Path) -> None:
     """Also under ``TYPE_CHECKING``; and the search itself can fail."""
     assert circles(SOURCE) == []

@@ -6,13 +6,10 @@ or with ``--json`` one document that contains version, seed, method and the prob
 
 ``frame`` contains the application, the options that several commands share, and ``main``. ``main`` turns each error of
 the library into one sentence on standard error and exit code 2, so commands raise errors and do not handle them.
-``usage`` does so with the errors of the parser, and names the option that the user typed.
-``answers`` contains the commands for one problem, ``studies`` those for several, ``network`` (with ``links``) those
-that run nodes, ``devices`` the export, and ``new`` (with ``questions``) the dialogue. Other packages add commands by
-entry points of the group ``taciturn.commands``.
+``answers`` contains the commands for one problem, ``studies`` those for several, and ``new`` the dialogue that writes a
+problem file. Other packages add commands by entry points of the group ``taciturn.commands``.
 
-Commands import large modules only when they run, and ``words`` completes words without them, so that ``--help`` and the
-shell's completion are fast.
+Commands import large modules only when they run, so that ``--help`` and the shell's completion are fast.
 """
 
 from taciturn._process import ends_on_signals

@@ -2,14 +2,16 @@
 
 A design function takes a plant, a cost and its parameters, and returns a ``Policy``, which is data rather than code.
 The function solves the underlying LQG problem (``taciturn.lqg``), writes the policy steps, and states the theorem. The
-certainty-equivalent designs share ``certainty``: with the error e of the actuator's input, completion of squares gives
+certainty-equivalent designs share ``taciturn.base``: with the error e of the actuator's input, completion of squares
+gives
 
     J = J_all + E[e'(R + B'KB)e in silence],
 
-so every trigger that bounds this square bounds the cost (``bounds``). ``estimation`` writes the filters at sensor or
-actuator, ``prediction`` the policies that predict in continuous time, and ``prices`` the costs that a schedule of
-queries weighs. A kind is a file in ``kinds`` that ends with the record of the kind (``kind``); ``catalogue`` lists
-these files and the kinds of other packages. A new kind requires a file in ``kinds`` and a test of its theorem.
+so every trigger that bounds this square bounds the cost (``bounds``). ``silence`` is the rule for any base,
+``several_nodes`` that for several sensors and actuators, ``dead_bands`` the rules without a model, ``prediction``
+writes policies that predict, and ``at_fixed_steps`` those without a decision. A kind is a file in ``kinds`` that ends
+with the record of the kind (``kind``); ``catalogue`` lists these files and the kinds of other packages. A new kind
+requires a file in ``kinds`` and a test of its theorem.
 
 The design functions are attributes of this package: ``design.lqg`` is the one of the kind ``lqg``. A kind is imported
 when its function is used for the first time.

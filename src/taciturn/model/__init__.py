@@ -14,12 +14,13 @@ memory. A packet that is read before it is sent is the packet of the previous st
 
 Read the modules in this order:
 
-1. ``plant``, ``dynamics``, ``cost``, ``network``, ``reference``: the problem.
-2. ``trigger``: quadratic forms, and tables that a discrete state selects (``Scheduled``).
-3. ``steps`` and ``location``: the policy steps, and discrete states with their cycle. ``diagram``: nodes and links.
-   ``intervals``: limits of links on the intervals between sends, as part of the decisions.
-4. ``theory`` and ``policy``: proven properties of a policy, such as its guarantee, and the policy itself.
-5. ``information`` and ``places``: the check that a node reads only available signals, and nodes that share a site.
+1. ``plant``, ``dynamics``, ``signals``, ``cost``, ``controller``, ``network``, ``link``, ``losses``: the problem.
+2. ``trigger``: quadratic forms, and tables that a discrete state selects.
+3. ``steps``: the policy steps, and discrete states with their cycle.
+4. ``theory`` and ``policy``: proven properties of a policy, such as its guarantee, and the policy itself with the
+   limits of links on the intervals between sends. ``diagram``: its nodes and links.
+5. ``information`` and ``coverage``: the check that a node reads only available signals, and the properties that a
+   theory or an interpreter carries out.
 6. ``packets`` and ``wire``: the packets of a policy, its fingerprint, and the layout of a datagram.
-7. ``schedule``, ``estimate``, ``table``: the results that users see.
+7. ``schedule``, ``estimate``, ``result``: the results that users see.
 """

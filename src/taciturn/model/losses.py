@@ -1,13 +1,10 @@
 """Random processes of packet dropouts: a Markov chain whose state sets the loss probability of a link.
 
-The laws of bursty losses, one per file: a class derived from ``LossLaw`` and, at the end, its name ``LAW``.
-
-A problem file names the law with the key ``law``: the name of the file, with hyphens in place of underscores. A package
-of one's own registers a law by an entry point of the group ``taciturn.bursts``. A new law needs no other entry.
-
-Losses with a good and a bad state of the link.
-
-Losses with any number of states of the link.
+A law is a class derived from ``LossLaw``: the transition probabilities between the states of the link, and the loss
+probability in each. ``Burst`` has a good and a bad state (Gilbert and Elliott), ``Chain`` any number of states. A
+problem file names the law with the key ``law``; ``OWN`` maps these names to classes. A package registers a law by an
+entry point of the group ``taciturn.bursts``. Everything else reads only the probabilities, so a new law needs no other
+entry.
 """
 
 from __future__ import annotations

@@ -12,5 +12,4 @@ Read the modules in this order:
 3. ``reliability``: detection of averages that do not exist, or whose standard error cannot be trusted.
 4. ``trajectory``: one path, and the mean cost at each step. ``bank``: many loops side by side. ``violations``: rare
    violations of limits, with copies of the paths that come near them.
-5. ``events``: policies without a sampling period.
 """
