@@ -44,7 +44,7 @@ def test_a_change_is_reached_by_what_imports_it() -> None:
         name: ROOT / "tests" / name for name in ("laws/test_excess.py", "lqg/test_riccati.py", "model/test_bursts.py")
     }
     core, tests = ROOT / "src" / "taciturn", tuple(at.values())
-    assert at["lqg/test_riccati.py"] in reach(tests, [core / "lqg" / "stabilising.py"])
+    assert at["lqg/test_riccati.py"] in reach(tests, [core / "lqg" / "equation.py"])
     assert at["lqg/test_riccati.py"] not in reach(tests, [core / "cli" / "new.py"])
     assert reach(tests, [at["laws/test_excess.py"]]) == {at["laws/test_excess.py"]: 0}
     assert core / "study" / "evaluate.py" in imported(ROOT / "examples" / "which_theta_halves_the_traffic.py")

@@ -94,8 +94,8 @@ def package_of(folder: Path, version: str, reports: bool = True) -> dict[str, st
     shutil.copytree(PACKAGE, folder / "taciturn", ignore=shutil.ignore_patterns("__pycache__"))
     (folder / "taciturn" / "_version.py").write_text(f'__version__ = "{version}"\n')
     if not reports:  # as a version before there were reports
-        for name in ("identity", "cells", "workers"):
-            (folder / "taciturn" / "study" / "sweeping" / f"{name}.py").unlink()
+        for name in ("points", "workers"):
+            (folder / "taciturn" / "study" / f"{name}.py").unlink()
     return os.environ | {"PYTHONPATH": str(folder)}
 
 
