@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from taciturn import UnstableError
+from taciturn.lqg.cache import MOST_OF_ARRAYS as MOST
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.riccati import MOST, regulate
+from taciturn.lqg.riccati import regulate
 
 ONE = np.eye(1)
 

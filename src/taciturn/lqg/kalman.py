@@ -26,10 +26,10 @@ from taciturn._display import Displayed
 from taciturn._modes import closure, mode_text, radius, root
 from taciturn._rational import NONE, Limit, precision, rational, unmoved, unmoved_and_seen
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.cache import kept
 from taciturn.lqg.enclosures import PRECISIONS, Balls, E, UnprovedError
 from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held, ranked
 from taciturn.lqg.quadratic import Quadratic, price, unpaid, worth_of
-from taciturn.lqg.riccati import kept
 from taciturn.lqg.sampling import Exact
 from taciturn.model.plant import Plant
 

@@ -38,9 +38,10 @@ from taciturn._display import Displayed
 from taciturn._modes import closure, radius, root, summed
 from taciturn._progress import check_time
 from taciturn.errors import UnstableError
+from taciturn.lqg.cache import kept
 from taciturn.lqg.kalman import CRUMB, resting_states, steady_filter
 from taciturn.lqg.quadratic import price
-from taciturn.lqg.riccati import Repetition, kept
+from taciturn.lqg.riccati import Repetition
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 

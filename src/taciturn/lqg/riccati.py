@@ -12,15 +12,13 @@ few states. Each state determines the next one, so as soon as a state returns bi
 remaining steps of a long horizon need no further computation.
 
 The points of a sweep often have the same plant and cost, so solutions are cached by the bytes of the matrices
-(``kept``).
+(``cache``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, wraps
-from typing import NamedTuple, TypeVar, TypeVarTuple, cast
+from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -31,13 +29,12 @@ from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
 from taciturn._rational import NONE, Limit, unmoved, unmoved_and_seen
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.cache import kept
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.followed import Followed, followed
 from taciturn.lqg.quadratic import Quadratic, unpaid, worth_of
 from taciturn.lqg.sampling import Exact, Source
-
-MOST = 16  # most results in the cache of a function
 
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
@@ -226,32 +223,6 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
             f"at most {COST_ERROR:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its "
             "rounding error dominates; give these modes noise W, or remove them from the plant"
         )
-
-
-class _Bits(NamedTuple):
-    shape: tuple[int, ...]
-    bits: bytes
-
-
-def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
-    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
-    loose = cast("Callable[..., T]", solve)
-
-    @lru_cache(maxsize=MOST)
-    def of_bits(*given: object) -> T:
-        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
-
-    @wraps(solve)
-    def found(*args: *Ts) -> T:
-        check_time()  # every design and every search for periodic control solves such equations
-        given = cast("tuple[Array | object, ...]", args)
-        return of_bits(*map(_hashable, given))
-
-    return found
-
-
-def _hashable(one: Array | object) -> object:
-    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
 
 
 @kept

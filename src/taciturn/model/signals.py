@@ -85,7 +85,7 @@ class Changes(Displayed):
 
     def sampled(self, period: float) -> RandomSteps | SampledChanges:
         """Return the changes at the sampling instants that the controller is given."""
-        raise NotImplementedError
+        raise NotImplementedError  # a form whose states move by themselves is sampled with the plant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
