@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -10,7 +9,6 @@ from typing import Any
 
 import pytest
 from export.devices import Device, compile_node
-from runtime.test_servers import soon
 
 from taciturn.loop import Loop
 from taciturn.model.policy import longest_silence
@@ -149,17 +147,21 @@ def test_the_limit_is_the_interval_only_where_no_packet_is_lost() -> None:
 
 def test_a_process_prints_which_link_is_silent_and_logs_it() -> None:
     """With the number of steps of this link."""
-    said, told, here = list[str](), list[Any](), Endpoint(("127.0.0.1", 0))
+    said, told, here, now = list[str](), list[Any](), Endpoint(("127.0.0.1", 0)), 0.0
     wire, there = Wire(tanks().policy), Endpoint(("127.0.0.1", 0))
     peers = {"pump-1": here.address, "pump-2": here.address}
     node = Node(tanks().policy, "plc", watchdog=10)
     with here, there:
-        server = NodeServer([node], wire, there, peer=peers, tick=0.005, say=said.append, told=told.append)
-        begun = time.monotonic()
-        while time.monotonic() < begun + 0.3:
-            tick = int((time.monotonic() - begun) / 0.005)
-            here.send(wire.encode(mark("level-2", tick)), there.address)
-            server.run(None, soon(0.003))
+        server = NodeServer(
+            [node], wire, there, peer=peers, tick=0.005, say=said.append, told=told.append, clock=lambda: now
+        )
+        turns = server.turns(lambda: False)
+        next(turns)
+        for tick in range(60):  # in virtual time, so that no other process of this machine delays the packets
+            now, there.senders = 0.005 * tick, [here.address]
+            turns.send([wire.encode(mark("level-2", tick))])
+            now, there.senders = 0.005 * tick + 0.003, []
+            turns.send([])
         report = server.report()
     assert report["degraded"].get("silent level-1") == 1
     assert any("no usable packet on the link level-1 for 10 steps" in one for one in said)
