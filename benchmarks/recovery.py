@@ -182,7 +182,7 @@ class Rig:
             self._serve(ended)
 
     def _serve(self, ended: Callable[[], bool]) -> None:
-        from taciturn.nodes.plant import SimulatedPlant
+        from taciturn.nodes.simulated_plant import SimulatedPlant
         from taciturn_udp.endpoint import Endpoint
         from taciturn_udp.plant import PlantServer
 

@@ -48,7 +48,7 @@ def datagrams(loop: Any) -> str:
     from taciturn.model.packets import roles
     from taciturn.nodes.node import Node
     from taciturn.nodes.packet import Wire
-    from taciturn.nodes.plant import SimulatedPlant
+    from taciturn.nodes.simulated_plant import SimulatedPlant
 
     nodes = {role: Node(loop.policy, role, network=loop.network, seed=5) for role in roles(loop.policy)}
     plant, wire, lines = SimulatedPlant(loop, seed=3), Wire(loop.policy, loop.network, key=b"k" * 16), list[str]()

@@ -12,7 +12,7 @@ from taciturn.design.kind import Kind
 from taciturn.design.kinds.distributed import MOST_SETS
 from taciturn.lqg import lossy
 from taciturn.model import cost, link, signals
-from taciturn.problem import files as matrices
+from taciturn.problem import matlab_and_numpy as matrices
 from taciturn.problem import read
 from taciturn.renewal.chain import MOST_STATES
 from taciturn.simulation import sampling

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 import taciturn
 from taciturn.lqg.prediction import prediction_cost
-from taciturn_events.losses import find_losses
+from taciturn_events.losing_thresholds import find_losses
 from taciturn_events.policy import average_events
 
 # position and velocity; two gusts per second on average push the velocity, and the position a little

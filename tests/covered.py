@@ -25,8 +25,8 @@ from taciturn.model.information import INFORMED
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Decide, Send
 from taciturn.model.trigger import Trigger
-from taciturn.nodes.control import to_control
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.python_control import to_control
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.program.lower import LOWERED
 from taciturn.program.node import lower_node

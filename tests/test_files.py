@@ -19,7 +19,7 @@ from taciturn._files import read_bytes
 from taciturn.cli.frame import _links
 from taciturn.nodes.keys import read_keys
 from taciturn.problem import parse
-from taciturn.problem.files import read_variables
+from taciturn.problem.matlab_and_numpy import read_variables
 from taciturn.program import machine
 from taciturn.study.record import Store, save_whole
 from taciturn_twins.control import read_eye

@@ -16,8 +16,8 @@ import scipy.io
 import scipy.sparse
 
 from taciturn.errors import ProblemError
-from taciturn.problem import files
-from taciturn.problem.files import Foreign, read_variables
+from taciturn.problem import matlab_and_numpy
+from taciturn.problem.matlab_and_numpy import Foreign, read_variables
 
 MANY = 20_000  # rows and columns: 3.2 GB of numbers
 
@@ -116,7 +116,7 @@ def test_a_file_that_expands_is_refused_before_it_does(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With its size and the limit, and not as a pickled object; the file itself is small."""
-    monkeypatch.setattr(files, "LARGEST", 2**20)
+    monkeypatch.setattr(matlab_and_numpy, "LARGEST", 2**20)
     write: Callable[[Path], object] = WRITERS[name]
     write(tmp_path / name)
     assert (tmp_path / name).stat().st_size < 2**20
@@ -134,7 +134,7 @@ def test_the_limit_is_far_beyond_what_designs_can_compute(tmp_path: Path) -> Non
     declared(tmp_path / "a.npz")
     with pytest.raises(ProblemError, match=r"expands to 3,200,000,000 bytes .* expected at most 134,217,728"):
         read_variables(tmp_path / "a.npz")
-    assert files.LARGEST > 8 * 4000**2
+    assert matlab_and_numpy.LARGEST > 8 * 4000**2
 
 
 def test_objects_are_recognised_by_their_header(tmp_path: Path) -> None:

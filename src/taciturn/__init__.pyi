@@ -25,8 +25,8 @@ from taciturn.model.state_space import plant_from as plant_from
 from taciturn.model.theory import Guarantee as Guarantee
 from taciturn.model.theory import Theory as Theory
 from taciturn.model.trigger import Trigger as Trigger
-from taciturn.nodes.control import from_control as from_control
-from taciturn.nodes.control import to_control as to_control
+from taciturn.nodes.python_control import from_control as from_control
+from taciturn.nodes.python_control import to_control as to_control
 from taciturn.nodes.together import Nodes as Nodes
 from taciturn.problem import Problem as Problem
 from taciturn.problem import load as load

@@ -29,7 +29,7 @@ from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import ONE, Assign, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
-from taciturn.program.controller import Begin, add_values, begin_time_step, deviation, gather_input, measure, replaced
+from taciturn.program.all_nodes import Begin, add_values, begin_time_step, deviation, gather_input, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.lower import APPLIED, TimeStep, first_input, link_state

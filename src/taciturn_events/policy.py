@@ -14,7 +14,7 @@ from taciturn.model.coverage import ENDING, JUMPS, LIMIT, LINEAR_PLANT, WEIGHTS,
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
-from taciturn.renewal.policy import PolicyWithoutSteps
+from taciturn.renewal.without_steps import PolicyWithoutSteps
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import USUAL_RELATIVE_ERROR, Averages
 from taciturn.study.measure import Measured, Request

@@ -16,7 +16,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form
-from taciturn.renewal.policy import PolicyWithoutSteps
+from taciturn.renewal.without_steps import PolicyWithoutSteps
 from taciturn.simulation.sampling import Averages
 from taciturn.study.measure import Measured, Request, clipped_accuracy, wanted_error
 from taciturn_limits.bounds import solve_optimum

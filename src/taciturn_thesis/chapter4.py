@@ -16,7 +16,7 @@ from taciturn.problem import load
 from taciturn_events.cycles import estimate_cycles, sample_cycles, sweep_thresholds
 from taciturn_events.events import IntegralTrigger, JumpProcess
 from taciturn_events.integral import integral
-from taciturn_events.losses import Losses, find_losses
+from taciturn_events.losing_thresholds import Losses, find_losses
 from taciturn_events.policy import EventPolicy
 from taciturn_thesis.chapter5 import price_of
 from taciturn_thesis.reproduction import Reproduction, Row, Table

@@ -344,7 +344,7 @@ def plant(
     from taciturn.extend import until_stopped
     from taciturn.nodes.keys import read_keys
     from taciturn.nodes.packet import Wire
-    from taciturn.nodes.plant import SimulatedPlant
+    from taciturn.nodes.simulated_plant import SimulatedPlant
     from taciturn_udp.endpoint import Endpoint, hosts_of, parse_address, parse_peers
     from taciturn_udp.plant import PlantServer
     from taciturn_udp.run import plant_cost

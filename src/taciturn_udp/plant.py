@@ -19,7 +19,7 @@ WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's 
 
 
 class Physical(Protocol):
-    """Interface of a plant that advances one step at a time, such as ``taciturn.nodes.plant.SimulatedPlant``."""
+    """Interface of a plant that advances one step at a time, such as ``SimulatedPlant``."""
 
     @property
     def inputs(self) -> int:

@@ -50,7 +50,7 @@ from taciturn.model.signals import RandomSteps, SampledChanges
 from taciturn.model.steps import Send
 from taciturn.nodes.keys import Keys, read_keys
 from taciturn.nodes.packet import Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem, load
 from taciturn.problem.bare import PASSED, as_problem, pass_problem
 from taciturn.problem.matrices import parse_settings

@@ -33,7 +33,7 @@ from taciturn.nodes.clock import AGREED, JUMPED
 from taciturn.nodes.keys import MOST_KEY, Keys, RenewedKeys
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem
 from taciturn_udp.endpoint import Address
 from taciturn_udp.nodes import NodeServer

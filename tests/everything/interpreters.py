@@ -17,7 +17,7 @@ import numpy as np
 import taciturn
 from taciturn.errors import TaciturnError
 from taciturn.model.policy import Policy
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import decode, encode

@@ -16,7 +16,7 @@ from everything.commands import run
 
 import taciturn
 from taciturn.errors import TaciturnError
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 
 STEPS_OF_NODES = 5
 

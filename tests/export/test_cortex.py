@@ -23,7 +23,7 @@ from taciturn.loop import Loop
 from taciturn.model.packets import inputs_at, outputs_at, roles
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem
 from taciturn.program.ops import Precision
 from taciturn_boards import cortex

@@ -16,7 +16,7 @@ import taciturn
 from taciturn.model.packets import roles
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_export.folder import CORE_SOURCES, print_folder
 from taciturn_udp.endpoint import Endpoint
 from taciturn_udp.nodes import NodeServer

@@ -14,7 +14,7 @@ from runtime.test_packets import KEY
 from taciturn.model.packets import wire_links
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.packet import Packet, Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_udp.service import answer_to
 
 OTHER = bytes(range(40, 60))

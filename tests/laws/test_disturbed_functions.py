@@ -14,7 +14,7 @@ from taciturn.model.disturbance import follow
 from taciturn.model.dynamics import Map
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, Timetable
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 
 A, B = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.1], [0.5]])
 C = np.array([[1.0, 0.0]])

@@ -21,7 +21,7 @@ from taciturn.problem import parse
 from taciturn.simulation.average import plain_average
 from taciturn_events.cycles import estimate_cycles, sweep_thresholds
 from taciturn_events.events import IntegralTrigger, JumpProcess
-from taciturn_events.losses import find_losses
+from taciturn_events.losing_thresholds import find_losses
 from taciturn_events.policy import EventPolicy
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -24,7 +24,7 @@ from taciturn.lqg.kalman import steady_filter
 from taciturn.model.disturbance import follow
 from taciturn.model.packets import fingerprint
 from taciturn.model.signals import ExternalDisturbance, Timetable
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.nodes.together import Nodes
 from taciturn.program.ops import Entry
 from taciturn.study.evaluation import sends_every_sample

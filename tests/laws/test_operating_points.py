@@ -25,7 +25,7 @@ from taciturn.model.packets import roles
 from taciturn.model.plant import ContinuousPlant, about
 from taciturn.model.signals import RandomSteps, Timetable
 from taciturn.nodes.node import Node
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.simulation.violations import violations
 from taciturn_export.folder import record_loop
 

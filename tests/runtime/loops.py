@@ -13,7 +13,7 @@ from taciturn.model.packets import inputs_at, outputs_at, roles
 from taciturn.model.steps import Received
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem import Problem
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL

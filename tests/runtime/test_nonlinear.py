@@ -10,7 +10,7 @@ import pytest
 from export.test_folders import AGREES, compile_check, run_check, write
 
 from taciturn import Nodes, Plant, UnstableError, load, run_network, to_control
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_export.folder import print_folder
 
 NAMES = ("pendulum-on-a-cart", "pendulum-by-encoders", "omni-heading")

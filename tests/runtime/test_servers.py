@@ -11,7 +11,7 @@ import pytest
 import taciturn
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_udp.endpoint import Endpoint
 from taciturn_udp.nodes import NodeServer
 from taciturn_udp.plant import PlantServer

@@ -15,7 +15,7 @@ from taciturn.model.signals import ExternalDisturbance, RandomSteps
 from taciturn.model.wire import SETPOINT
 from taciturn.nodes.node import Node
 from taciturn.nodes.packet import Packet, Wire
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn_export.export import export_c
 from taciturn_worlds.devices import DeviceCode, DeviceNode
 

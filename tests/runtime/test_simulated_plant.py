@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from taciturn import Cost, Plant, ProblemError, UnstableError, close, design
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 
 
 def test_a_plant_whose_register_is_measured_has_all_its_states() -> None:

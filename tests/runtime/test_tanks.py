@@ -11,7 +11,7 @@ from export.test_folders import AGREES, compile_check, run_check, write
 import taciturn
 from taciturn import Loop, Nodes, run_network, simulate
 from taciturn.model.dynamics import equilibrium
-from taciturn.nodes.plant import SimulatedPlant
+from taciturn.nodes.simulated_plant import SimulatedPlant
 from taciturn.problem.read import read_function
 from taciturn_export.folder import print_folder, record_loop
 

@@ -18,7 +18,7 @@ from taciturn.cli.frame import EXAMPLE, Kind, app
 if TYPE_CHECKING:
     from taciturn.design.kind import Kind as PolicyKind
     from taciturn.errors import TaciturnError
-    from taciturn.problem.files import Given
+    from taciturn.problem.matlab_and_numpy import Given
 
 Answer = TypeVar("Answer")
 
@@ -135,7 +135,7 @@ def new(
     from taciturn._figure import check_format
     from taciturn._files import write_whole
     from taciturn.errors import ProblemError
-    from taciturn.problem.files import read_given
+    from taciturn.problem.matlab_and_numpy import read_given
 
     def refuse_to_overwrite() -> None:
         if out.exists():

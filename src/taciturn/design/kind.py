@@ -44,7 +44,7 @@ from taciturn.model.steps import Acknowledged, Apply, Assign, Condition, Decide,
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
     from taciturn.model.plant import ContinuousPlant, Plant
-    from taciturn.renewal.policy import PolicyWithoutSteps
+    from taciturn.renewal.without_steps import PolicyWithoutSteps
 
 AnyPolicy: TypeAlias = "Policy | PolicyWithoutSteps"
 Setting: TypeAlias = float | int | str

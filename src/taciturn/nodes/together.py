@@ -26,7 +26,7 @@ from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.steps import ONE, Received, Send
 from taciturn.model.wire import LARGEST, fits
 from taciturn.nodes.node import Values
-from taciturn.program.controller import (
+from taciturn.program.all_nodes import (
     HELD,
     MEASURED,
     TOLD,

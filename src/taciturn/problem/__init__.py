@@ -11,7 +11,7 @@ A problem keeps the tables of its file. ``Problem.changed`` changes single keys 
 and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``read``).
 
 For the opposite direction, ``draft`` builds a problem part by part from text (``matrices``) or from a file of matrices
-(``files``), proposes parameters, and writes the file with a comment for each key.
+(``matlab_and_numpy``), proposes parameters, and writes the file with a comment for each key.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ from taciturn.problem.read import (
 )
 from taciturn.problem.read import read_function as read_function
 from taciturn.problem.schema import File, ValidationError, first_mistake, suggest, validate
-from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
+from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 
 # tables from which a problem reads each of its attributes; attributes of unchanged tables are not read again
 PARTS: dict[str, tuple[str, ...]] = {

@@ -45,7 +45,7 @@ from taciturn.model.network import SHORT, Network, NodeRole
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant, stated_function
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
-from taciturn.problem.files import read_controller
+from taciturn.problem.matlab_and_numpy import read_controller
 from taciturn.problem.schema import (
     ControllerTable,
     CostTable,

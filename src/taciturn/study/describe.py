@@ -25,7 +25,7 @@ from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.node import steps_of_a_fault
-from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
+from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.study.evaluation import cost_unit, proof_text, time_unit
 
 SHOWN_OPTIONS = 4  # options of a decision that are printed

@@ -39,7 +39,7 @@ from taciturn.model.theory import LEVEL, Linearisation, LowerBound
 from taciturn.problem import Problem
 from taciturn.problem.bare import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
-from taciturn.renewal.policy import PolicyWithoutSteps, nodes_of
+from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.violations import violations
 from taciturn.study.evaluation import (

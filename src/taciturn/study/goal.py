@@ -20,7 +20,7 @@ from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
-from taciturn.renewal.policy import nodes_of
+from taciturn.renewal.without_steps import nodes_of
 from taciturn.study.evaluation import Evaluation
 
 EXACT = 1e-9  # relative tolerance of the budget, for the rounding errors of costs and rates

@@ -44,7 +44,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.result import Field, Result, plain_fields
 from taciturn.model.steps import Assign, Send, Terms
 from taciturn.problem import Problem
-from taciturn.renewal.policy import nodes_of
+from taciturn.renewal.without_steps import nodes_of
 
 SENDS = 4  # of a cycle, at most
 BELOW, ABOVE = 1, 2  # steps by which its intervals may be off the mean one

@@ -26,7 +26,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.state_space import plant_from
 from taciturn.nodes.node import Values
 from taciturn.nodes.together import Nodes, StepFunction
-from taciturn.program.controller import lower_policy
+from taciturn.program.all_nodes import lower_policy
 from taciturn.program.ops import Entry, Sent
 
 Function: TypeAlias = Callable[[float, Array, Array, object], Array]
