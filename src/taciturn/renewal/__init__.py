@@ -16,7 +16,7 @@ Read the modules in this order:
    estimate and the distribution of the intervals.
 3. ``paths``: conditional sampling in any dimension, weighted by the probability of no send.
 4. ``rates``: certified bounds on the rate.
-5. ``policy``: policies that can be analysed but that no node can run.
+5. ``without_steps``: policies that can be analysed but that no node can run.
 
 Other packages add quadratures under jumps, triggers in continuous time, the best schedule, and bounds.
 """
