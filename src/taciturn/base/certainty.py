@@ -19,18 +19,19 @@ Source: astrom2002, khashooei2017
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, block_diagonal, choice, instance
+from taciturn._arrays import Array, ArrayLike, block_diagonal, instance
 from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, radius
-from taciturn.base.anti_windup import within_limits
-from taciturn.base.filter import CLOCK, COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
+from taciturn.base.filter import CLOCK, DEVIATION, ESTIMATE, HELD, SEND, FilterSteps, estimate_state
+from taciturn.base.nominal import Nominal
+from taciturn.base.receiver import estimate_to_actuator
 from taciturn.errors import ProblemError
 from taciturn.lqg.cache import MOST
 from taciturn.lqg.discrete import Discrete
@@ -39,12 +40,11 @@ from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain
 from taciturn.lqg.stored import Allowance, Apart, Proved, Stored, allowance, filter_loop
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import GAUSSIAN_THEORY, THEORY
 from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Policy
 from taciturn.model.signals import SampledChanges
-from taciturn.model.steps import Assign, Decide, Location, Received, Send, Step
+from taciturn.model.steps import Assign, Decide, Location, Step
 from taciturn.model.theory import OPERATIONS, ClosedForm, Guarantee, Identity, Reset, Theory, rounded_up
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
@@ -157,6 +157,20 @@ class CertaintyEquivalentDesign(Displayed):
             return None
         return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
 
+    def nominal(self, slower: float = 1.0, closed_form: ClosedForm | None = None) -> Nominal:
+        """Return the loop that sends every sample; a policy with its control may settle more slowly."""
+        recovery = None if self.recovery is None else slower * self.recovery
+        return Nominal(
+            self.problem,
+            self.cost_all_time,
+            slower * self.settling,
+            self.error,
+            recovery,
+            self.estimation.innovations,
+            # the cost of jumps is known if the state is measured, or if it is in closed form
+            exact=closed_form is not None,
+        )
+
     def completed_square(self) -> Identity:
         """Return the cost identity J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)], where σ is 1 at a send."""
         problem = self.problem
@@ -235,24 +249,11 @@ def control_steps(
     after: tuple[Step, ...] = (),
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
     """Return the policy steps of filter, trigger and actuator, and the initial values of their memories."""
-    on = None if trigger is None else SEND
-    decide = () if trigger is None else (Decide("controller", SEND, trigger),)
-    part = _STEPS[choice("actuation", actuation, _STEPS)](plant, L, on)
+    on, decide = (None, ()) if trigger is None else (SEND, (Decide("controller", SEND, trigger),))
+    route = estimate_to_actuator(plant, L, actuation, on)
     deviates = trigger is not None and DEVIATION in trigger.reads
-    steps: tuple[Step, ...] = (
-        *estimation.correct,
-        Assign("controller", "command", {ESTIMATE: L}),
-        part.candidate,
-        Assign("controller", "error", {"candidate": np.eye(plant.inputs), "command": -np.eye(plant.inputs)}),
-        *(part.deviation if deviates else ()),
-        *before,
-        *decide,
-        *part.send,
-        *(part.noted if deviates else ()),
-        *after,
-        *estimation.predict,
-    )
-    return steps, {**estimation.initial, **part.initial}
+    steps = route.steps((*before, *decide), (*after, *estimation.predict), deviates=deviates)
+    return (*estimation.correct, *steps), {**estimation.initial, **route.initial}
 
 
 def certainty_policy(
@@ -281,32 +282,10 @@ def certainty_policy(
         guarantee = guarantee.upwards()
     if problem.instants and guarantee is not None:
         guarantee = replace(guarantee, statement=f"{guarantee.statement}; {AT_INSTANTS}")
-    policy = Policy(
-        kind=kind,
-        steps=steps,
-        model=problem.plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(certainty.cost_all_time),
-            cost_all_time_error=certainty.error,
-            noise_cost=problem.noise_cost,
-            settling=slower * certainty.settling,
-            recovery=None if certainty.recovery is None else slower * certainty.recovery,
-            guarantee=guarantee,
-            identity=identity,
-            innovations=certainty.estimation.innovations,
-            closed_form=closed_form,
-            reset=reset,
-            fixed_rates=fixed_rates,
-            covers=_covered(problem, closed_form),
-        ),
-        sites=COLLOCATED,
-        locations=locations,
-        initial=initial,
-        tick=problem.tick,
-        notes=notes,
+    claims = Theory(
+        guarantee=guarantee, identity=identity, closed_form=closed_form, reset=reset, fixed_rates=fixed_rates
     )
-    return within_limits(policy)
+    return certainty.nominal(slower, closed_form).policy(kind, steps, initial, claims, locations=locations, notes=notes)
 
 
 def steps_at_the_actuator(
@@ -356,70 +335,3 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
     if H.ndim == 2:
         return Form(signals, block_diagonal(-theta * stage, (1 + theta) * H))
     return Form(signals, Scheduled(CLOCK, [block_diagonal(-theta * stage, (1 + theta) * price) for price in H]))
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ActuationSteps(Displayed):
-    """The policy steps for the actuator's input in silence, and for the controller's copy of this input.
-
-    ``deviation`` is the difference between the actuator's state and the estimate; ``noted`` updates its memory.
-    """
-
-    candidate: Step
-    send: tuple[Step, ...]
-    initial: dict[str, Array]
-    deviation: tuple[Step, ...] = ()
-    noted: tuple[Step, ...] = ()
-
-
-def hold_steps(plant: Plant, L: Matrix | None, on: str | None) -> ActuationSteps:
-    """Return the policy steps of an actuator that keeps the last input, for any gain L."""
-    unit, state = np.eye(plant.inputs), np.eye(plant.states)
-    known = ({"candidate": unit}, {"command": unit})
-    return ActuationSteps(
-        Assign("controller", "candidate", {HELD: unit}),
-        (
-            Send("controller", "actuator", ("command",), on),
-            Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator")),
-            Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
-        ),
-        {},
-        (_off(plant, "sent"),),
-        (Assign("controller", "sent", ({"sent": state}, {ESTIMATE: state}), on),) if on else (),
-    )
-
-
-def _model(plant: Plant, L: Matrix, on: str | None) -> ActuationSteps:
-    unit = np.eye(plant.states)
-    closed = Scheduled(L.by, plant.A + plant.B @ L.values) if isinstance(L, Scheduled) else plant.A + plant.B @ L
-    moved, followed = {"model": closed}, {"copy": closed}
-    if plant.saturation is not None:  # the input that is applied differs from the command
-        moved, followed = {"model": plant.A, "input": plant.B}, {"copy": plant.A, HELD: plant.B}
-    copied = ({"prediction": unit}, {ESTIMATE: unit})
-    known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
-    return ActuationSteps(
-        Assign("controller", "candidate", {"prediction": L}),
-        (
-            Send("controller", "actuator", (ESTIMATE,), on),
-            Assign("actuator", "input", ({"forecast": L}, {ESTIMATE: L}), Received("actuator")),
-            Assign("actuator", "model", ({"forecast": unit}, {ESTIMATE: unit}), Received("actuator")),
-            Assign("actuator", "forecast", moved),
-            Assign("controller", "copy", copied, on) if on else Assign("controller", "copy", copied[1]),
-            Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
-            Assign("controller", "prediction", followed),
-        ),
-        {"prediction": plant.mean, "forecast": plant.mean},
-        (_off(plant, "prediction"),),
-    )
-
-
-def _off(plant: Plant, signal: str) -> Step:
-    return Assign("controller", DEVIATION, {signal: np.eye(plant.states), ESTIMATE: -np.eye(plant.states)})
-
-
-_STEPS: dict[Actuation, Callable[[Plant, Matrix, str | None], ActuationSteps]] = {"hold": hold_steps, "model": _model}
-
-
-def _covered(problem: Discrete, closed_form: ClosedForm | None) -> frozenset[str]:
-    """Return the properties that the theory covers: jumps, if the state is measured or the cost is in closed form."""
-    return THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY

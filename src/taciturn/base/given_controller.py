@@ -22,32 +22,37 @@ of all outputs and inputs count equally.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import radius
-from taciturn.base.certainty import design_certainty
+from taciturn.base.certainty import design_certainty, error_per_unit
 from taciturn.base.filter import HELD
 from taciturn.base.gains import price_control
+from taciturn.base.nominal import Nominal
 from taciturn.base.receiver import actuator_base
 from taciturn.base.value import Attempts, Base, advantage, least_value
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.lqg.discrete import Discrete, beyond_limits, discretise, registers_from, with_inputs_before
 from taciturn.lqg.followed import Resting
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.periodic import Held, lift
-from taciturn.model.controller import ContinuousController, Controller, Kept
+from taciturn.lqg.stored import Proved
+from taciturn.model.controller import ContinuousController, Controller, Kept, relative_to
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.disturbance import Disturbance, padded
 from taciturn.model.operating_point import OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, about
-from taciturn.model.policy import Policy
-from taciturn.model.steps import assigned
+from taciturn.model.steps import Step, assigned
+from taciturn.model.theory import Innovations
 
+MORE_PACKETS = "send more packets, or let a model predict the input between them (actuation)"
 LASTING = 1e-9  # a mode whose modulus is 1 up to this does not decay
 REMEDY = (
     "check the sign of the controller (feedback is u = −K y), its gains, its step, and that no two integrals have the "
@@ -190,6 +195,99 @@ def note_ringing(kept: Kept, step: float) -> tuple[str, ...]:
     )
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class GivenLoop(Displayed):
+    """A given controller and its plant in deviations from the point at which they rest."""
+
+    kept: Kept  # the controller, which may depend on the step, its set-points relative to the plant's operating point
+    controller: Controller  # the controller at the step
+    problem: Discrete  # the discrete-time problem of the deviations, with the slow disturbance
+    point: Rest  # the point at which the loop rests
+    disturbance: Disturbance | None  # the slow disturbance, or None
+    lqg: bool = False  # whether the controller is LQG with the weights of the cost, and not one that a user has
+
+    @staticmethod
+    def of(
+        plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, lqg: bool = False
+    ) -> GivenLoop:
+        """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
+        if plant.exosystem is not None:
+            ideal = "link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
+            who, expected = (
+                ("LQG with these options", f"the kind excess with {ideal}")
+                if lqg
+                else ("a given controller", f"its keys setpoint and disturbance, or LQG: the kind excess with {ideal}")
+            )
+            raise ProblemError(
+                f"the plant has disturbances or set-points, which {who} does not use; expected {expected}"
+            )
+        kept = relative_to(kept, plant)
+        problem, controller, disturbance = disturbed(plant, cost, period, kept)
+        point = rest_of(problem, controller)
+        if lqg and len(controller.A):  # its state predicts that of the plant
+            point = replace(point, start=problem.plant.mean)
+        return GivenLoop(kept, controller, point.deviations(problem), point, disturbance, lqg)
+
+    @cached_property
+    def remedy(self) -> str:
+        """The remedy if the loop is unstable."""
+        return MORE_PACKETS if self.lqg else remedy_of(self.problem, self.controller)
+
+    def every_sample(self) -> Base:
+        """Return the loop that sends every sample."""
+        base = actuator_base(self.problem, self.controller)
+        advantage(base, self.remedy)
+        return base
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on the slow disturbance, and on modes of the controller that are too fast for the step."""
+        return note_disturbance(self.controller, self.disturbance) + note_ringing(self.kept, self.problem.tick)
+
+    @cached_property
+    def cost_lqg(self) -> float | None:
+        """The cost of LQG with the same weights and every sample, or None if LQG does not exist for these weights."""
+        try:
+            return self.problem.per_unit(design_certainty("LQG", self.problem).cost_all_time)
+        except TaciturnError:  # LQG needs more of the weights than a given controller
+            return None
+
+    def beside_lqg(self, all_time: float) -> list[str]:
+        """Return a remark on the cost of LQG, given that of the controller per step, both with every sample."""
+        if self.cost_lqg is None or self.lqg:
+            return []
+        cost, noise = self.problem.per_unit(all_time), self.problem.per_unit(0.0)
+        if abs(self.cost_lqg - cost) <= 1e-9 * cost:
+            return []
+        share = (self.cost_lqg - noise) / (cost - noise)
+        return [f"LQG with these weights and every sample costs {share:.3f} times as much as this controller"]
+
+    def nominal(
+        self,
+        cost: float,
+        settling: float,
+        base: Base | None = None,
+        proved: Proved | None = None,
+        *,
+        slowest: float = 0.0,
+        innovations: Innovations | None = None,
+    ) -> Nominal:
+        """Return the loop that sends every sample; a base that is linear gives its time constant without disturbances.
+
+        ``slowest`` is the modulus of the slowest mode of the filter.
+        """
+        problem = self.problem
+        return Nominal(
+            problem,
+            cost if proved is None else proved.value,
+            settling,
+            None if proved is None else error_per_unit(problem, proved),
+            None if base is None else recovery(base, problem.plant, self.disturbance, slowest),
+            innovations,
+            disturbance=self.disturbance,
+        )
+
+
 UNSTABLE = "expected fewer steps between packets"
 
 
@@ -259,13 +357,11 @@ class Rest(Displayed):
             plant = with_inputs_before(plant, registers_from(problem), self.before)
         return replace(problem, plant=plant)
 
-    def begun(self, policy: Policy) -> Policy:
-        """Return a policy whose memories of the input start with the input before the start."""
-        if not self.before.any():
-            return policy
-        signals = {name for step in policy.steps for name in assigned(step)}
+    def begun(self, steps: tuple[Step, ...], initial: Mapping[str, Array]) -> dict[str, Array]:
+        """Return initial values in which the memories of the input have the input before the start."""
+        signals = {name for step in steps for name in assigned(step)} if self.before.any() else set[str]()
         names = [name for name in ("command", HELD, "input") if name in signals]  # fingerprints contain their order
-        return replace(policy, initial={**dict.fromkeys(names, self.before), **policy.initial})
+        return {**dict.fromkeys(names, self.before), **initial}
 
 
 def rest_of(problem: Discrete, controller: Controller) -> Rest:

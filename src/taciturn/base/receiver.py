@@ -9,20 +9,23 @@ adopts, since an integral would keep a difference for ever: after a dropped pack
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from taciturn._arrays import Array, block_diagonal, choice
 from taciturn._display import Displayed
-from taciturn.base.filter import COLLOCATED, ESTIMATE, HELD, SEND
+from taciturn.base.filter import COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND
 from taciturn.base.value import Base
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter
 from taciturn.model.controller import Controller
+from taciturn.model.plant import Plant
 from taciturn.model.steps import Acknowledged, Assign, Condition, Received, Send, Step
+from taciturn.model.trigger import Matrix, Scheduled
 
 REGISTER, NEXT, MEASURED = "register", "next register", "measured"
 CANDIDATE = "candidate"
@@ -31,36 +34,91 @@ Actuation: TypeAlias = Literal["hold", "model", "zero"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Route(Displayed):
-    """A base, and the policy steps that carry its choices."""
+    """The policy steps of one link: the choice of the node that decides, its packet, and the value of the receiver."""
 
-    base: Base  # the loop that sends every sample
-    node: str  # the node that decides; it has the measurement
-    sites: tuple[frozenset[str], ...]  # groups of nodes at the same site
-    error: dict[str, Array]  # terms of the receiver's value in silence, minus the choice
-    before: tuple[Step, ...]  # policy steps that compute choice and candidate
-    after: tuple[Step, ...]  # policy steps that send, receive, and store the input and the controller's next state
+    node: str  # the node that decides
+    choice: tuple[Step, ...]  # policy steps that compute choice and candidate
+    error: Mapping[str, Array]  # terms of the receiver's value in silence, minus the choice
+    sent: tuple[Step, ...]  # policy steps that send, receive, and store the input and the next state
     initial: dict[str, Array]  # initial values of the memories
-    start: Array  # state of the controller in the base at the start, (k,)
-    begun: Array  # the value that the receiver of the base uses before the first packet, (c,)
-    registers: int  # number of states of the controller that the node follows
+    deviation: tuple[Step, ...] = ()  # policy steps that compute the state of the receiver minus the estimate
+    noted: tuple[Step, ...] = ()  # policy steps that this deviation needs after the packet
+
+    def steps(
+        self, decide: tuple[Step, ...], after: tuple[Step, ...] = (), *, deviates: bool = False
+    ) -> tuple[Step, ...]:
+        """Return the policy steps with those that decide on ``error``, and those that follow the packet."""
+        return (
+            *self.choice,
+            Assign(self.node, "error", self.error),
+            *(self.deviation if deviates else ()),
+            *decide,
+            *self.sent,
+            *(self.noted if deviates else ()),
+            *after,
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GivenRoute(Route):
+    """The policy steps of a given controller, and its base."""
+
+    base: Base = field(kw_only=True)  # the loop that sends every sample
+    sites: tuple[frozenset[str], ...] = field(kw_only=True)  # groups of nodes at the same site
+    start: Array = field(kw_only=True)  # state of the controller in the base at the start, (k,)
+    begun: Array = field(kw_only=True)  # the value that the receiver of the base uses before the first packet, (c,)
+    registers: int = field(kw_only=True)  # number of states of the controller that the node follows
 
     @property
     def state(self) -> tuple[str, ...]:
         """The signals of z: the state of the plant, that of the controller, and the measurement."""
         return (ESTIMATE, *((REGISTER,) if self.registers else ()), MEASURED)
 
-    def steps(self, measured: dict[str, Array], decide: tuple[Step, ...], after: tuple[Step, ...]) -> tuple[Step, ...]:
-        """Return the policy steps with those that decide on ``error``, and those that follow the packet."""
-        unit = np.eye(self.registers)
-        return (
-            Assign(self.node, MEASURED, measured),
-            *((Assign(self.node, REGISTER, {NEXT: unit}),) if self.registers else ()),
-            *self.before,
-            Assign(self.node, "error", self.error),
-            *decide,
-            *self.after,
-            *after,
-        )
+
+def estimate_to_actuator(plant: Plant, L: Matrix, actuation: str, on: str | None) -> Route:
+    """Return the route of the input L x̂ to an actuator that holds its input, or predicts it from the last estimate.
+
+    ``on`` is the decision to send; None: every sample is sent.
+    """
+    command = Assign("controller", "command", {ESTIMATE: L})
+    unit = np.eye(plant.inputs)
+    error = {CANDIDATE: unit, "command": -unit}
+    if choice("actuation", actuation, ("hold", "model")) == "hold":
+        memory = {ESTIMATE: np.eye(plant.states)}
+        noted = (Assign("controller", "sent", ({"sent": memory[ESTIMATE]}, memory), on),) if on else ()
+        candidate, sent = _held_input(plant.inputs, unit, on, on)
+        return Route("controller", (command, candidate), error, sent, {}, _deviation(plant, "sent"), noted)
+    closed = Scheduled(L.by, plant.A + plant.B @ L.values) if isinstance(L, Scheduled) else plant.A + plant.B @ L
+    moved, followed = {"model": closed}, {"copy": closed}
+    if plant.saturation is not None:  # the input that is applied differs from the command
+        moved, followed = {"model": plant.A, "input": plant.B}, {"copy": plant.A, HELD: plant.B}
+    copies = _Copies.of({ESTIMATE: np.eye(plant.states)}, L, {ESTIMATE: L}, (moved, followed), on, plant.mean)
+    candidate, stored = Assign("controller", CANDIDATE, {"prediction": L}), _stored(plant.inputs, on)
+    copied, predicted = copies.decider
+    sent = (Send("controller", "actuator", (ESTIMATE,), on), *copies.receiver, copied, stored, predicted)
+    return Route("controller", (command, candidate), error, sent, copies.initial, _deviation(plant, "prediction"))
+
+
+def _held_input(
+    inputs: int, own: Array, sent: str | None, known: Condition | str | None
+) -> tuple[Step, tuple[Step, ...]]:
+    """Return the candidate of an actuator that uses ``own`` times its last input in silence, and the steps to it."""
+    unit = np.eye(inputs)
+    return Assign("controller", CANDIDATE, {HELD: own}), (
+        Send("controller", "actuator", ("command",), sent),
+        Assign("actuator", "input", ({"input": own}, {"command": unit}), Received("actuator")),
+        _stored(inputs, known),
+    )
+
+
+def _stored(inputs: int, known: Condition | str | None) -> Step:
+    """Return the step by which the controller stores the input that the actuator applies."""
+    silent, sent = {CANDIDATE: np.eye(inputs)}, {"command": np.eye(inputs)}
+    return Assign("controller", HELD, (silent, sent), known) if known else Assign("controller", HELD, sent)
+
+
+def _deviation(plant: Plant, signal: str) -> tuple[Step, ...]:
+    return (Assign("controller", DEVIATION, {signal: np.eye(plant.states), ESTIMATE: -np.eye(plant.states)}),)
 
 
 def route_over(
@@ -71,58 +129,71 @@ def route_over(
     lossy: bool,
     copied: Filter | None = None,
     start: Array | None = None,
+    measured: Mapping[str, Array] | None = None,
     follows: bool = True,
-) -> Route:
-    """Return the route of a given controller's packets."""
+) -> GivenRoute:
+    """Return the route of a given controller's packets; ``measured`` are the terms of the measurement."""
     start = np.zeros(len(controller.A)) if start is None else start
+    measured = {"y": np.eye(problem.plant.outputs)} if measured is None else measured
     choice("actuation", actuation, ("hold", "model", "zero"))
     if choice("link", link, ("actuator", "sensor")) == "actuator":
-        return _over_actuator_link(problem, controller, actuation, lossy, copied, start)
+        return _over_actuator_link(problem, controller, actuation, lossy, copied, start, measured)
     if actuation == "zero":
         raise ProblemError("actuation is 'zero', and the link is that of the sensor; expected 'hold' or 'model'")
-    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start, follows)
+    return _over_sensor_link(problem, controller, actuation == "model", lossy, copied, start, measured, follows)
+
+
+def _begins(node: str, measured: Mapping[str, Array], registers: int) -> tuple[Step, ...]:
+    """Return the steps by which a node takes up the measurement and the state of the controller."""
+    taken = (Assign(node, REGISTER, {NEXT: np.eye(registers)}),) if registers else ()
+    return (Assign(node, MEASURED, measured), *taken)
 
 
 def _over_actuator_link(
-    problem: Discrete, controller: Controller, actuation: Actuation, lossy: bool, copied: Filter | None, start: Array
-) -> Route:
+    problem: Discrete,
+    controller: Controller,
+    actuation: Actuation,
+    lossy: bool,
+    copied: Filter | None,
+    start: Array,
+    measured: Mapping[str, Array],
+) -> GivenRoute:
     """Return the route of inputs; an actuator that predicts simulates plant and controller in silence."""
     base, m, k = actuator_base(problem, controller), problem.plant.inputs, len(controller.A)
     unit, at = np.eye(m), "controller"
-    known = ({CANDIDATE: unit}, {"command": unit})
     on = Acknowledged("actuator") if lossy else SEND
-    copies = _copies(problem, base, start, on) if actuation == "model" else None
-    own = np.zeros((m, m)) if actuation == "zero" else unit  # in silence, from the last input
-    command: tuple[Step, ...] = (
-        Assign(at, "command", nonempty({REGISTER: controller.C, MEASURED: controller.D})),
-        Assign(at, CANDIDATE, {"prediction": base.K} if copies else {HELD: own}),
-    )
-    silent = {"forecast": base.K} if copies else {"input": own}
-    sent: tuple[Step, ...] = (
-        Send(at, "actuator", ("command", *(copies.packet if copies else {})), SEND),
-        Assign("actuator", "input", (silent, {"command": unit}), Received("actuator")),
-        *(copies.receiver if copies else ()),
-        Assign(at, HELD, known, on),
-        *(copies.decider if copies else ()),
-    )
+    command = Assign(at, "command", nonempty({REGISTER: controller.C, MEASURED: controller.D}))
     moved = {REGISTER: controller.A, MEASURED: controller.B, HELD: controller.E}
-    error = {CANDIDATE: unit, "command": -unit}
-    if actuation == "zero":
-        base = replace(base, candidate=np.zeros((m, m + len(base.Phi))))
-    if copies and copied is not None:
-        error = {"prediction": np.eye(len(base.Phi)), **{name: -matrix for name, matrix in copies.packet.items()}}
-        base = predicting_actuator(problem, base, copied)
-    return Route(
-        base,
+    error, begun, initial = {CANDIDATE: unit, "command": -unit}, np.zeros(m), {NEXT: start} if k else {}
+    if actuation == "model":
+        plant, whole = problem.plant, np.eye(len(base.Phi))
+        n = plant.states
+        packet = nonempty({ESTIMATE: whole[:, :n], REGISTER: whole[:, n : n + k], MEASURED: whole[:, n + k :]})
+        follows = {"model": base.Phi, "input": base.Gamma}, {"copy": base.Phi, HELD: base.Gamma}
+        first = np.concatenate([plant.mean, start, plant.C @ plant.mean])
+        copies = _Copies.of(packet, base.K, {"command": unit}, follows, on, first)
+        candidate = Assign(at, CANDIDATE, {"prediction": base.K})
+        sent = (Send(at, "actuator", ("command", *packet), SEND), *copies.receiver, _stored(m, on), *copies.decider)
+        initial |= copies.initial
+        if copied is not None:
+            error = {"prediction": whole, **{name: -matrix for name, matrix in packet.items()}}
+            base, begun = predicting_actuator(problem, base, copied), first
+    else:
+        own = np.zeros((m, m)) if actuation == "zero" else unit
+        candidate, sent = _held_input(m, own, SEND, on)
+        if actuation == "zero":
+            base = replace(base, candidate=np.zeros((m, m + len(base.Phi))))
+    return GivenRoute(
         at,
-        COLLOCATED,
+        (*_begins(at, measured, k), command, candidate),
         error,
-        command,
         (*sent, *((Assign(at, NEXT, moved),) if k else ())),
-        {**({NEXT: start} if k else {}), **(copies.initial if copies else {})},
-        start,
-        copies.initial["prediction"] if copies and copied is not None else np.zeros(m),
-        k,
+        initial,
+        base=base,
+        sites=COLLOCATED,
+        start=start,
+        begun=begun,
+        registers=k,
     )
 
 
@@ -133,8 +204,9 @@ def _over_sensor_link(
     lossy: bool,
     copied: Filter | None,
     start: Array,
+    measured: Mapping[str, Array],
     follows: bool,
-) -> Route:
+) -> GivenRoute:
     """Return the route of measurements; the sensor has a copy of the controller, if it ``follows`` it.
 
     In silence, a controller that predicts uses C x̃, with the state x̃ of a model that starts at the last sent estimate.
@@ -176,17 +248,18 @@ def _over_sensor_link(
             above, below = np.eye(p + plant.states, p), np.eye(p + plant.states)[:, p:]
             error = {CANDIDATE: above, MEASURED: -above, "prediction": below, ESTIMATE: -below}
             base, begun = predicting_controller(problem, controller, copied), np.concatenate([begun, plant.mean])
-    return Route(
-        base,
+    candidate = Assign(at, CANDIDATE, {"prediction": plant.C} if model else {"known": unit})
+    return GivenRoute(
         at,
-        (frozenset({"controller", "actuator"}),),
+        (*_begins(at, measured, k), candidate),
         error,
-        (Assign(at, CANDIDATE, {"prediction": plant.C} if model else {"known": unit}),),
         (Send(at, "sensor", tuple(packet), SEND), *receiver, *copy),
         dict.fromkeys((*((NEXT,) if k else ()), *(("state",) if len(start) else ())), start) | first,
-        start,
-        begun,
-        k,
+        base=base,
+        sites=(frozenset({"controller", "actuator"}),),
+        start=start,
+        begun=begun,
+        registers=k,
     )
 
 
@@ -274,29 +347,36 @@ def _noise(problem: Discrete, registers: int) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Copies(Displayed):
-    """The steps of an actuator that simulates plant and controller between packets of (u, x̂, register, y)."""
+    """The steps of an actuator that predicts its input between packets, and of the node that decides, which copies it.
 
-    packet: dict[str, Array]
+    Both start at the values of the last packet.
+    """
+
     receiver: tuple[Step, ...]
-    decider: tuple[Step, ...]
+    decider: tuple[Step, Step]
     initial: dict[str, Array]
 
-
-def _copies(problem: Discrete, base: Base, start: Array, on: Condition) -> _Copies:
-    plant, k = problem.plant, len(start)
-    n, p = plant.states, plant.outputs
-    unit = np.eye(n + k + p)
-    packet = nonempty({ESTIMATE: unit[:, :n], REGISTER: unit[:, n : n + k], MEASURED: unit[:, n + k :]})
-    begun = np.concatenate([plant.mean, start, plant.C @ plant.mean])
-    return _Copies(
-        packet,
-        (
-            Assign("actuator", "model", ({"forecast": unit}, packet), Received("actuator")),
-            Assign("actuator", "forecast", {"model": base.Phi, "input": base.Gamma}),
-        ),
-        (
-            Assign("controller", "copy", ({"prediction": unit}, packet), on),
-            Assign("controller", "prediction", {"copy": base.Phi, HELD: base.Gamma}),
-        ),
-        {"prediction": begun, "forecast": begun},
-    )
+    @staticmethod
+    def of(
+        packet: Mapping[str, Array],
+        K: Matrix,
+        sent: Mapping[str, Matrix],
+        moved: tuple[Mapping[str, Matrix], Mapping[str, Matrix]],
+        known: Condition | str | None,
+        begun: Array,
+    ) -> _Copies:
+        """Return the steps of both copies for a packet, the gain K, the input at a packet, and the dynamics of each."""
+        unit = np.eye(len(begun))
+        silent = ({"prediction": unit}, packet)
+        return _Copies(
+            (
+                Assign("actuator", "input", ({"forecast": K}, sent), Received("actuator")),
+                Assign("actuator", "model", ({"forecast": unit}, packet), Received("actuator")),
+                Assign("actuator", "forecast", moved[0]),
+            ),
+            (
+                Assign("controller", "copy", silent, known) if known else Assign("controller", "copy", packet),
+                Assign("controller", "prediction", moved[1]),
+            ),
+            {"prediction": begun, "forecast": begun},
+        )

@@ -12,10 +12,10 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn.base.filter import ESTIMATE, HELD, SEND
+from taciturn.base.given_controller import GivenLoop, SameControl
 from taciturn.base.receiver import nonempty
-from taciturn.base.value import Base
-from taciturn.design.bounds import shares_of
-from taciturn.design.silence import KeptLoop
+from taciturn.base.value import Base, advantage
+from taciturn.design.bounds import bound_by_errors, shares_of
 from taciturn.errors import ProblemError
 from taciturn.lqg.gain import largest_gain
 from taciturn.model.controller import Controller, Kept
@@ -25,7 +25,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Assign, Decide, Received, Send, Step
-from taciturn.model.theory import ErrorGain
+from taciturn.model.theory import ErrorGain, Theory
 from taciturn.model.trigger import Form, Trigger
 
 LAST, HEARD, REGISTER = "last", "heard", "register"
@@ -42,7 +42,7 @@ def keep_at_nodes(
     network: Network,
 ) -> Policy:
     """Return the policy of a given controller in a network of one's own, with a dead band on each link."""
-    loop = KeptLoop.of(plant, cost, period, kept)
+    loop = GivenLoop.of(plant, cost, period, kept)
     plant = loop.problem.plant
     if plant.saturation is not None or loop.point.moved:
         limit = "input_rate" if plant.input_limit is None else "input_limit"
@@ -53,8 +53,39 @@ def keep_at_nodes(
         )
     bands, control = DeadBands(network, plant, delta, shares), Given(loop.controller)
     initial, base = bands.begun(plant.C @ plant.mean), loop.every_sample()
-    policy = loop.policy(kind, base, bands.steps(control), bands.sites, initial, network, bands.errors(base))
+    policy = policy_of_loop(kind, loop, base, bands.steps(control), bands.sites, initial, network, bands.errors(base))
     return replace(policy, theory=replace(policy.theory, covers=policy.theory.covers | THEORY, periodic=None))
+
+
+def policy_of_loop(
+    kind: str,
+    loop: GivenLoop,
+    base: Base,
+    steps: tuple[Step, ...],
+    sites: tuple[frozenset[str], ...],
+    initial: dict[str, Array],
+    network: Network | None = None,
+    errors: Mapping[str, ErrorGain] | None = None,
+    functions: frozenset[str] = frozenset(),
+) -> Policy:
+    """Return a policy without a proven bound, or with the certificate that follows from the errors of its links."""
+    found, problem = advantage(base, loop.remedy), loop.problem
+    claims = Theory(
+        cost_lqg=loop.cost_lqg,
+        guarantee=bound_by_errors(problem, found.cost, errors) if errors else None,
+        errors=errors or {},
+        functions=functions,
+        periodic=SameControl(problem, loop.kept, base),
+    )
+    return loop.nominal(found.cost, found.settling, base).policy(
+        kind,
+        steps,
+        loop.point.begun(steps, initial),
+        claims,
+        sites=sites,
+        network=network,
+        notes=(*loop.beside_lqg(found.cost), *loop.notes),
+    )
 
 
 class Control(Protocol):
@@ -153,7 +184,7 @@ class ErrorGains:
         return largest_gain(self._closed, self._base.Gamma[:, columns], self._output, self._chosen[:, columns])
 
 
-def errors_of_one(loop: KeptLoop, link: str, delta: float) -> dict[str, ErrorGain]:
+def errors_of_one(loop: GivenLoop, link: str, delta: float) -> dict[str, ErrorGain]:
     """Return gain and largest error of the one link of a given controller; none if its inputs have limits."""
     plant = loop.problem.plant
     if plant.saturation is not None:  # the loop is not linear

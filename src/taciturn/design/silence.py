@@ -15,8 +15,7 @@ of silence, e'He + 2e'(slope) z. The node sends when this exceeds a price δ, so
   forgetting, exceed their 1 − 10⁻⁹ quantile only if the plant differs. Then, while an input is at a limit, and after
   a packet that was not acknowledged (``retry``), silence is forbidden.
 
-``KeptLoop`` is the loop of a given controller at the step of the policy, with its slow disturbance and set-point; other
-triggers of given controllers use it too. ``relative_to_state`` is LQG with thresholds that grow with the estimate.
+``relative_to_state`` is LQG with thresholds that grow with the estimate.
 
 Source: astrom2002, khashooei2017, schenato2009, antunes2014rollout
 """
@@ -25,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,44 +31,36 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array, block_diagonal, choice, number, symmetrised
 from taciturn._display import Displayed
-from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import (
     Actuation,
     certainty_policy,
     completed_square,
     control_steps,
     design_certainty,
-    error_per_unit,
 )
-from taciturn.base.filter import COLLOCATED, DEVIATION, ESTIMATE, HELD, SEND, StepCounter, by_clock, estimate_state
+from taciturn.base.filter import DEVIATION, ESTIMATE, HELD, SEND, StepCounter, by_clock, estimate_state
 from taciturn.base.gains import price_control
 from taciturn.base.given_controller import (
-    Rest,
+    GivenLoop,
     SameControl,
-    disturbed,
-    note_disturbance,
-    note_ringing,
-    recovery,
-    remedy_of,
-    rest_of,
 )
-from taciturn.base.receiver import MEASURED, REGISTER, Route, actuator_base, nonempty, route_over
+from taciturn.base.nominal import Nominal
+from taciturn.base.receiver import MEASURED, REGISTER, GivenRoute, nonempty, route_over
 from taciturn.base.receiver import Actuation as LoopActuation
 from taciturn.base.value import EVERY_SAMPLE, Advantage, Attempts, Base, advantage, note_growth
-from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_by_errors, bound_by_state
-from taciturn.errors import ProblemError, TaciturnError
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_attempts, bound_by_state
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.stored import controller_loop
-from taciturn.model.controller import Controller, Kept, relative_to
+from taciturn.model.controller import Controller, Kept
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
-from taciturn.model.disturbance import Disturbance
+from taciturn.model.coverage import BURSTS
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.saturation import Saturation
 from taciturn.model.steps import ONE, Acknowledged, Apply, Assign, Decide, Evaluate, Step
-from taciturn.model.theory import INNOVATION, ErrorGain, Identity, Theory
+from taciturn.model.theory import INNOVATION, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
 
 BELIEF = "belief"
@@ -97,7 +87,7 @@ def keep_controller(
     lqg: Controller | None = None,
 ) -> Policy:
     """Return the policy that sends iff E[e'He + 2 e'(slope) z] > δ, given the measurements, for a given controller."""
-    loop = KeptLoop.of(plant, cost, period, kept, lqg is not None)
+    loop = GivenLoop.of(plant, cost, period, kept, lqg is not None)
     problem, controller = loop.problem, loop.controller
     plant, average = problem.plant, not problem.cost.mission
     choice("actuation", actuation, ("hold", "model", "zero"))
@@ -114,7 +104,8 @@ def keep_controller(
         why = f"every is {every}" if lossy else "no packet is acknowledged and dropped"
         raise ProblemError(f"retry is true, and {why}; expected an acknowledged link that drops packets, and every = 1")
     start = loop.point.start
-    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, start)
+    measured = {ESTIMATE: plant.C} if plant.full_state else {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
+    route = route_over(link, problem, controller, actuation, lossy, steady if copied else None, start, measured)
     alone = route_over(link, problem, controller, actuation, False, steady) if actuation == "model" else route
     time, chain = StepCounter.of(problem, every), network.chain(link) if lossy else None
     attempts = _attempts(problem, route.base, time.pattern, chain, network.lost(link))
@@ -145,55 +136,43 @@ def keep_controller(
     again, follow = _retried(link, at) if retry else ((), ())
     if again:
         again, rule = _unless("retry", again, rule, forbidden)
-    output = {"prior": plant.C, INNOVATION: np.eye(plant.outputs)}
+    rules = Trigger({"silent": rule, SEND: Form(constant=price)})
     steps = route.steps(
-        {ESTIMATE: plant.C} if plant.full_state else output,
-        (
-            *silence.before,
-            *watch,
-            *clipped,
-            *again,
-            Decide(route.node, SEND, Trigger({"silent": rule, SEND: Form(constant=price)})),
-        ),
+        (*silence.before, *watch, *clipped, *again, Decide(route.node, SEND, rules)),
         (*silence.after, *follow, *estimation.predict),
     )
+    steps, initial = (*estimation.correct, *steps), {**estimation.initial, **route.initial, **silence.initial}
     alike = average and every == 1 and not lossy  # the base is the linear loop with every sample
     finite = found.fourth is None or found.fourth < 1
-    theory = Theory(
-        cost=problem.cost,
-        cost_all_time=problem.per_unit(all_time),
-        cost_all_time_error=None if proved is None else error_per_unit(problem, proved),
+    claims = Theory(
         cost_lqg=loop.cost_lqg,
-        noise_cost=problem.noise_cost,
-        settling=max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
-        recovery=recovery(route.base, plant, loop.disturbance, steady.slowest) if alike else None,
         guarantee=bound_by_attempts(problem, base, price, every, lossy, loop.lqg) if finite else None,
         identity=Identity(problem.per_unit(base), silence.identity, SEND),
-        innovations=estimation.innovations,
-        covers=(THEORY if plant.full_state else GAUSSIAN_THEORY) | (BURSTS if lossy else frozenset[str]()),
+        covers=BURSTS if lossy else frozenset[str](),
         functions=frozenset({BELIEF, BEYOND}),
         fourth=found.fourth,
         periodic=SameControl(problem, kept, alone.base) if average and not lossy else None,
         every=every,
     )
-    policy = Policy(
-        kind=kind,
-        steps=(*estimation.correct, *steps),
-        model=plant,
-        theory=theory,
+    nominal = loop.nominal(
+        all_time,
+        max(found.settling, 1 / (1 - steady.slowest)) if average else 0.0,
+        route.base if alike else None,
+        proved,
+        slowest=steady.slowest,
+        innovations=estimation.innovations,
+    )
+    notes = [] if lossy else loop.beside_lqg(all_time)
+    return nominal.policy(
+        kind,
+        steps,
+        loop.point.begun(steps, initial),
+        claims,
         sites=route.sites,
         locations=time.locations,
-        initial={**estimation.initial, **route.initial, **silence.initial},
-        network=network if lossy else Network(),
-        tick=problem.tick,
-        notes=(
-            *([] if lossy else loop.beside_lqg(all_time)),
-            *note_growth(route.base, attempts, loop.remedy),
-            *loop.notes,
-        ),
-        disturbance=loop.disturbance,
+        network=network if lossy else None,
+        notes=(*notes, *note_growth(route.base, attempts, loop.remedy), *loop.notes),
     )
-    return loop.carried_out(policy)
 
 
 def send_every_sample(
@@ -203,30 +182,15 @@ def send_every_sample(
 
     No node decides, so none needs a filter, and the plant need not be detectable.
     """
-    loop = KeptLoop.of(plant, cost, period, kept)
+    loop = GivenLoop.of(plant, cost, period, kept)
     problem, average = loop.problem, not loop.problem.cost.mission
     plant = problem.plant
     route = route_over(link, problem, loop.controller, "hold", False, start=loop.point.start)
     found, proved = _every_sample(problem, route.base, loop.remedy), controller_loop(problem, loop.controller).cost()
     always = Decide(route.node, SEND, Trigger({"silent": Form(constant=1.0), SEND: Form()}))
-    policy = Policy(
-        kind=kind,
-        steps=route.steps({"y": np.eye(plant.outputs)}, (always,), ()),
-        model=plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(_cost(problem, found, route) if proved is None else proved.value),
-            cost_all_time_error=None if proved is None else error_per_unit(problem, proved),
-            noise_cost=problem.noise_cost,
-            settling=found.settling,
-            recovery=recovery(route.base, plant, loop.disturbance) if average else None,
-        ),
-        sites=route.sites,
-        initial=route.initial,
-        tick=problem.tick,
-        disturbance=loop.disturbance,
-    )
-    return loop.carried_out(policy)
+    steps = route.steps((always,))
+    nominal = loop.nominal(_cost(problem, found, route), found.settling, route.base if average else None, proved)
+    return nominal.policy(kind, steps, loop.point.begun(steps, route.initial), Theory(), sites=route.sites)
 
 
 def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: Callable[[float], float]) -> Policy:
@@ -241,134 +205,11 @@ def total_excess(kind: str, problem: Discrete, actuation: Actuation, price_at: C
     estimation = estimate_state(plant, None, gain=counter.gains)
     rule = Trigger({"silent": Form(("error",), by_clock(prices.H)), SEND: Form(constant=price)})
     steps, initial = control_steps(plant, estimation, by_clock(prices.L), actuation, rule)
-    policy = Policy(
-        kind=kind,
-        steps=steps,
-        model=plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(cost),
-            noise_cost=problem.noise_cost,
-            guarantee=bound_by_attempts(problem, cost, price, 1, False),
-            identity=completed_square(problem.per_unit(cost), prices.square()),
-            covers=THEORY if plant.full_state else GAUSSIAN_THEORY,
-        ),
-        sites=COLLOCATED,
-        locations=counter.locations,
-        initial=initial,
-        tick=problem.tick,
+    claims = Theory(
+        guarantee=bound_by_attempts(problem, cost, price, 1, False),
+        identity=completed_square(problem.per_unit(cost), prices.square()),
     )
-    return within_limits(policy)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class KeptLoop(Displayed):
-    """A given controller and its plant in deviations from the point at which they rest."""
-
-    kept: Kept  # the controller, which may depend on the step, its set-points relative to the plant's operating point
-    controller: Controller  # the controller at the step
-    problem: Discrete  # the discrete-time problem of the deviations, with the slow disturbance
-    point: Rest  # the point at which the loop rests
-    disturbance: Disturbance | None  # the slow disturbance, or None
-    lqg: bool = False  # whether the controller is LQG with the weights of the cost, and not one that a user has
-
-    @staticmethod
-    def of(plant: Plant | ContinuousPlant, cost: Cost, period: float | None, kept: Kept, lqg: bool = False) -> KeptLoop:
-        """Return the loop of a controller, for a plant without the slow disturbance that the controller compensates."""
-        if plant.exosystem is not None:
-            ideal = "link = 'actuator', actuation 'hold' or 'model', every = 1 and ideal links"
-            who, expected = (
-                ("LQG with these options", f"the kind excess with {ideal}")
-                if lqg
-                else ("a given controller", f"its keys setpoint and disturbance, or LQG: the kind excess with {ideal}")
-            )
-            raise ProblemError(
-                f"the plant has disturbances or set-points, which {who} does not use; expected {expected}"
-            )
-        kept = relative_to(kept, plant)
-        problem, controller, disturbance = disturbed(plant, cost, period, kept)
-        point = rest_of(problem, controller)
-        if lqg and len(controller.A):  # its state predicts that of the plant
-            point = replace(point, start=problem.plant.mean)
-        return KeptLoop(kept, controller, point.deviations(problem), point, disturbance, lqg)
-
-    def carried_out(self, policy: Policy) -> Policy:
-        """Return a policy with the start of the controller and with the limits of the inputs."""
-        return within_limits(self.point.begun(policy))
-
-    @cached_property
-    def remedy(self) -> str:
-        """The remedy if the loop is unstable."""
-        return MORE_PACKETS if self.lqg else remedy_of(self.problem, self.controller)
-
-    def every_sample(self) -> Base:
-        """Return the loop that sends every sample."""
-        base = actuator_base(self.problem, self.controller)
-        advantage(base, self.remedy)
-        return base
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks on the slow disturbance, and on modes of the controller that are too fast for the step."""
-        return note_disturbance(self.controller, self.disturbance) + note_ringing(self.kept, self.problem.tick)
-
-    @cached_property
-    def cost_lqg(self) -> float | None:
-        """The cost of LQG with the same weights and every sample, or None if LQG does not exist for these weights."""
-        try:
-            return self.problem.per_unit(design_certainty("LQG", self.problem).cost_all_time)
-        except TaciturnError:  # LQG needs more of the weights than a given controller
-            return None
-
-    def beside_lqg(self, all_time: float) -> list[str]:
-        """Return a remark on the cost of LQG, given that of the controller per step, both with every sample."""
-        if self.cost_lqg is None or self.lqg:
-            return []
-        cost, noise = self.problem.per_unit(all_time), self.problem.per_unit(0.0)
-        if abs(self.cost_lqg - cost) <= 1e-9 * cost:
-            return []
-        share = (self.cost_lqg - noise) / (cost - noise)
-        return [f"LQG with these weights and every sample costs {share:.3f} times as much as this controller"]
-
-    def policy(
-        self,
-        kind: str,
-        base: Base,
-        steps: tuple[Step, ...],
-        sites: tuple[frozenset[str], ...],
-        initial: dict[str, Array],
-        network: Network | None = None,
-        errors: Mapping[str, ErrorGain] | None = None,
-        functions: frozenset[str] = frozenset(),
-    ) -> Policy:
-        """Return a policy without a proven bound, or with the certificate that follows from the errors of its links."""
-        found, problem = advantage(base, self.remedy), self.problem
-        theory = Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(found.cost),
-            cost_lqg=self.cost_lqg,
-            noise_cost=problem.noise_cost,
-            settling=found.settling,
-            guarantee=bound_by_errors(problem, found.cost, errors) if errors else None,
-            errors=errors or {},
-            functions=functions,
-            recovery=recovery(base, problem.plant, self.disturbance),
-            periodic=SameControl(problem, self.kept, base),
-        )
-        return self.carried_out(
-            Policy(
-                kind=kind,
-                steps=steps,
-                model=problem.plant,
-                theory=theory,
-                sites=sites,
-                initial=initial,
-                tick=problem.tick,
-                notes=(*self.beside_lqg(found.cost), *self.notes),
-                disturbance=self.disturbance,
-                network=Network() if network is None else network,
-            )
-        )
+    return Nominal(problem, cost, 0.0).policy(kind, steps, initial, claims, locations=counter.locations)
 
 
 def _attempts(
@@ -386,7 +227,7 @@ def _attempts(
     return Attempts(pattern, turns, losses, cost.discount, terminal, key)
 
 
-def _cost(problem: Discrete, found: Advantage, route: Route) -> float:
+def _cost(problem: Discrete, found: Advantage, route: GivenRoute) -> float:
     """Return the cost of a base: per step, or in total with the mean of w'P w at the first step, w = (z, h).
 
     There z contains the random state of the plant, the state with which the controller starts, and the first
@@ -429,7 +270,7 @@ class Silence(Displayed):
 
 
 def cost_of_silence(
-    found: Advantage, route: Route, attempts: Attempts, link: str, phases: Sequence[int], unit: float
+    found: Advantage, route: GivenRoute, attempts: Attempts, link: str, phases: Sequence[int], unit: float
 ) -> Silence:
     """Return the cost of silence for the node that decides."""
     n = found.slope.shape[-1]

@@ -25,10 +25,11 @@ from taciturn._arrays import Array, number
 from taciturn._display import Displayed
 from taciturn.base.certainty import expect_average
 from taciturn.base.filter import SEND
+from taciturn.base.given_controller import GivenLoop
 from taciturn.base.receiver import sensor_base
 from taciturn.design.bounds import LARGEST_PARAMETER
+from taciturn.design.dead_bands import policy_of_loop
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.model.controller import PID, controller_from, pids_of
 from taciturn.model.cost import Cost
@@ -93,7 +94,7 @@ def design_event_pid(
             f"pid.tracking_time is {kept.tracking_time:g}, which {kind} does not use; expected no back-calculation"
         )
     expect_average(kind, cost)
-    loop = KeptLoop.of(plant, cost, period, kept)
+    loop = GivenLoop.of(plant, cost, period, kept)
     (own,) = pids_of(loop.kept)
     plant, step = loop.problem.plant, loop.problem.plant.dt
     if plant.inputs != 1 or plant.outputs != 1:
@@ -121,8 +122,9 @@ def design_event_pid(
         Assign("actuator", "input", {"command": one}),
     )
     initial = {"elapsed": np.ones(1), **_begun(own, loop), **({"age": np.full(1, 1e6)} if late else {})}
-    return loop.policy(
+    return policy_of_loop(
         kind,
+        loop,
         sensor_base(loop.problem, loop.controller),
         (*decide, *compute),
         (frozenset({"controller", "actuator"}),),
@@ -130,7 +132,7 @@ def design_event_pid(
     )
 
 
-def _begun(pid: PID, loop: KeptLoop) -> dict[str, Array]:
+def _begun(pid: PID, loop: GivenLoop) -> dict[str, Array]:
     """Return the integral part of the command at the start, and the measurement before it, relative to the rest."""
     plant, steady = loop.problem.plant, loop.point.input
     before = plant.C @ plant.mean

@@ -15,13 +15,12 @@ from taciturn.base.certainty import (
     expect_constant_set_points,
 )
 from taciturn.base.filter import SEND
-from taciturn.base.given_controller import lqg_observer
+from taciturn.base.given_controller import GivenLoop, lqg_observer
 from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
-from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes
+from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes, policy_of_loop
 from taciturn.design.kind import Kind, TradeoffParameter, placed, usual_nodes
-from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import resting_states, steady_filter
@@ -175,7 +174,7 @@ def _keep(
     kind = "send-on-delta"
     expect_average(kind, cost)
     kept = lqg_observer(kind, discretise(plant, cost, period)) if controller is None else controller_from(controller)
-    loop = KeptLoop.of(plant, cost, period, kept, controller is None)
+    loop = GivenLoop.of(plant, cost, period, kept, controller is None)
     route = route_over(link, loop.problem, loop.controller, "hold", False, start=loop.point.start, follows=False)
     size = len(route.base.K)
     moved = {f"entry {i}": Form(("error",), -np.diag(row), delta**2) for i, row in enumerate(np.eye(size))}
@@ -184,8 +183,10 @@ def _keep(
         Evaluate(route.node, "any", tuple(Form(constant=float(i > 0)) for i in range(size + 1)), WHICH),
         Decide(route.node, SEND, Trigger({"silent": Form(plus={"any": 1.0}), SEND: Form(constant=0.5)})),
     )
-    steps = route.steps({"y": np.eye(loop.problem.plant.outputs)}, decide, ())
-    return loop.policy(kind, route.base, steps, route.sites, route.initial, errors=errors_of_one(loop, link, delta))
+    steps = route.steps(decide)
+    return policy_of_loop(
+        kind, loop, route.base, steps, route.sites, route.initial, errors=errors_of_one(loop, link, delta)
+    )
 
 
 KIND = Kind(

@@ -11,11 +11,11 @@ from taciturn._arrays import number
 from taciturn._display import Displayed
 from taciturn.base.certainty import expect_average
 from taciturn.base.filter import SEND
+from taciturn.base.given_controller import GivenLoop
 from taciturn.base.receiver import nonempty, sensor_base
 from taciturn.design.bounds import LARGEST_PARAMETER
-from taciturn.design.dead_bands import errors_of_one
+from taciturn.design.dead_bands import errors_of_one, policy_of_loop
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.design.silence import KeptLoop
 from taciturn.errors import ProblemError
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
@@ -59,7 +59,7 @@ def symmetric_send_on_delta(
     """
     kind, delta = "symmetric-send-on-delta", number("delta", delta, 0.0, LARGEST_PARAMETER)
     expect_average(kind, cost)
-    loop = KeptLoop.of(plant, cost, period, controller_from(controller))
+    loop = GivenLoop.of(plant, cost, period, controller_from(controller))
     problem, c = loop.problem, loop.controller
     if problem.plant.outputs != 1:
         raise ProblemError(f"the plant has {problem.plant.outputs} outputs; expected one with {kind}")
@@ -79,8 +79,9 @@ def symmetric_send_on_delta(
         *((Assign("controller", STATE, {STATE: c.A, USED: c.B, "command": c.E}),) if len(c.A) else ()),
     )
     initial = {**({STATE: loop.point.start} if len(c.A) else {}), LEVEL: level, USED: level}
-    return loop.policy(
+    return policy_of_loop(
         kind,
+        loop,
         sensor_base(problem, c),
         steps,
         (frozenset({"controller", "actuator"}),),
