@@ -116,6 +116,19 @@ def test_imports_only_go_down() -> None:
     assert violations(SOURCE) == []
 
 
+def test_the_page_says_which_parts_a_part_imports() -> None:
+    """All but those of the lowest layer, from which every part may import."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([1-9]\d*) \| `(\w+)/?` \| .* \| (.*) \|$", text, re.MULTILINE)
+    uses: dict[str, set[str]] = {}
+    for path in SOURCE.rglob("*.py"):
+        here = path.relative_to(SOURCE).with_suffix("").parts[0]
+        uses.setdefault(here, set()).update(map(part, imports(path)))
+    shown = {here: set(re.findall(r"`(\w+)`", others)) for _, here, others in rows}
+    assert shown == {here: {name for name in uses[here] - {here, ""} if FLOORS.get(name)} for here in shown}
+    assert shown.keys() == {name for name, floor in FLOORS.items() if floor and name}
+
+
 def circles(source: Path) -> list[str]:
     """Return the files that import themselves by way of others, wherever in the files, also for types alone."""
     files = {

@@ -1,5 +1,7 @@
 """Controllers that a user has, together with their plant: disturbance, point of rest, start and periodic comparison.
 
+``GivenLoop`` is the loop of such a controller at the step of the policy, for the deviations from its point of rest.
+
 ``disturbed`` returns the problem in which such a controller is judged. If it integrates, the plant gets the slow
 disturbance that it compensates, since silence would seem too cheap without one.
 

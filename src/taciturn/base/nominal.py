@@ -1,8 +1,8 @@
 """The loop that sends every sample, as what a policy is compared with: its cost, and how fast it settles.
 
 Every design computes such a loop first. Its policy keeps the plant, the cost and the control of the loop, but sends
-less; ``Nominal.policy`` completes the claims of the design (guarantee, identity, closed form, reset) by what is known
-of the loop: J_all and its proved error, the noise between samples, and the time constants.
+less. ``Nominal.policy`` adds to the claims of the design (guarantee, identity, closed form, reset) what the loop fixes:
+J_all and its proved error, the noise between samples, and the time constants.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Policy steps for the two links over which a given controller may send: to the actuator, or from the sensor.
+"""The policy steps of the link over which a base sends: from the controller to the actuator, or from the sensor.
 
 The *choice* is what a packet carries: the input over the actuator link, the measurement over the sensor link. In
 silence, the receiver uses a *candidate* instead, its last value or the prediction of a model. The node that decides
