@@ -1,15 +1,15 @@
 """Results that were computed before, for equal data: the points of a trade-off have the same plant and cost.
 
-The key is the data itself, as bytes: of arrays (``kept``), or of classes of data (``remembered``). Arguments hold no
-function of the user, of which only the name has bytes. Results are immutable, so everyone may have the same one.
+The key is the data itself, as bytes. Arguments hold no function of the user, of which only the name has bytes. Results
+are immutable, so everyone may have the same one.
 """
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
-from functools import lru_cache, wraps
-from typing import NamedTuple, TypeVar, TypeVarTuple, cast
+from functools import wraps
+from typing import TypeVar, TypeVarTuple, cast
 
 import numpy as np
 
@@ -23,47 +23,33 @@ Args = TypeVarTuple("Args")
 Result = TypeVar("Result")
 
 
-def remembered(compute: Callable[[*Args], Result]) -> Callable[[*Args], Result]:
+def remembered(compute: Callable[[*Args], Result], most: int = MOST) -> Callable[[*Args], Result]:
     """Wrap a function of immutable data in a cache of its latest results."""
     latest: dict[bytes, Result] = {}
 
     @wraps(compute)
     def found(*args: *Args) -> Result:
-        check_time()
+        check_time()  # every design and every search for periodic control solves equations
         try:
             key = pickle.dumps(args, protocol=5)
         except (pickle.PicklingError, AttributeError, TypeError):  # of a class that was made inside a function
             return compute(*args)
         result = latest.pop(key) if key in latest else compute(*args)
         latest[key] = result  # now the latest
-        while len(latest) > MOST:
+        while len(latest) > most:
             latest.pop(next(iter(latest)), None)
         return result
 
     return found
 
 
-class _Bits(NamedTuple):
-    shape: tuple[int, ...]
-    bits: bytes
-
-
 def kept(solve: Callable[[*Args], Result]) -> Callable[[*Args], Result]:
-    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments."""
-    loose = cast("Callable[..., Result]", solve)
-
-    @lru_cache(maxsize=MOST_OF_ARRAYS)
-    def of_bits(*given: object) -> Result:
-        return loose(*(np.ndarray(one.shape, np.float64, one.bits) if isinstance(one, _Bits) else one for one in given))
+    """Wrap a function of arrays in a cache; they are brought in one order of memory, on which rounding may depend."""
+    of_rows = cast("Callable[..., Result]", remembered(solve, MOST_OF_ARRAYS))
 
     @wraps(solve)
     def found(*args: *Args) -> Result:
-        check_time()  # every design and every search for periodic control solves such equations
-        given = cast("tuple[Array | object, ...]", args)
-        return of_bits(*map(_hashable, given))
+        given = cast("tuple[object, ...]", args)
+        return of_rows(*(np.ascontiguousarray(cast("Array", a)) if isinstance(a, np.ndarray) else a for a in given))
 
     return found
-
-
-def _hashable(one: Array | object) -> object:
-    return _Bits(cast("Array", one).shape, cast("Array", one).tobytes()) if isinstance(one, np.ndarray) else one
