@@ -31,7 +31,7 @@ def remembered(compute: Callable[[*Args], Result], most: int = MOST) -> Callable
     def found(*args: *Args) -> Result:
         check_time()  # every design and every search for periodic control solves equations
         try:
-            key = pickle.dumps(args, protocol=5)
+            key = pickle.dumps(args, protocol=4)  # of later ones, the bytes of constant arrays differ
         except (pickle.PicklingError, AttributeError, TypeError):  # of a class that was made inside a function
             return compute(*args)
         result = latest.pop(key) if key in latest else compute(*args)
