@@ -8,9 +8,9 @@ from math import sqrt
 
 from taciturn._arrays import choice, flag
 from taciturn.analyse.switched import MOST_LINKS, outcomes
-from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.base.filter import ESTIMATE
+from taciturn.base.nominal import Nominal
 from taciturn.design.bounds import PULLED, shares_of, threshold_of
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.several_nodes import ContributionSteps, InputSteps
@@ -19,7 +19,7 @@ from taciturn.loop import close
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.stored import Allowance
 from taciturn.model.cost import Cost
-from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY, THEORY
+from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
@@ -141,36 +141,33 @@ def _policy(
     lossy = _lossy(network)
     told = all(network.acknowledges(link) for link in lossy)
     square = Identity(lossless, (Form((EXCESS,), certainty.regulator.H / problem.tick),))
-    covers = THEORY if problem.plant.full_state else GAUSSIAN_THEORY
     sums = {ESTIMATE: sensors.estimate, EXCESS: {**inputs.held, ESTIMATE: -certainty.regulator.L}}
     allowed = None if lossy else certainty.allowance_of(sensors.apart)
-    policy = Policy(
-        kind="distributed",
-        steps=(*sensors.measure(), *sensors.add(), *inputs.decide(), *sensors.predict(inputs.held)),
-        model=problem.plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(all_time),
-            cost_all_time_error=_error(certainty, allowed) if all_time == certainty.cost_all_time else None,
-            noise_cost=problem.noise_cost,
-            settling=certainty.settling,
-            recovery=certainty.recovery,
+    nominal = Nominal(
+        problem,
+        all_time,
+        certainty.settling,
+        _error(certainty, allowed) if all_time == certainty.cost_all_time else None,
+        certainty.recovery,
+        sensors.innovations() if told else None,
+    )
+    return nominal.policy(
+        "distributed",
+        (*sensors.measure(), *sensors.add(), *inputs.decide(), *sensors.predict(inputs.held)),
+        sensors.initial,
+        Theory(
             guarantee=None if lossy else _guarantee(certainty, thresholds, allowed),
             identity=square if told and not certainty.timed else None,
-            innovations=sensors.innovations() if told else None,
             sums=sums if told else {},
-            covers=covers | BURSTS if lossy and told else covers,
+            covers=GAUSSIAN_THEORY | BURSTS if lossy and told else GAUSSIAN_THEORY,
         ),
         # nodes at another place do not use each other's signals, so each of them runs by itself
         sites=network.sites_of_controller,
-        initial=sensors.initial,
-        tick=problem.tick,
         network=network,
         notes=(f"{ACKNOWLEDGED if told else UNHEARD}; {ATTEMPTS if len(lossy) <= MOST_LINKS else TOO_MANY}",)
         if lossy
         else (),
     )
-    return within_limits(policy)
 
 
 def _lossy(network: Network) -> list[str]:

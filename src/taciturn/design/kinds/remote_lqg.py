@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number, symmetrised
-from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import (
     completed_square,
     control_steps,
@@ -19,6 +18,7 @@ from taciturn.base.certainty import (
 )
 from taciturn.base.filter import CLOCK, COLLOCATED, ESTIMATE, HELD, SEND, FilterSteps, by_clock, count_ticks
 from taciturn.base.gains import Prices, price_control
+from taciturn.base.nominal import Nominal
 from taciturn.design.bounds import less_noise
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
@@ -106,15 +106,13 @@ def remote_lqg(
     closed_form = None
     if controller == "actuator" and watch.schedule is not None:  # no decision depends on the state
         closed_form = ClosedForm(cost_of_watch, {"sensor": watch.schedule.rate})
-    policy = Policy(
-        kind="remote-lqg",
-        steps=steps,
-        model=problem.plant,
-        theory=Theory(
-            cost=cost,
-            cost_all_time=problem.per_unit(cost_all_time),
-            noise_cost=problem.noise_cost,
-            settling=_settling(prices, watch) if prices.average else 0.0,
+    settling = _settling(prices, watch) if prices.average else 0.0
+    nominal = Nominal(problem, cost_all_time, settling, innovations=estimation.innovations)
+    return nominal.policy(
+        "remote-lqg",
+        steps,
+        initial,
+        Theory(
             guarantee=Guarantee(
                 problem.per_unit((1 + theta) * (cost_all_time + zeta * queries)),
                 _statement(prices, controller),
@@ -122,18 +120,14 @@ def remote_lqg(
                 more_sends=True,
             ),
             identity=None if controller == "actuator" else completed_square(cost_of_watch, prices.square()),
-            innovations=estimation.innovations,
             closed_form=closed_form,
             fixed_rates={} if watch.schedule is None else {"sensor": watch.schedule.rate},
-            covers=THEORY if problem.plant.full_state or closed_form is not None else GAUSSIAN_THEORY,
+            covers=GAUSSIAN_THEORY if closed_form is None else THEORY,
         ),
         sites=SITES[controller],
         locations=(count_ticks(len(watch.covariance), watch.start),),
-        initial=initial,
-        tick=problem.tick,
         schedule=watch.schedule,
     )
-    return within_limits(policy)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from taciturn._arrays import Array, Bits, number
-from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import (
     CertaintyEquivalentDesign,
     design_certainty,
@@ -16,6 +15,7 @@ from taciturn.base.certainty import (
 )
 from taciturn.base.filter import SEND
 from taciturn.base.given_controller import GivenLoop, lqg_observer
+from taciturn.base.nominal import Nominal
 from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
@@ -127,26 +127,19 @@ def _filter(
     alone = Filtered(problem.among(unknown).plant, steady.gain[unknown], certainty.regulator.L[:, unknown])
     base = actuator_base(problem.among(unknown), alone.controller)
     errors = bands.errors(base)
-    policy = Policy(
-        kind="send-on-delta",
-        steps=bands.steps(filtered),
-        model=plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(certainty.cost_all_time),
-            cost_all_time_error=certainty.error,
-            noise_cost=problem.noise_cost,
-            settling=1 / (1 - max(certainty.regulator.slowest, steady.slowest)),
+    settling = 1 / (1 - max(certainty.regulator.slowest, steady.slowest))
+    return Nominal(problem, certainty.cost_all_time, settling, certainty.error).policy(
+        "send-on-delta",
+        bands.steps(filtered),
+        {"prior": plant.mean},
+        Theory(
             guarantee=bound_by_errors(problem, _with_every_sample(certainty, steady.gain, unknown), errors),
             errors=errors,
             covers=THEORY,
         ),
         sites=bands.sites,
-        initial={"prior": plant.mean},
-        tick=problem.tick,
         network=network,
     )
-    return within_limits(policy)
 
 
 def _with_every_sample(certainty: CertaintyEquivalentDesign, gain: Array, unknown: Bits) -> float:

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taciturn._arrays import Array, number
-from taciturn.base.anti_windup import within_limits
 from taciturn.base.certainty import design_certainty, steps_at_the_actuator
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
+from taciturn.base.nominal import Nominal
 from taciturn.design.kind import Kind, TradeoffParameter, check_place
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
@@ -92,28 +92,20 @@ def variance(
         "threshold, or noise V on the measurement",
     )
     estimation = _measured(plant, network, measured, schedule, corrections)
-    policy = Policy(
-        kind="variance",
-        steps=steps_at_the_actuator(plant, estimation, certainty.regulator.L, network),
-        model=plant,
-        theory=Theory(
-            cost=problem.cost,
-            cost_all_time=problem.per_unit(certainty.cost_all_time),
-            cost_all_time_error=certainty.error,
-            noise_cost=problem.noise_cost,
-            settling=settling,
+    return Nominal(problem, certainty.cost_all_time, settling, certainty.error).policy(
+        "variance",
+        steps_at_the_actuator(plant, estimation, certainty.regulator.L, network),
+        estimation.initial,
+        Theory(
             closed_form=ClosedForm(problem.per_unit(average), schedule.rates),
             fixed_rates=schedule.rates,
             covers=THEORY,
         ),
         sites=wired,
         locations=(count_ticks(len(schedule.queries), 0),),
-        initial=estimation.initial,
-        tick=problem.tick,
         network=network,
         schedule=schedule,
     )
-    return within_limits(policy)
 
 
 def _wired(network: Network) -> tuple[frozenset[str], ...]:
