@@ -7,7 +7,7 @@ Read the modules in this order:
 
 1. ``evaluate`` with ``measure`` (choice of the method), and ``evaluation`` (its result). ``describe``: before that.
 2. ``periodic`` and ``periodic_links``: exact cost of periodic control with the same measurements, actuator and rate.
-3. ``tune`` with ``goal`` and ``search``: parameters and periods that meet a budget.
+3. ``tune`` with ``goal``, ``search`` and ``shares``: parameters and periods that meet a budget.
 4. ``tradeoff`` and ``compare``. They compute the ``points`` of a grid, on several ``workers`` if asked.
 5. ``record``: results as text, restored bit by bit.
 """

@@ -1,17 +1,15 @@
-"""Evaluation of one problem: cost, rates and bounds of its policy.
+"""Evaluation of one problem: the policy is designed, the loop is closed, and cost, rates and bounds are computed.
 
-Notes on values that were given, but have no effect on the result.
-
-Lower bounds on the cost: whether they are computed, and the notes on them and on the certified rate.
-
-Probabilities of the violation of a problem's limits, as part of an evaluation.
-
-The loop of a policy on the plant as written, without the slow disturbance that a default has added.
+``evaluate`` designs the policy, closes the loop and measures it (``measure``), and then adds what applies: fair
+periodic control at the measured rate (``periodic``), lower bounds on the cost of every schedule, the probabilities that
+limits of the states are violated, the averages after a step of a slow disturbance, the loop without limits of its
+inputs, and the use of energy. Each of these may be left out for lack of time; a note says so. A note also names each
+argument that has no effect on the result.
 
 If a given controller integrates and its file states no disturbance, the plant gets a slow disturbance at each input
 with usual values, since silence costs more under a load than without one. Then cost, rates and guarantee are those of
 the plant with this disturbance. The user has not written it. So the same policy is also simulated on the plant as
-written.
+written (``with_written``).
 """
 
 from __future__ import annotations

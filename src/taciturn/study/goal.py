@@ -1,6 +1,11 @@
-"""Budgets to meet: upper limits on rates, on the traffic, on the cost, or on the violation of limits of the states.
+"""Budgets that a tuned policy is to meet: limits on rates, on the traffic, on the cost, or on violations of limits.
 
-Budgets in percent, relative to the rate or the cost of sending every sample.
+A goal names the estimate of an evaluation that is limited, its least and its largest value among all policies, and the
+use of the network that the cost is traded for. An answer meets its budget with a confidence, the probability for
+normally distributed errors; a value that exceeds the budget only by rounding meets it.
+
+Budgets may be given in percent (``budget_of``): 50% of the rate or of the traffic of sending every sample, or +5% above
+the cost of sending every sample.
 """
 
 from __future__ import annotations

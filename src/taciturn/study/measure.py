@@ -1,4 +1,12 @@
-"""Cost and rates of one loop, by the method that is predicted to reach the requested error with the least work."""
+"""Cost and rates of one loop, by the method that is predicted to reach the requested error with the least work.
+
+The methods are a closed form, which needs no time, quadrature of the renewal equations, conditional sampling of the
+intervals between sends, and simulation. Each is a ``Candidate`` with a lower bound on its work, which is known before
+anything is computed, and with a prediction for the requested error. ``rank`` predicts the cheaper candidates first, and
+no candidate whose lower bound exceeds a prediction. If the first one fails or misses the requested error, the next one
+follows, and the best answer is returned. Work is counted in operations, not in seconds, so that every machine chooses
+the same method and computes the same numbers. A method without a preliminary answer gets only a share of the time.
+"""
 
 from __future__ import annotations
 

@@ -10,7 +10,10 @@ a row that bring a state to zero, and then a long pause. No search covers all cy
 covers cycles of up to four intervals that differ from the mean one by two steps, any two intervals, and a long
 interval with up to three short ones.
 
-Fair periodic control for a policy: the same measurements, actuator and rate, with the optimal gains.
+``Clock`` is the least cost as a function of the rate: ``Ticked`` at sampling instants, ``Timed`` at any period,
+``Either`` for the cheaper of both. ``fair_clock`` chooses for a policy: by the actuation that its steps show, by the
+exact cost that a given controller states for periodic sends, or for queries of a sensor. Where no fair control exists
+or can be computed, such as for lossy links, ``NoClockError`` gives the reason.
 """
 
 from __future__ import annotations

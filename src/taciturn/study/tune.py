@@ -35,7 +35,8 @@ from taciturn.study.evaluation import Evaluation, shares_text
 from taciturn.study.goal import EXACT, CostGoal, Goal, RateGoal, RatesGoal, TrafficGoal, ViolationGoal, budget_of
 from taciturn.study.measure import Request
 from taciturn.study.periodic import Cycle, Either, Ticked, clock_of
-from taciturn.study.search import Division, Look, Refinement, Search
+from taciturn.study.search import Look, Refinement, Search
+from taciturn.study.shares import Division
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,6 +1,9 @@
 """Executors for many similar tasks: processes of this machine, workers of a dask cluster, or any other executor.
 
-Version and code of the workers that answer tasks; answers of workers with other code are refused.
+``processes`` provides a pool of processes, ``answer_all`` the answers of any executor in the order of the tasks.
+Workers run one thread each, end with their parent process, and answer only if they run the code of the process that
+asks: each report contains version and digest of the sources, since another code may give other numbers (``Code``,
+``Report``).
 """
 
 from __future__ import annotations
@@ -139,9 +142,7 @@ def _ask_versions(executor: Executor, client: Any, workers: int) -> list[tuple[s
 
 
 Job = TypeVar("Job")
-Answer = TypeVar("Answer")
-
-MOST_OF_WINDOWS = 61  # largest number of processes that Windows can wait for
+MOST_ON_WINDOWS = 61  # largest number of processes that Windows can wait for
 
 
 def workers_of(executor: Executor) -> int:
@@ -208,7 +209,7 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         yield None
         return
     prefer_one_thread()  # in the processes to come
-    workers = min(workers, MOST_OF_WINDOWS) if sys.platform == "win32" else workers
+    workers = min(workers, MOST_ON_WINDOWS) if sys.platform == "win32" else workers
     with deferred():  # it starts a process that counts semaphores
         pool = ProcessPoolExecutor(workers, get_context("spawn"), _be_a_worker)
     with at_once(lambda: _abandon(pool)):
