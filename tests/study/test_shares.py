@@ -20,7 +20,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import Network, NodeRole
 from taciturn.problem import Problem
-from taciturn.study import search
+from taciturn.study import search, shares
 from taciturn.study.evaluation import Evaluation
 from taciturn.study.periodic_links import LinkClocks, clocks_of_links, clocks_or_reason
 from taciturn.study.record import fingerprint
@@ -54,7 +54,7 @@ def at_cost(problem: Problem, most: float, level: float) -> float:
 def cheapest() -> Tuned:
     """Return the policy of the least traffic at 10 % more cost."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search, "EFFORT", EFFORT)
+        patch.setattr(shares, "EFFORT", EFFORT)
         return taciturn.tune(two_links(), cost="+10%", seed=1, standard_error=1e-3)
 
 
@@ -71,7 +71,7 @@ def test_the_traffic_at_a_cost_is_the_least_of_all_shares(cheapest: Tuned) -> No
 
 def test_the_cost_at_a_traffic_is_the_least_of_all_shares(cheapest: Tuned, monkeypatch: pytest.MonkeyPatch) -> None:
     """The budget of the traffic that was found gives back the cost, within two errors and a percent of the excess."""
-    monkeypatch.setattr(search, "EFFORT", EFFORT)
+    monkeypatch.setattr(shares, "EFFORT", EFFORT)
     found = taciturn.tune(two_links(), traffic=cheapest.evaluation.traffic.value, seed=1, standard_error=1e-3)
     extra = cheapest.evaluation.cost.value - found.evaluation.cost_all_time
     assert found.evaluation.cost.value - found.evaluation.cost_all_time == pytest.approx(extra, rel=0.03)
@@ -84,7 +84,7 @@ def test_the_cost_at_a_traffic_is_the_least_of_all_shares(cheapest: Tuned, monke
 
 def test_links_without_a_given_rate_send_every_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rates of links by name are met, each for itself."""
-    monkeypatch.setattr(search, "EFFORT", EFFORT)
+    monkeypatch.setattr(shares, "EFFORT", EFFORT)
     found = taciturn.tune(two_links(), rate={"level": "30%"}, seed=1, standard_error=2e-3)
     rates = found.evaluation.rates
     assert rates["level"].value == pytest.approx(0.3, abs=4e-3)
@@ -137,7 +137,7 @@ def test_rates_of_several_links_need_shares() -> None:
 
 def test_policies_are_compared_at_equal_traffic(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model at both ends costs less than to hold, and best shares less than equal ones."""
-    monkeypatch.setattr(search, "EFFORT", EFFORT)
+    monkeypatch.setattr(shares, "EFFORT", EFFORT)
     hold = {"prediction": "hold", "actuation": "hold"}
     rivals = {"model": two_links(), "hold": two_links(**hold), "equal": two_links(shares={"level": 1.0})}
     found = taciturn.compare(rivals, traffic=2.0, standard_error=3e-3)
@@ -162,8 +162,7 @@ def test_a_traffic_that_no_dead_band_reaches_is_refused_with_the_range(monkeypat
         rate = Estimate(0.2 + 0.7 / (1 + problem.parameters["delta"]), 0.0, "simulation")  # type: ignore[operator]
         return replace(found, rates=dict.fromkeys(PRICES, rate), reached=True)
 
-    for module in (search, search):
-        monkeypatch.setattr(module, "look_at", look_at)
+    monkeypatch.setattr(search, "look_at", look_at)
     rivals = {"bands": bands, "given": bands.changed({"shares": {"level": 2.0}})}
     words = r"bands: no delta gives send-on-delta the traffic 0.5: the traffic ranges from 1 \(delta = "
     with pytest.raises(ProblemError, match=words):

@@ -8,7 +8,6 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from taciturn._text import pairs_text
 from taciturn.cli.frame import (
     EXAMPLE,
     Confidence,
@@ -134,7 +133,7 @@ def show(
     if as_json:
         print_json(found.document(), origin(found.problem))
     else:
-        typer.echo(pairs_text(found.lines()))
+        typer.echo(found)
         if drawn is not None:
             typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
     if drawn is not None:

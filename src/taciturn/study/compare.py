@@ -22,7 +22,7 @@ import numpy as np
 
 from taciturn._arrays import instance, number
 from taciturn._figure import Panel, Series, Size, draw
-from taciturn._progress import Progress, answered_within, in_notebook
+from taciturn._progress import Progress, Stages, answered_within, in_notebook
 from taciturn._text import per_unit, percent, wrapped_text
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
@@ -48,6 +48,91 @@ from taciturn.study.tune import Tuned, tune
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+LARGE = 0.05  # largest correction for the rate, as a share of the cost
+RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending every sample
+
+
+def compare(
+    problems: Mapping[str, Studied],
+    rate: float | None = None,
+    *,
+    traffic: float | None = None,
+    link: str | None = None,
+    seed: int = 0,
+    standard_error: float | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Compare the policies of several problems at the same rate, or at the same traffic on all links.
+
+    Each policy is tuned to the rate or the traffic, as by ``tune``. Time-triggered control that is given by its period
+    only is also tried with measurements as frequent as those of the other policies and the best cycle of send
+    intervals; the cheaper variant counts. The remaining error of a policy's rate, about one standard error, is
+    corrected along the slope of cost against rate, and is added to the standard error. If the rate of a policy jumps
+    across the given rate, the time is shared between the policies on both sides of the jump. If two policies are both
+    simulated step by step, their difference is simulated on common draws.
+
+    Args:
+        problems: at least two problems by name, with the same plant, cost and network, and different policies.
+        rate: sends per step, or per second for a continuous plant; for a finite-horizon run, the mean fraction of steps
+            with a send.
+        traffic: instead, the sum of the rates of all links, each times the price of a packet.
+        link: link whose rate is meant; may be omitted if each policy decides on a single link.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending at every step.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        The ranking.
+
+    Raises:
+        ProblemError: there are fewer than two policies, a policy occurs twice, the plants, costs or networks differ, a
+            policy is incompatible with them, or a policy cannot reach the rate.
+        UnstableError: a policy has no stable loop.
+
+    Example:
+        >>> from taciturn import load
+        >>> mass = load("two-mass-lqg")
+        >>> named = {"hold": mass, "model": mass.changed({"actuation": "model"})}
+        >>> [one.name for one in compare(named, 0.3, standard_error=1e-3).ranking]
+        ['model', 'hold']
+    """
+    with answered_within(time_limit):
+        check_effort(seed, standard_error, None)
+        if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
+            named = {"rate": rate, "traffic": traffic, "link": link}
+            got = " and ".join(name for name, value in named.items() if value is not None) or "neither rate nor traffic"
+            raise ProblemError(f"{got} is given; expected a rate, perhaps with a link, or a traffic alone")
+        goal = "rate" if traffic is None else "traffic"
+        level = number(goal, rate if traffic is None else traffic, 0.0)
+        problems = comparable(problems, link, goal)
+        bar = in_notebook(progress)
+        found: list[Contestant] = []
+        for index, (name, choices) in enumerate(measuring_alike(problems).items()):
+            part = Stages(bar, index / len(problems), (index + 0.8) / len(problems))
+            try:
+                alike: list[Contestant] = []
+                for problem in choices:
+                    wanted = _wanted(problem) if standard_error is None else standard_error
+                    tuned = tune(
+                        problem, rate=rate, traffic=traffic, link=link, seed=seed + index, standard_error=wanted,
+                        progress=part,
+                    )  # fmt: skip
+                    only = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
+                    alike.append(_at_rate(name, tuned, level, only if traffic is None else None))
+                found.append(min(alike, key=lambda one: one.cost.value))
+            except TaciturnError as error:
+                raise type(error)(f"{name}: {error}") from None
+        found.sort(key=lambda one: one.cost.value)
+        ranking, best = tuple(found), None
+        while best is None or ranking[0].name != best.name:  # until no difference shows that another policy is cheaper
+            best = ranking[0]
+            beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
+            ranking = tuple(sorted(beside, key=lambda one: one.above.value))
+        clocks = None if traffic is None else clocks_or_reason([one.tuned.problem for one in ranking], level)
+        return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal, clocks)
 
 
 def comparable(given: Mapping[str, Studied], link: str | None, budget: str = "rate") -> dict[str, Problem]:
@@ -111,8 +196,89 @@ def _same(one: object, other: object) -> bool:
     return bool(np.array_equal(cast("Any", one), cast("Any", other)))
 
 
-LARGE = 0.05  # largest correction for the rate, as a share of the cost
-RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending every sample
+def _wanted(problem: Problem) -> float | None:
+    """Return the default standard error for a policy, relative to its cost of sending every sample, if it is known."""
+    try:
+        return RELATIVE_ERROR * problem.designed().cost_all_time or None
+    except TaciturnError:  # the design fails for the present parameter value, but may succeed for others
+        return None
+
+
+def _at_rate(name: str, tuned: Tuned, rate: float, link: str | None) -> Contestant:
+    """Return the cost of a policy at exactly this rate or traffic."""
+    here = tuned.evaluation
+    bound = _bound(here)
+    share, share_error, cost = 1.0, 0.0, here.cost
+    if tuned.beyond is not None:
+        there = tuned.beyond.evaluation
+        low, high = (tuned.goal.use(one) for one in (here, there))
+        apart = high.value - low.value
+        share = (high.value - rate) / apart
+        share_error = float(np.hypot(share * low.standard_error, (1 - share) * high.standard_error)) / apart
+        errors = share * cost.standard_error, (1 - share) * there.cost.standard_error
+        moved = (cost.value - there.cost.value) * share_error
+        value = share * cost.value + (1 - share) * there.cost.value
+        cost = Estimate(value, float(np.linalg.norm([*errors, moved])), cost.method)
+        other = _bound(there)
+        bound = None if bound is None or other is None else share * bound + (1 - share) * other
+    elif tuned.slope is not None:
+        shift, error = _shift(tuned, rate)
+        if abs(shift) + error > LARGE * abs(cost.value):
+            raise ProblemError(
+                f"the cost of {here.policy} cannot be estimated at the {tuned.goal.name} {rate:g}, where it changes by "
+                f"{abs(tuned.slope):.2g} per send per {here.rate_unit}: the loop is nearly unstable "
+                "there; expected another rate, or another policy"
+            )
+        cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
+    return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound, share_error)
+
+
+def _shift(tuned: Tuned, rate: float) -> tuple[float, float]:
+    """Return the error of the cost that is due to the error of the rate, and its standard error."""
+    if tuned.slope is None:
+        return 0.0, 0.0
+    found = tuned.goal.use(tuned.evaluation)
+    return tuned.slope * (found.value - rate), abs(tuned.slope) * found.standard_error
+
+
+def _bound(evaluation: Evaluation) -> float | None:
+    """Return the sharpest proven bound."""
+    return evaluation.cost_bound if evaluation.cost_bound_at_rate is None else evaluation.cost_bound_at_rate
+
+
+def _above(one: Contestant, best: Contestant, rate: float, seed: int) -> Estimate:
+    """Return the cost of a policy minus the cost of the best policy."""
+    if one.name == best.name:
+        return Estimate(0.0, 0.0, one.cost.method)
+    apart = float(np.hypot(one.cost.standard_error, best.cost.standard_error))
+    above = Estimate(one.cost.value - best.cost.value, apart, one.cost.method if apart else best.cost.method)
+    loop, other = _loop(one), _loop(best)
+    if loop is None or other is None or loop.problem.tick != other.problem.tick:
+        return above
+    steps = max(one.tuned.evaluation.steps, best.tuned.evaluation.steps)
+    found = difference(loop, other, seed=seed, steps=steps).cost
+    (shift, error), (shift_of_best, error_of_best) = _shift(one.tuned, rate), _shift(best.tuned, rate)
+    both = float(np.sqrt(found.standard_error**2 + (error**2 + error_of_best**2)))
+    common = Estimate(found.value - shift + shift_of_best, both, "simulation")
+    return common if both < apart else above
+
+
+def _loop(one: Contestant) -> Loop | None:
+    """Return the loop of a policy if its cost is simulated by completion of squares, else None."""
+    tuned = one.tuned
+    policy = tuned.problem.designed()
+    if tuned.beyond is not None or tuned.evaluation.steps == 0 or not isinstance(policy, Policy):
+        return None
+    loop = tuned.problem.close(policy)
+    return None if loop.identity is None else loop
+
+
+def _all_time(found: Sequence[Contestant]) -> float | None:
+    """Return the least cost of sending at every step among the policies with the most steps per second."""
+    answers = [one.tuned.evaluation for one in found]
+    fastest = max(one.base_rate or 0.0 for one in answers)
+    costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
+    return min((cost for cost in costs if cost is not None), default=None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -306,194 +472,16 @@ class Comparison(Tabular):
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure with the cost and standard error of each policy, and its guarantee if it fits in the axes."""
-        names = [one.name for one in reversed(self.ranking)]
-        places = [float(i) for i in range(len(names))]
-        costs = [one.cost.value for one in reversed(self.ranking)]
-        errors = [one.cost.standard_error for one in reversed(self.ranking)]
-        series = [Series(costs, places, "cost", "bars", errors, 0)]
-        bounds = [(one.cost_bound, place) for one, place in zip(reversed(self.ranking), places, strict=True)]
-        shown = [(bound, place) for bound, place in bounds if bound is not None and bound <= 1.5 * max(costs)]
+        listed = self.ranking[::-1]  # the first is the uppermost
+        names, costs = [one.name for one in listed], [one.cost.value for one in listed]
+        errors = [one.cost.standard_error for one in listed]
+        series = [Series(costs, [float(place) for place in range(len(listed))], "cost", "bars", errors, 0)]
+        bounds = {float(place): one.cost_bound for place, one in enumerate(listed) if one.cost_bound is not None}
+        shown = {place: bound for place, bound in bounds.items() if bound <= 1.5 * max(costs)}
         if shown:
-            series.append(Series([b for b, _ in shown], [p for _, p in shown], "guaranteed", "stars", color=3))
+            series.append(Series([*shown.values()], [*shown], "guaranteed", "stars", color=3))
         if self.cost_all_time is not None:
             series.append(Series([self.cost_all_time] * 2, [-0.5, len(names) - 0.5], "all-time", "dashed", color=7))
         title = f"{self.rate:.4g} sends per {self.rate_unit}" if self.of == "rate" else f"traffic {self.rate:.4g}"
-        return draw(
-            [Panel(series, f"cost {per_unit(self.unit)}", "", title, names)],
-            ax,
-            figsize,
-            height=1.5 + 0.35 * len(names),
-        )
-
-
-def compare(
-    problems: Mapping[str, Studied],
-    rate: float | None = None,
-    *,
-    traffic: float | None = None,
-    link: str | None = None,
-    seed: int = 0,
-    standard_error: float | None = None,
-    time_limit: float | None = None,
-    progress: Progress | None = None,
-) -> Comparison:
-    """Compare the policies of several problems at the same rate, or at the same traffic on all links.
-
-    Each policy is tuned to the rate or the traffic, as by ``tune``. Time-triggered control that is given by its period
-    only is also tried with measurements as frequent as those of the other policies and the best cycle of send
-    intervals; the cheaper variant counts. The remaining error of a policy's rate, about one standard error, is
-    corrected along the slope of cost against rate, and is added to the standard error. If the rate of a policy jumps
-    across the given rate, the time is shared between the policies on both sides of the jump. If two policies are both
-    simulated step by step, their difference is simulated on common draws.
-
-    Args:
-        problems: at least two problems by name, with the same plant, cost and network, and different policies.
-        rate: sends per step, or per second for a continuous plant; for a finite-horizon run, the mean fraction of steps
-            with a send.
-        traffic: instead, the sum of the rates of all links, each times the price of a packet.
-        link: link whose rate is meant; may be omitted if each policy decides on a single link.
-        seed: seed of the random draws.
-        standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending at every step.
-        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised.
-        progress: callback that receives the fraction done.
-
-    Returns:
-        The ranking.
-
-    Raises:
-        ProblemError: there are fewer than two policies, a policy occurs twice, the plants, costs or networks differ, a
-            policy is incompatible with them, or a policy cannot reach the rate.
-        UnstableError: a policy has no stable loop.
-
-    Example:
-        >>> from taciturn import load
-        >>> mass = load("two-mass-lqg")
-        >>> named = {"hold": mass, "model": mass.changed({"actuation": "model"})}
-        >>> [one.name for one in compare(named, 0.3, standard_error=1e-3).ranking]
-        ['model', 'hold']
-    """
-    with answered_within(time_limit):
-        check_effort(seed, standard_error, None)
-        if (rate is None) == (traffic is None) or (traffic is not None and link is not None):
-            named = {"rate": rate, "traffic": traffic, "link": link}
-            got = " and ".join(name for name, value in named.items() if value is not None) or "neither rate nor traffic"
-            raise ProblemError(f"{got} is given; expected a rate, perhaps with a link, or a traffic alone")
-        goal, level = (
-            ("rate", number("rate", rate, 0.0)) if traffic is None else ("traffic", number("traffic", traffic, 0.0))
-        )
-        problems = comparable(problems, link, goal)
-        bar = in_notebook(progress)
-        found: list[Contestant] = []
-        for index, (name, choices) in enumerate(measuring_alike(problems).items()):
-
-            def report(fraction: float, index: int = index) -> None:
-                if bar is not None:
-                    bar((index + 0.8 * fraction) / len(problems))
-
-            try:
-                alike: list[Contestant] = []
-                for problem in choices:
-                    wanted = _wanted(problem) if standard_error is None else standard_error
-                    tuned = tune(
-                        problem, rate=rate, traffic=traffic, link=link, seed=seed + index, standard_error=wanted,
-                        progress=report,
-                    )  # fmt: skip
-                    only = link or next(iter(tuned.evaluation.rates))  # without a name, the only one
-                    alike.append(_at_rate(name, tuned, level, only if traffic is None else None))
-                found.append(min(alike, key=lambda one: one.cost.value))
-            except TaciturnError as error:
-                raise type(error)(f"{name}: {error}") from None
-        found.sort(key=lambda one: one.cost.value)
-        ranking, best = tuple(found), None
-        while best is None or ranking[0].name != best.name:  # until no difference shows that another policy is cheaper
-            best = ranking[0]
-            beside = [replace(one, above=_above(one, best, level, seed + len(problems))) for one in found]
-            ranking = tuple(sorted(beside, key=lambda one: one.above.value))
-        clocks = None if traffic is None else clocks_or_reason([one.tuned.problem for one in ranking], level)
-        return Comparison(level, cost_unit(found[0].tuned.problem), _all_time(found), ranking, goal, clocks)
-
-
-def _all_time(found: Sequence[Contestant]) -> float | None:
-    """Return the least cost of sending at every step among the policies with the most steps per second."""
-    answers = [one.tuned.evaluation for one in found]
-    fastest = max(one.base_rate or 0.0 for one in answers)
-    costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
-    return min((cost for cost in costs if cost is not None), default=None)
-
-
-def _wanted(problem: Problem) -> float | None:
-    """Return the default standard error for a policy, relative to its cost of sending every sample, if it is known."""
-    try:
-        return RELATIVE_ERROR * problem.designed().cost_all_time or None
-    except TaciturnError:  # the design fails for the present parameter value, but may succeed for others
-        return None
-
-
-def _at_rate(name: str, tuned: Tuned, rate: float, link: str | None) -> Contestant:
-    """Return the cost of a policy at exactly this rate or traffic."""
-    here = tuned.evaluation
-    bound = _bound(here)
-    share, share_error, cost = 1.0, 0.0, here.cost
-    if tuned.beyond is not None:
-        there = tuned.beyond.evaluation
-        low, high = (tuned.goal.use(one) for one in (here, there))
-        apart = high.value - low.value
-        share = (high.value - rate) / apart
-        share_error = float(np.hypot(share * low.standard_error, (1 - share) * high.standard_error)) / apart
-        errors = share * cost.standard_error, (1 - share) * there.cost.standard_error
-        moved = (cost.value - there.cost.value) * share_error
-        value = share * cost.value + (1 - share) * there.cost.value
-        cost = Estimate(value, float(np.linalg.norm([*errors, moved])), cost.method)
-        other = _bound(there)
-        bound = None if bound is None or other is None else share * bound + (1 - share) * other
-    elif tuned.slope is not None:
-        shift, error = _shift(tuned, rate)
-        if abs(shift) + error > LARGE * abs(cost.value):
-            raise ProblemError(
-                f"the cost of {here.policy} cannot be estimated at the {tuned.goal.name} {rate:g}, where it changes by "
-                f"{abs(tuned.slope):.2g} per send per {here.rate_unit}: the loop is nearly unstable "
-                "there; expected another rate, or another policy"
-            )
-        cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
-    return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound, share_error)
-
-
-def _shift(tuned: Tuned, rate: float) -> tuple[float, float]:
-    """Return the error of the cost that is due to the error of the rate, and its standard error."""
-    if tuned.slope is None:
-        return 0.0, 0.0
-    found = tuned.goal.use(tuned.evaluation)
-    return tuned.slope * (found.value - rate), abs(tuned.slope) * found.standard_error
-
-
-def _above(one: Contestant, best: Contestant, rate: float, seed: int) -> Estimate:
-    """Return the cost of a policy minus the cost of the best policy."""
-    if one.name == best.name:
-        return Estimate(0.0, 0.0, one.cost.method)
-    pair = (one, best)
-    apart = float(np.hypot(one.cost.standard_error, best.cost.standard_error))
-    above = Estimate(one.cost.value - best.cost.value, apart, one.cost.method if apart else best.cost.method)
-    loop, other = (_loop(contestant) for contestant in pair)
-    if loop is None or other is None or loop.problem.tick != other.problem.tick:
-        return above
-    steps = max(contestant.tuned.evaluation.steps for contestant in pair)
-    found = difference(loop, other, seed=seed, steps=steps).cost
-    shifts, errors = zip(*(_shift(contestant.tuned, rate) for contestant in pair), strict=True)
-    error = float(np.sqrt(found.standard_error**2 + sum(error**2 for error in errors)))
-    common = Estimate(found.value - shifts[0] + shifts[1], error, "simulation")
-    return common if error < apart else above
-
-
-def _loop(one: Contestant) -> Loop | None:
-    """Return the loop of a policy if its cost is simulated by completion of squares, else None."""
-    tuned = one.tuned
-    policy = tuned.problem.designed()
-    if tuned.beyond is not None or tuned.evaluation.steps == 0 or not isinstance(policy, Policy):
-        return None
-    loop = tuned.problem.close(policy)
-    return None if loop.identity is None else loop
-
-
-def _bound(evaluation: Evaluation) -> float | None:
-    """Return the sharpest proven bound."""
-    return evaluation.cost_bound if evaluation.cost_bound_at_rate is None else evaluation.cost_bound_at_rate
+        panel = Panel(series, f"cost {per_unit(self.unit)}", "", title, names)
+        return draw([panel], ax, figsize, height=1.5 + 0.35 * len(names))

@@ -1,21 +1,29 @@
-"""Evaluation of one problem: the policy is designed, the loop is closed, and cost, rates and bounds are computed.
+"""Evaluation of one problem: cost, rates and bounds of its policy.
 
-``evaluate`` designs the policy, closes the loop and measures it (``measure``), and then adds what applies: fair
-periodic control at the measured rate (``periodic``), lower bounds on the cost of every schedule, the probabilities that
-limits of the states are violated, the averages after a step of a slow disturbance, the loop without limits of its
-inputs, and the use of energy. Each of these may be left out for lack of time; a note says so. A note also names each
-argument that has no effect on the result.
+``measure`` computes cost and rates: in closed form, by a quadrature of renewal equations, by conditional sampling or by
+simulation, whichever is predicted to need the least work. At the measured rate r, the cost is then compared with
 
-If a given controller integrates and its file states no disturbance, the plant gets a slow disturbance at each input
-with usual values, since silence costs more under a load than without one. Then cost, rates and guarantee are those of
-the plant with this disturbance. The user has not written it. So the same policy is also simulated on the plant as
-written (``with_written``).
+* fair periodic control at this rate (``periodic``),
+* the guarantee, a proven upper bound, for all rates and at this one (``model.theory``),
+* if a confidence level is given, a lower bound on the cost of every schedule of this controller (the plugin
+  ``schedules``). It is evaluated at the upper confidence limit of r, since the bound falls with the rate, and the rate
+  itself is certified to lie between two bounds, as far as its events depend only on the error that a send resets.
+
+Further loops are simulated where they apply: with a constant disturbance, without the limits of the inputs, and on the
+plant as written. The last one exists if a given controller integrates and its file states no disturbance. Then each
+input of the plant gets a slow disturbance with usual values, since silence costs more under a load than without one,
+and cost, rates and guarantee are those of the plant with this disturbance, which the user has not written. If limits
+of the states are given, the probabilities of their violation are simulated too.
+
+A time limit is shared between these parts. Cost and rates come first; a part for which the rest is too short is left
+out, and a note says so. Values that were given but have no effect on the result are named in a note as well.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Literal, cast, get_args
 
@@ -55,142 +63,11 @@ from taciturn.study.evaluation import (
 from taciturn.study.measure import CONDITIONAL, Request, measure
 from taciturn.study.periodic import ClockMix, periodic_at
 
-
-def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
-    """Return a note on simulation options that were given although another method gave the answer."""
-    given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
-    if not given or method == "simulation":
-        return ()
-    return (f"{' and '.join(given)} had no effect: no loop was simulated",)
-
-
-def forgotten_start(problem: Problem) -> tuple[str, ...]:
-    """Return a note if an initial state is given, which no average cost depends on."""
-    plant = problem.plant if problem.actual is None else problem.actual
-    given = [name for name, value in (("mean", plant.mean), ("covariance", plant.covariance)) if value.any()]
-    if not given or problem.cost.horizon is not None or problem.cost.discount < 1:
-        return ()
-    return (f"{' and '.join(f'initial.{name}' for name in given)} had no effect: the cost is an average over all time",)
-
-
-CONTRADICTION = 3.0  # standard errors by which a rate that is outside its certified bounds deserves a note
-SAME = 1e-9  # relative difference of two rates that is a rounding error
-
-
-def choose_confidence(problem: Problem, asked: float | None) -> float | None:
-    """Return the confidence of a lower bound: as requested, or the default if a bound exists; None: no bound."""
-    if asked is not None:
-        return asked or None
-    try:
-        expect_bound(problem)
-    except ProblemError:
-        return None
-    return LEVEL
-
-
-def expect_bound(problem: Problem) -> None:
-    """Reject a problem without a lower bound on the cost of any scheduling."""
-    policy = problem.designed()
-    nodes = nodes_of(policy)
-    if nodes is None:
-        raise ProblemError(
-            f"a lower bound is requested, but none is available for {policy.kind} without a period; expected no "
-            "confidence level"
-        )
-    resets(problem.close(nodes))
-
-
-def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
-    """Return the lower bound at a measured rate, evaluated at the upper confidence limit of this rate."""
-    if rate.value == 0:
-        raise ProblemError("nothing is sent")
-    from statistics import NormalDist  # which most evaluations do not need
-
-    bound_below = load_plugin("taciturn.bounds", "schedules", "a lower bound")
-    lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
-    margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
-    return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
-
-
-def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit) -> tuple[str, ...]:
-    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds."""
-    nearest = min(max(rate.value, certified[0]), certified[1])
-    gap, error = abs(rate.value - nearest), rate.standard_error
-    if rate.method != "simulation" or gap < CONTRADICTION * error or gap <= SAME * nearest:
-        return ()
-    decimals = max(0, 1 - magnitude(gap), 1 - magnitude(error) if error else 0)
-    low, high = (f"{bound:.{decimals}f}" for bound in certified)
-    off = f"{gap / error:.2g} standard errors " if error else ""
-    shown = rate if error else f"{rate.value:.{decimals}f}"
-    return (
-        f"the simulated rate {shown} per {unit} is {off}outside its certified bounds {low} to {high}; the bounds are "
-        "correct: the send intervals are so regular that the initial transient does not decay within the run",
-    )
-
-
-def with_violations(
-    problem: Problem, limits: Limits, request: Request, found: Evaluation, progress: Progress
-) -> Evaluation:
-    """Return an evaluation with the probabilities that limits are violated, or with a note that tells why not."""
-    policy = problem.designed()
-    try:
-        if not isinstance(policy, Policy):
-            raise ProblemError(
-                f"limits are given, and {policy.kind} has no steps that can be simulated; expected a policy with a "
-                "period, such as near-optimal"
-            )
-        seen = violations(problem.close(policy), limits, seed=request.seed, steps=request.steps, progress=progress)
-    except TaciturnError as error:
-        return replace(found, notes=(*found.notes, f"no probability of violation: {error}"))
-    except OutOfTime:
-        late = f"{late_text()}; expected a longer one"
-        return replace(found, notes=(*found.notes, f"no probability of violation: {late}"))
-    return replace(found, violations=seen)
-
-
-def plant_as_written(
-    problem: Problem, policy: object, request: Request, progress: Progress | None = None
-) -> AsWritten | None:
-    """Return cost and rates of a policy on the plant as written, or None if no default has added anything."""
-    kept = problem.controller
-    if kept is None or not isinstance(policy, Policy) or isinstance(problem.own, BareKind):
-        return None
-    added = policy.disturbance
-    listed = kept.loops if isinstance(kept, PIDLoops) else (kept,)
-    if added is None or any(one.disturbance is not None for one in listed):
-        return None
-    plain = Disturbance(added.time_constant, 0.0 * (0.0 if added.deviation is None else added.deviation))
-    plant = plain.added_to(problem.actual or problem.plant)
-    found = averages_on(plant, problem, policy, precisely(request, policy), progress)
-    return AsWritten(added.text(), found.cost, _every_sample(problem, kept), found.rates, found.settled)
-
-
-def _every_sample(problem: Problem, kept: Kept) -> float | None:
-    """Return the cost of the controller with every sample on the plant as written, or None if it is not known."""
-    if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None:
-        return None
-    period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
-    try:
-        plain = without_disturbance(kept)
-        return send_every_sample("this controller", problem.plant, problem.cost, period, plain).cost_all_time
-    except TaciturnError:  # such as a loop whose cost is infinite
-        return None
-
-
-def without_disturbance(kept: Kept) -> Kept:
-    """Return a controller whose plant gets no slow disturbance."""
-    none = Disturbance(deviation=0.0)
-    if isinstance(kept, PIDLoops):
-        first, *others = kept.loops
-        return PIDLoops((replace(first, disturbance=none), *others))
-    if isinstance(kept, PID | ContinuousController):
-        return replace(kept, disturbance=none)
-    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.rest, kept.start_input)
-
-
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
 METHODS: tuple[Asked, ...] = get_args(Asked)
-SURE = 4.0  # standard errors
+CONTRADICTION = 3.0  # standard errors by which a rate that is outside its certified bounds deserves a note
+SAME = 1e-9  # relative difference of two rates that is a rounding error
+SURE = 4.0  # standard errors by which a cost is verified to be at most that of periodic control
 AFTER_STEP = 0.3  # share of the progress for the averages after a step
 MEASURED = 0.8  # share of the time for the cost, of that which no other part of the answer needs
 COMPARED = 0.4  # share of the time that is left for periodic control, if other parts follow
@@ -279,17 +156,6 @@ def evaluate(
         return replace(found, power=power, life=life, prices=prices, seconds=time.perf_counter() - began)
 
 
-def with_written(problem: Problem, request: Request, found: Evaluation, progress: Progress) -> Evaluation:
-    """Return an evaluation with the loop on the plant as written, if a default has added something to the plant."""
-    if problem.controller is None:  # defaults add to the plants of given controllers only
-        return found
-    try:
-        return replace(found, as_written=plant_as_written(problem, problem.designed(), request, progress))
-    except OutOfTime:
-        late = f"no averages for the plant as written: {late_text()}"
-        return replace(found, notes=(*found.notes, late))
-
-
 def _evaluated(
     problem: Problem,
     request: Request,
@@ -306,12 +172,12 @@ def _evaluated(
             expect_bound(problem)
         if precision != "float64":
             raise ProblemError(f"precision is {precision!r}; expected 'float64' for {policy.kind} without a period")
-        return _events(problem, policy, request, told)
+        return _evaluated_without_steps(problem, policy, request, told)
     share = AFTER_STEP if after_step and isinstance(policy, Policy) and policy.disturbance is not None else 0.0
     spare = LIMITED if (problem.actual or problem.plant).saturation is not None else 0.0
     share += spare
     most = 1.0 - share if confidence is None else 0.5
-    first, certified = told.stage(0.0, most), None
+    first, certified, lower, stepped, without = told.stage(0.0, most), None, None, None, None
     with part_of_time(most * MEASURED):
         if isinstance(policy, PolicyWithoutSteps):
             loop = problem.close(cast("Policy", policy.looked_at))
@@ -320,44 +186,35 @@ def _evaluated(
             loop = replace(problem.close(policy), precision=precision)
             measured = measure(loop, request, first)
     asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
-    found, notes = measured.averages, measured.notes + without_effect(asked, measured.method) + forgotten_start(problem)
-    policy, lower = loop.deviations.policy, None
+    notes = [*measured.notes, *without_effect(asked, measured.method), *forgotten_start(problem)]
+    found, policy, unit = measured.averages, loop.deviations.policy, cost_unit(problem)
     per_tick, pace = found.rates[policy.scheduled[0]], base_rate(loop)
     with part_of_time(1.0 if most == 1.0 else COMPARED):
         fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
     if confidence is not None:
         resets(loop)
-        try:
+        with _part("lower bound", notes, ProblemError):
             certified = None if optimum else bound_rate(loop)
-            lower = bounded(
-                loop, found.rates[policy.scheduled[0]], confidence, request.seed, told.stage(0.5, 1.0 - share)
-            )
-        except ProblemError as error:
-            notes += (f"no lower bound: {error}",)
-        except OutOfTime:
-            notes += (f"no lower bound: {late_text()}; expected a longer one",)
+            lower = _lower_bound(loop, per_tick, confidence, request.seed, told.stage(0.5, 1.0 - share))
     guarantee = policy.guarantee if loop.nominal else None
     if certified is not None:
         certified = (pace * certified[0], pace * certified[1])
-        notes += contradicted(per_tick.scaled(pace), certified, rate_unit(cost_unit(problem)))
+        notes += contradicted(per_tick.scaled(pace), certified, rate_unit(unit))
     sharper = None if guarantee is None else guarantee.at_rates(found.rates, policy.scheduled[0])
-    stepped = None
     if share > spare:
-        try:
+        with _part("averages after a step", notes):
             stepped = averages_after_step(problem, policy, request, told.stage(1.0 - share, 1.0 - spare))
-        except OutOfTime:
-            notes += (f"no averages after a step: {late_text()}",)
-    without = None
-    try:
+    with _part("cost without limits", notes):
         without = compare_without_limits(problem, loop, request, pace, told.stage(1.0 - spare, 1.0))
-    except OutOfTime:
-        notes += (f"no cost without limits: {late_text()}",)
-    notes = tuple(dict.fromkeys(loop.problem.remarks + notes))
+    # the reason why there is no periodic control is no evidence if it is a lack of time
     known = guarantee is not None or fair is not None or no_clock != late_text()
     compared = loop.nominal and per_tick.value > 0 and _predicts(policy) and known
+    promised = None
+    if problem.nonlinear and problem.actual is None:
+        promised = Linearisation(policy.cost_all_time, None if policy.guarantee is None else policy.guarantee.cost)
     return Evaluation(
         policy=policy.kind,
-        unit=cost_unit(problem),
+        unit=unit,
         base_rate=pace,
         cost=found.cost,
         cost_all_time=policy.cost_all_time if loop.nominal else None,
@@ -376,8 +233,11 @@ def _evaluated(
         lower_bound=lower,
         rate_bounds=certified,
         consistency=_consistency(found.cost, fair, guarantee is not None) if compared else None,
-        notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.violated_assumptions),
-        linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
+        notes=(
+            *dict.fromkeys((*loop.problem.remarks, *notes)),
+            *(f"{text}: no guarantee holds" for text in loop.violated_assumptions),
+        ),
+        linearisation=promised,
         estimator=found.estimator,
         settled=found.settled,
         trusted=found.trusted,
@@ -392,7 +252,9 @@ def _evaluated(
     )
 
 
-def _events(problem: Problem, policy: PolicyWithoutSteps, request: Request, progress: Progress) -> Evaluation:
+def _evaluated_without_steps(
+    problem: Problem, policy: PolicyWithoutSteps, request: Request, progress: Progress
+) -> Evaluation:
     """Return the evaluation of a policy without sampling steps."""
     found = policy.measure(None, request, progress).averages
     rate = found.rates["sensor"]
@@ -425,6 +287,151 @@ def _events(problem: Problem, policy: PolicyWithoutSteps, request: Request, prog
     )
 
 
+@contextmanager
+def _part(name: str, notes: list[str], *refused: type[TaciturnError]) -> Generator[None]:
+    """Leave a part of the answer out, with a note, if the time limit passes first, or if it is refused."""
+    try:
+        yield
+    except refused as error:
+        notes.append(f"no {name}: {error}")
+    except OutOfTime:  # only the parts that a user requests, which may be refused, are worth a longer limit
+        notes.append(f"no {name}: {late_text()}{'; expected a longer one' * bool(refused)}")
+
+
+def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
+    """Return a note on simulation options that were given although another method gave the answer."""
+    given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
+    if not given or method == "simulation":
+        return ()
+    return (f"{' and '.join(given)} had no effect: no loop was simulated",)
+
+
+def forgotten_start(problem: Problem) -> tuple[str, ...]:
+    """Return a note if an initial state is given, which no average cost depends on."""
+    plant = problem.plant if problem.actual is None else problem.actual
+    given = [name for name, value in (("mean", plant.mean), ("covariance", plant.covariance)) if value.any()]
+    if not given or problem.cost.horizon is not None or problem.cost.discount < 1:
+        return ()
+    return (f"{' and '.join(f'initial.{name}' for name in given)} had no effect: the cost is an average over all time",)
+
+
+def choose_confidence(problem: Problem, asked: float | None) -> float | None:
+    """Return the confidence of a lower bound: as requested, or the default if a bound exists; None: no bound."""
+    if asked is not None:
+        return asked or None
+    try:
+        expect_bound(problem)
+    except ProblemError:
+        return None
+    return LEVEL
+
+
+def expect_bound(problem: Problem) -> None:
+    """Reject a problem without a lower bound on the cost of any scheduling."""
+    policy = problem.designed()
+    nodes = nodes_of(policy)
+    if nodes is None:
+        raise ProblemError(
+            f"a lower bound is requested, but none is available for {policy.kind} without a period; expected no "
+            "confidence level"
+        )
+    resets(problem.close(nodes))
+
+
+def _lower_bound(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
+    """Return the lower bound at a measured rate, evaluated at the upper confidence limit of this rate."""
+    if rate.value == 0:
+        raise ProblemError("nothing is sent")
+    from statistics import NormalDist  # which most evaluations do not need
+
+    bound_below = load_plugin("taciturn.bounds", "schedules", "a lower bound")
+    lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
+    margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
+    return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
+
+
+def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit) -> tuple[str, ...]:
+    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds."""
+    nearest = min(max(rate.value, certified[0]), certified[1])
+    gap, error = abs(rate.value - nearest), rate.standard_error
+    if rate.method != "simulation" or gap < CONTRADICTION * error or gap <= SAME * nearest:
+        return ()
+    decimals = max(0, 1 - magnitude(gap), 1 - magnitude(error) if error else 0)
+    low, high = (f"{bound:.{decimals}f}" for bound in certified)
+    off = f"{gap / error:.2g} standard errors " if error else ""
+    shown = rate if error else f"{rate.value:.{decimals}f}"
+    return (
+        f"the simulated rate {shown} per {unit} is {off}outside its certified bounds {low} to {high}; the bounds are "
+        "correct: the send intervals are so regular that the initial transient does not decay within the run",
+    )
+
+
+def with_violations(
+    problem: Problem, limits: Limits, request: Request, found: Evaluation, progress: Progress
+) -> Evaluation:
+    """Return an evaluation with the probabilities that limits are violated, or with a note that tells why not."""
+    policy, notes = problem.designed(), list(found.notes)
+    with _part("probability of violation", notes, TaciturnError):
+        if not isinstance(policy, Policy):
+            raise ProblemError(
+                f"limits are given, and {policy.kind} has no steps that can be simulated; expected a policy with a "
+                "period, such as near-optimal"
+            )
+        seen = violations(problem.close(policy), limits, seed=request.seed, steps=request.steps, progress=progress)
+        found = replace(found, violations=seen)
+    return replace(found, notes=tuple(notes))
+
+
+def with_written(problem: Problem, request: Request, found: Evaluation, progress: Progress) -> Evaluation:
+    """Return an evaluation with the loop on the plant as written, if a default has added something to the plant."""
+    if problem.controller is None:  # defaults add to the plants of given controllers only
+        return found
+    notes = list(found.notes)
+    with _part("averages for the plant as written", notes):
+        found = replace(found, as_written=_plant_as_written(problem, problem.designed(), request, progress))
+    return replace(found, notes=tuple(notes))
+
+
+def _plant_as_written(
+    problem: Problem, policy: object, request: Request, progress: Progress | None = None
+) -> AsWritten | None:
+    """Return cost and rates of a policy on the plant as written, or None if no default has added anything."""
+    kept = problem.controller
+    if kept is None or not isinstance(policy, Policy) or isinstance(problem.own, BareKind):
+        return None
+    added = policy.disturbance
+    listed = kept.loops if isinstance(kept, PIDLoops) else (kept,)
+    if added is None or any(one.disturbance is not None for one in listed):
+        return None
+    plain = Disturbance(added.time_constant, 0.0 * (0.0 if added.deviation is None else added.deviation))
+    plant = plain.added_to(problem.actual or problem.plant)
+    found = averages_on(plant, problem, policy, precisely(request, policy), progress)
+    return AsWritten(added.text(), found.cost, _every_sample(problem, kept), found.rates, found.settled)
+
+
+def _every_sample(problem: Problem, kept: Kept) -> float | None:
+    """Return the cost of the controller with every sample on the plant as written, or None if it is not known."""
+    if problem.actual is not None or problem.nonlinear or problem.plant.saturation is not None:
+        return None
+    period = problem.parameters.get("period") if isinstance(problem.plant, ContinuousPlant) else None
+    try:
+        plain = _without_disturbance(kept)
+        return send_every_sample("this controller", problem.plant, problem.cost, period, plain).cost_all_time
+    except TaciturnError:  # such as a loop whose cost is infinite
+        return None
+
+
+def _without_disturbance(kept: Kept) -> Kept:
+    """Return a controller whose plant gets no slow disturbance."""
+    none = Disturbance(deviation=0.0)
+    if isinstance(kept, PIDLoops):
+        first, *others = kept.loops
+        return PIDLoops((replace(first, disturbance=none), *others))
+    if isinstance(kept, PID | ContinuousController):
+        return replace(kept, disturbance=none)
+    return Controller(kept.A, kept.B, kept.C, kept.D, kept.E, kept.dt, none, kept.setpoint, kept.rest, kept.start_input)
+
+
 def _energy(problem: Problem, found: Evaluation) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     """Return the power of the packets in watts, and the life of the batteries in seconds, by link."""
     power, life = dict[str, Estimate](), dict[str, Estimate]()
@@ -439,10 +446,6 @@ def _energy(problem: Problem, found: Evaluation) -> tuple[dict[str, Estimate], d
         power |= {} if used is None else {link: used}
         life |= {} if lasting is None else {link: lasting}
     return power, life
-
-
-def _linearisation(policy: Policy) -> Linearisation:
-    return Linearisation(policy.cost_all_time, None if policy.guarantee is None else policy.guarantee.cost)
 
 
 def _predicts(policy: Policy) -> bool:

@@ -32,6 +32,7 @@ ROUNDS = 4  # least number of remaining tasks per worker, so that all workers fi
 PATIENCE = 5.0  # seconds without an answer, after which missing workers are reported
 TOLD = logging.getLogger(__name__)
 QUEUED = 3  # tasks per worker that are submitted in advance
+LARGEST = 2**63  # limit of the integers that a file can hold
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,6 +50,9 @@ class Refusal(Displayed):
     error: TaciturnError
 
 
+Answer: TypeAlias = Evaluation | Refusal
+
+
 @dataclass(frozen=True, repr=False)
 class Effort(Displayed):
     """Requested accuracy of the evaluation in every cell of a grid."""
@@ -56,9 +60,6 @@ class Effort(Displayed):
     standard_error: float | None = None  # absolute standard error of the cost
     confidence: float | None = None  # confidence of the lower bound, in cells that have one; None for no lower bound
     steps: int | None = None  # number of steps of each simulation, instead of a standard error
-
-
-Answer: TypeAlias = Evaluation | Refusal
 
 
 class Cells(Protocol):
@@ -71,6 +72,23 @@ class Cells(Protocol):
     def __getitem__(self, index: int, /) -> Cell:
         """Return the cell at an index."""
         ...
+
+
+def evaluate_cells(
+    problem: Problem,
+    cells: Cells,
+    effort: Effort,
+    executor: Executor | None = None,
+    store: Store | None = None,
+    progress: Progress | None = None,
+) -> list[Evaluation]:
+    """Return the evaluations of cells that must all succeed; the arguments are those of ``run_cells``."""
+    found: dict[int, Evaluation] = {}
+    for index, answer in run_cells(problem, cells, effort, executor, store, progress):
+        if isinstance(answer, Refusal):
+            raise answer.error
+        found[index] = answer
+    return [found[index] for index in range(len(cells))]
 
 
 def run_cells(
@@ -145,32 +163,6 @@ class _Kept:
     @cached_property
     def _common(self) -> str:
         return encode([fingerprint(self.problem), self.effort, __version__, FORMAT])
-
-
-def evaluate_cells(
-    problem: Problem,
-    cells: Cells,
-    effort: Effort,
-    executor: Executor | None = None,
-    store: Store | None = None,
-    progress: Progress | None = None,
-) -> list[Evaluation]:
-    """Return the evaluations of cells that must all succeed; the arguments are those of ``run_cells``."""
-    found: dict[int, Evaluation] = {}
-    for index, answer in run_cells(problem, cells, effort, executor, store, progress):
-        if isinstance(answer, Refusal):
-            raise answer.error
-        found[index] = answer
-    return [found[index] for index in range(len(cells))]
-
-
-def check_confidence(problems: Sequence[Problem], confidence: float | None) -> None:
-    """Reject a request for lower bounds if no problem has one."""
-    if confidence is None:
-        return
-    number("confidence", confidence, 0.0, 1.0)
-    if all(choose_confidence(problem, None) is None for problem in problems):
-        expect_bound(problems[0])
 
 
 def _one_by_one(kept: _Kept, advance: Callable[[float], None]) -> Iterator[tuple[int, Answer]]:
@@ -271,6 +263,15 @@ def _answer(problem: Problem, cell: Cell, effort: Effort, progress: Progress | N
         return Refusal(ProblemError(f"a number is out of range ({error}); expected sizes nearer to 1"))
 
 
+def check_confidence(problems: Sequence[Problem], confidence: float | None) -> None:
+    """Reject a request for lower bounds if no problem has one."""
+    if confidence is None:
+        return
+    number("confidence", confidence, 0.0, 1.0)
+    if all(choose_confidence(problem, None) is None for problem in problems):
+        expect_bound(problems[0])
+
+
 def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
     """Return the values of each name as lists."""
     instance("over", over, Mapping)
@@ -296,11 +297,6 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
 def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
     """Return every combination of the values; the last name varies fastest."""
     return [dict(zip(listed, values, strict=True)) for values in itertools.product(*listed.values())]
-
-
-def label_of(problem: Problem) -> dict[str, str]:
-    """Return the label of a sweep's results: digest of the problem, and version."""
-    return {"problem": fingerprint(problem), "version": __version__}
 
 
 def labels_of(name: str, values: Sequence[object]) -> list[Any]:
@@ -337,4 +333,6 @@ def plain_value(name: str, value: object) -> object:
     raise ProblemError(f"a value of {name} is {quoted(value)}; expected numbers, words, lists or arrays of them")
 
 
-LARGEST = 2**63  # limit of the integers that a file can hold
+def label_of(problem: Problem) -> dict[str, str]:
+    """Return the label of a sweep's results: digest of the problem, and version."""
+    return {"problem": fingerprint(problem), "version": __version__}

@@ -9,8 +9,8 @@ log(value), in which rates and costs of thresholds of any size change at a simil
    are passed over: some thresholds have no design, and some loops diverge.
 2. ``Search.close_in`` finds the crossing, up to a jump: rates of integer parameters, and of thresholds that all errors
    exceed, change by jumps. Then the trials on both sides are the answer.
-3. ``Refinement`` repeats the answer at full precision, and corrects it along the slope of two trials next to it, until
-   it is below the budget by more than its error, and not by much more.
+3. ``Search.refine`` repeats the answer at full precision, and corrects it along the slope of two trials next to it,
+   until it is below the budget by more than its error, and not by much more.
 
 If no value meets the budget, the error states the range that can be reached (``out_of_reach``).
 """
@@ -43,77 +43,6 @@ ROUGHLY = 1e-5  # relative accuracy of the cost in a trial by quadrature
 AT_THE_END = 1e-3  # share of the range of all results within which a result counts as an end of this range
 TINY = 1e-300  # in place of a value of 0, which has no logarithm
 LONGER = 8  # factor on the steps of a trial if the loop has not settled
-
-
-def look_at(
-    problem: Problem, seed: int, steps: int | None, standard_error: float | None, progress: Progress | None = None
-) -> Evaluation:
-    """Return an evaluation by quadrature if one applies, else by a simulation of the given number of steps."""
-    policy = problem.designed()
-    if isinstance(policy, Policy) and policy.theory.cost_all_time == 0:
-        raise ProblemError(
-            "sending every sample costs nothing, so that no budget determines a parameter; expected noise W or V that "
-            "the cost depends on"
-        )
-    solved = not isinstance(policy, Policy) and policy.looked_at is not None
-    if solved or (isinstance(policy, Policy) and _serves(problem, policy)):
-        wanted = standard_error if steps is None else ROUGHLY * abs(policy.cost_all_time) or None
-        try:
-            found = evaluate(
-                problem, seed=seed, method="exact", standard_error=wanted, after_step=False, progress=progress
-            )
-        except ProblemError:
-            if solved:
-                raise
-        else:
-            if found.reached or solved:
-                return found
-    return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, after_step=False, progress=progress)
-
-
-def settled(
-    problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None, longer: int = LONGER
-) -> Evaluation:
-    """Return the evaluation of a loop that settles."""
-    found = look_at(problem, seed, steps, None, progress)
-    if not found.reached and longer > 1:
-        found = look_at(problem, seed, longer * steps, None, progress)
-    if not found.reached:
-        given = f"{problem.kind} with {tuned} = {problem.parameters[tuned]:g}"
-        raise UnstableError(f"the mean cost of {given} does not settle within {longer * steps} steps")
-    return found
-
-
-def out_of_reach(
-    policy: str, tuned: str, name: str, budget: float, tried: Sequence[tuple[float, float]], failed: str = ""
-) -> ProblemError:
-    """Return an error that states the range that can be reached."""
-    found, first = sorted(value for _, value in tried), np.log(max(tried[0][0], TINY))
-    same = AT_THE_END * (found[-1] - found[0])
-
-    def end(limit: float) -> str:
-        values = [value for value, given in tried if abs(given - limit) <= same]
-        return f"{limit:.5g} ({tuned} = {min(values, key=lambda value: abs(np.log(max(value, TINY)) - first)):.4g})"
-
-    near = [value for value in found if value < budget][-1:] + [value for value in found if value > budget][:1]
-    expected = "within this range" if len(near) < 2 else f"such as {near[0]:.5g} or {near[1]:.5g}, the nearest found"
-    return ProblemError(
-        f"no {tuned} gives {policy} the {name} {budget:g}: the {name} ranges from {end(found[0])} to {end(found[-1])}"
-        f"{f', and other values fail ({failed})' if failed else ''}; expected a {name} {expected}"
-    )
-
-
-def _serves(problem: Problem, policy: Policy) -> bool:
-    """Return whether a quadrature may be quicker than a simulation."""
-    if not decides_alone(policy):
-        return False
-    try:
-        expect_affordable(problem.close(policy))
-    except NoQuadratureError:
-        return False
-    return True
-
-
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
 FIRST, GROWTH, FARTHEST = 1.4, 1.5, 45.0  # first step of the bracketing in log(value), its growth, and the farthest
@@ -124,6 +53,10 @@ PASSED = 20  # integers on either side that are skipped if no policy can be desi
 SURE = 3.0  # standard errors by which a trial at the limit of the range may miss the budget
 FINEST, WIDEST = 0.2, 12.0  # smallest and largest distance in log(value) of trials between which a crossing is sought
 ALIKE = 1e-3  # difference of two trials, relative to the budget, below which no crossing is sought between them
+STRIDE = 0.1  # longest step of a correction in log(value)
+NARROW = 1e-5  # width in log(value) below which a change at full precision counts as a jump
+ROUNDS = 3  # corrections
+AIMED, FAR = 3.0, 8.0  # standard errors below the budget: target of a correction, and most
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,9 +88,11 @@ class Search:
         goal: Goal,
         seed: int,
         progress: Progress | None,
+        standard_error: float | None = None,
     ) -> None:
         """Prepare the search; no value is tried yet."""
         self.tuning, self.goal, self.seed, self.progress = tuning, goal, seed, progress
+        self.standard_error = standard_error  # of the cost, at full precision
         self.problem, self._limits = replace(problem, limits=None), problem.limits
         self.rising = tuning.falls == goal.limits_cost  # whether the rate or cost increases with the value
         self._seen: dict[float, Look | TaciturnError] = {}
@@ -167,22 +102,20 @@ class Search:
         """Return the trial of a value, or None if no policy can be designed or the loop diverges."""
         if value not in self._seen:
             try:
-                self._seen[value] = self._settled(value)
+                changed = self.problem.changed({self.tuning.name: value})
+                found = settled(changed, self.tuning.name, self.seed, EFFORT, self._stage)
+                self._seen[value] = self._seen_as(value, changed, found, EFFORT)
             except TaciturnError as error:
                 self._seen[value] = error
             self._stage(1.0)
             self._stage = Stages(self.progress, *(1 - LEFT ** (len(self._seen) + k) for k in (0, 1)))
-        found = self._seen[value]
-        return found if isinstance(found, Look) else None
+        look = self._seen[value]
+        return look if isinstance(look, Look) else None
 
-    def _settled(self, value: float) -> Look:
-        changed = self.problem.changed({self.tuning.name: value})
-        return self._seen_as(value, changed, settled(changed, self.tuning.name, self.seed, EFFORT, self._stage), EFFORT)
-
-    def try_at(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
+    def try_at(self, value: float, steps: int | None = None) -> Look:
         """Return a trial of a number of steps, or at full precision."""
-        changed = self.problem.changed({self.tuning.name: value})
-        return self._seen_as(value, changed, look_at(changed, self.seed, steps, standard_error, self._stage), steps)
+        changed, error = self.problem.changed({self.tuning.name: value}), None if steps else self.standard_error
+        return self._seen_as(value, changed, look_at(changed, self.seed, steps, error, self._stage), steps)
 
     def _seen_as(self, value: float, problem: Problem, evaluation: Evaluation, steps: int | None) -> Look:
         if self._limits is not None and isinstance(self.goal, ViolationGoal):
@@ -248,6 +181,9 @@ class Search:
     def _close_in(self, ends: list[Look]) -> tuple[Look, Look]:
         """Return the same as ``close_in``, and keep the last trials on both sides in ``ends``."""
 
+        def apart(one: Look, other: Look) -> float:
+            return abs(self.place(one.value) - self.place(other.value))
+
         def above(place: float) -> float:
             look = self.look(self.value(place))
             if look is None:
@@ -256,7 +192,7 @@ class Search:
                 ends[:] = [look, look]
                 return 0.0
             side = int(look.above > 0)
-            if abs(self.place(look.value) - self.place(ends[1 - side].value)) < self._width(ends):
+            if apart(look, ends[1 - side]) < apart(*ends):
                 ends[side] = look
             return look.above
 
@@ -266,9 +202,6 @@ class Search:
             return nearest, nearest
         _scipy.crossing(above, *places, JUMP)
         return ends[0], ends[1]
-
-    def _width(self, ends: list[Look]) -> float:
-        return abs(self.place(ends[0].value) - self.place(ends[1].value))
 
     def _start(self) -> Look:
         """Return the trial of the given value, or of the nearest value for which a policy can be designed."""
@@ -406,42 +339,24 @@ class Search:
         value = round(min(np.exp(place), 1e9)) - 1 + int(self.tuning.least)
         return int(max(self.tuning.least, value if value != start or by == 0 else start + np.sign(by)))
 
-
-STRIDE = 0.1  # longest step of a correction in log(value)
-NARROW = 1e-5  # width in log(value) below which a change at full precision counts as a jump
-ROUNDS = 3  # corrections
-AIMED, FAR = 3.0, 8.0  # standard errors below the budget: target of a correction, and most
-
-
-class Refinement:
-    """Trials of a search at full precision."""
-
-    def __init__(self, search: Search, standard_error: float | None) -> None:
-        """Try nothing yet."""
-        self._search, self._standard_error = search, standard_error
-
-    def _at(self, place: float) -> Look:
-        """Return the trial at a place."""
-        return self._search.try_at(self._search.value(place), standard_error=self._standard_error)
-
     def refine(self, low: Look, high: Look) -> tuple[Look, Look, float | None, float | None]:
         """Repeat trials at full precision, and correct their values for the remaining distance from the budget."""
-        tried = [] if low is high else [self.measure(look) for look in (low, high)]
-        place = self._search.place(low.value)
-        span = self._search.goal.span
-        around = [self._search.look(self._search.value(place + step)) for step in (-span, span)]
+        tried = [] if low is high else [self.try_at(look.value) for look in (low, high)]
+        place = self.place(low.value)
+        span = self.goal.span
+        around = [self.look(self.value(place + step)) for step in (-span, span)]
         near = [one for one in around if one is not None]
         slope = pace = blur = 0.0
         if len(near) == 2:
             slope = (near[1].above - near[0].above) / (2 * span)
-            rates = [self._search.goal.use(one.evaluation).value for one in near]
+            rates = [self.goal.use(one.evaluation).value for one in near]
             pace = (rates[1] - rates[0]) / (2 * span)
-        measured = self._search.try_at(low.value, LONGER * EFFORT) if low.error and slope else low
+        measured = self.try_at(low.value, LONGER * EFFORT) if low.error and slope else low
         for _ in range(0 if tried else ROUNDS):
             blur = measured.error  # error of the trial that determines the next place
             missing = measured.above + AIMED * blur
             place -= float(np.clip(missing / slope, -STRIDE, STRIDE)) if slope else 0.0
-            measured = self._at(place)
+            measured = self.try_at(self.value(place))
             tried.append(measured)
             if self._nearly(measured) or not slope:
                 break
@@ -450,7 +365,7 @@ class Refinement:
             if measured is not beyond:
                 return measured, beyond, 0.0, None
             blur = measured.error
-        changes = slope / (measured.value - self._search.tuning.least)
+        changes = slope / (measured.value - self.tuning.least)
         error = blur / abs(changes) if changes else None
         costs = [one.evaluation.cost.value for one in near]
         along = (costs[1] - costs[0]) / (2 * span) / pace if pace else None
@@ -458,28 +373,30 @@ class Refinement:
 
     def _nearly(self, look: Look) -> bool:
         """Return whether a trial is below the budget by more than its error, and not by much more."""
-        return self._search.keeps(look) and look.above >= -max(FAR * look.error, EXACT * self._search.goal.budget)
+        return self.keeps(look) and look.above >= -max(FAR * look.error, EXACT * self.goal.budget)
 
     def _straddle(self, tried: list[Look]) -> tuple[Look, Look]:
         """Return a trial that nearly meets the budget twice, or else the trials on both sides of a jump."""
         closest: dict[bool, Look] = {}  # by whether the trial is below the budget
 
         def add(look: Look) -> None:
-            side = self._search.keeps(look)
+            side = self.keeps(look)
             if side not in closest or abs(look.above) < abs(closest[side].above):
                 closest[side] = look
 
         for look in tried:
             add(look)
-        for look in self._beyond(next(iter(closest.values()))):
+        here = next(iter(closest.values()))
+        beyond = [look for look in self.looks() if self.keeps(look) != self.keeps(here)]
+        for look in sorted(beyond, key=lambda look: abs(self.place(look.value) - self.place(here.value))):
             if len(closest) < 2:
-                add(self.measure(look))
+                add(self.try_at(look.value))
         while len(closest) == 2 and not self._nearly(closest[True]):
-            ends = [self._search.place(look.value) for look in closest.values()]
+            ends = [self.place(look.value) for look in closest.values()]
             if abs(ends[1] - ends[0]) < NARROW:
                 break
-            middle = self._at(sum(ends) / 2)
-            closest[self._search.keeps(middle)] = middle
+            middle = self.try_at(self.value(sum(ends) / 2))
+            closest[self.keeps(middle)] = middle
         low, high = closest.get(True), closest.get(False)
         if low is not None and (high is None or self._nearly(low)):
             return low, low  # also at the limit of the range
@@ -489,23 +406,82 @@ class Refinement:
         missed = replace(high, evaluation=replace(high.evaluation, reached=False))
         return missed, missed
 
-    def _beyond(self, here: Look) -> list[Look]:
-        """Return the trials on the other side of the budget, those of the nearest values first."""
-        below = self._search.keeps(here)
-        found = [look for look in self._search.looks() if self._search.keeps(look) != below]
-        return sorted(found, key=lambda look: abs(self._search.place(look.value) - self._search.place(here.value)))
-
-    def measure(self, look: Look) -> Look:
-        """Return a trial of the same value of the tuning parameter at full precision."""
-        return self._search.try_at(look.value, standard_error=self._standard_error)
-
     def measure_within(self, look: Look) -> Look:
         """Return a trial at full precision within the budget, at this integer or at a neighbouring one."""
-        found, step = self.measure(look), -1 if self._search.rising else 1
-        for away in range(1, PASSED if self._search.tuning.whole else 1):
+        found, step = self.try_at(look.value), -1 if self.rising else 1
+        for away in range(1, PASSED if self.tuning.whole else 1):
             value = int(look.value) + away * step
-            if found.above <= EXACT * self._search.goal.budget or value < self._search.tuning.least:
+            if found.above <= EXACT * self.goal.budget or value < self.tuning.least:
                 break
-            if (other := self._search.look(value)) is not None:
-                found = self.measure(other)
+            if (other := self.look(value)) is not None:
+                found = self.try_at(other.value)
         return found
+
+
+def settled(
+    problem: Problem, tuned: str, seed: int, steps: int, progress: Progress | None = None, longer: int = LONGER
+) -> Evaluation:
+    """Return the evaluation of a loop that settles."""
+    found = look_at(problem, seed, steps, None, progress)
+    if not found.reached and longer > 1:
+        found = look_at(problem, seed, longer * steps, None, progress)
+    if not found.reached:
+        given = f"{problem.kind} with {tuned} = {problem.parameters[tuned]:g}"
+        raise UnstableError(f"the mean cost of {given} does not settle within {longer * steps} steps")
+    return found
+
+
+def look_at(
+    problem: Problem, seed: int, steps: int | None, standard_error: float | None, progress: Progress | None = None
+) -> Evaluation:
+    """Return an evaluation by quadrature if one applies, else by a simulation of the given number of steps."""
+    policy = problem.designed()
+    if isinstance(policy, Policy) and policy.theory.cost_all_time == 0:
+        raise ProblemError(
+            "sending every sample costs nothing, so that no budget determines a parameter; expected noise W or V that "
+            "the cost depends on"
+        )
+    solved = not isinstance(policy, Policy) and policy.looked_at is not None
+    if solved or (isinstance(policy, Policy) and _serves(problem, policy)):
+        wanted = standard_error if steps is None else ROUGHLY * abs(policy.cost_all_time) or None
+        try:
+            found = evaluate(
+                problem, seed=seed, method="exact", standard_error=wanted, after_step=False, progress=progress
+            )
+        except ProblemError:
+            if solved:
+                raise
+        else:
+            if found.reached or solved:
+                return found
+    return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, after_step=False, progress=progress)
+
+
+def _serves(problem: Problem, policy: Policy) -> bool:
+    """Return whether a quadrature may be quicker than a simulation."""
+    if not decides_alone(policy):
+        return False
+    try:
+        expect_affordable(problem.close(policy))
+    except NoQuadratureError:
+        return False
+    return True
+
+
+def out_of_reach(
+    policy: str, tuned: str, name: str, budget: float, tried: Sequence[tuple[float, float]], failed: str = ""
+) -> ProblemError:
+    """Return an error that states the range that can be reached."""
+    found, first = sorted(value for _, value in tried), np.log(max(tried[0][0], TINY))
+    same = AT_THE_END * (found[-1] - found[0])
+
+    def end(limit: float) -> str:
+        values = [value for value, given in tried if abs(given - limit) <= same]
+        return f"{limit:.5g} ({tuned} = {min(values, key=lambda value: abs(np.log(max(value, TINY)) - first)):.4g})"
+
+    near = [value for value in found if value < budget][-1:] + [value for value in found if value > budget][:1]
+    expected = "within this range" if len(near) < 2 else f"such as {near[0]:.5g} or {near[1]:.5g}, the nearest found"
+    return ProblemError(
+        f"no {tuned} gives {policy} the {name} {budget:g}: the {name} ranges from {end(found[0])} to {end(found[-1])}"
+        f"{f', and other values fail ({failed})' if failed else ''}; expected a {name} {expected}"
+    )

@@ -66,9 +66,7 @@ class Division:
         self._slopes: tuple[float, float] | None = None
 
     def best(self) -> dict[str, object]:
-        """Return the best shares, with three digits and the mean 1, and the threshold at which the search found
-        them.
-        """
+        """Return the best shares, with three digits and the mean 1, and the threshold at which they were found."""
         logs = self._given_rates(self._goal) if isinstance(self._goal, RatesGoal) else self._cheapest()
         return {self._tuning.name: self._whole(logs), self._name: self._shares(logs)}
 
@@ -105,11 +103,6 @@ class Division:
         """Return the quantity to be minimised."""
         return self._goal.use(found).value if self._goal.limits_cost else found.cost.value
 
-    def _start(self) -> float:
-        """Return the scale of the given threshold, or of one of usual size."""
-        given = self._problem.parameters.get(self._tuning.name)
-        return 0.5 * float(np.log(given)) if isinstance(given, int | float) and given > 0 else 0.0
-
     def _scaled(self, logs: Array) -> tuple[Trial, float]:
         """Return a trial whose common scale meets the budget, and the quantity to be minimised there."""
         goal = self._goal
@@ -132,9 +125,7 @@ class Division:
         sign: float,
         budget: tuple[str, float],
     ) -> tuple[Trial, float]:
-        """Return a trial along a direction at which ``above`` is 0, and the value of ``other`` at exactly this
-        place.
-        """
+        """Return a trial along a direction at which ``above`` is 0, and the value of ``other`` exactly there."""
         place, last = 0.0, None
         slope, along = self._slopes or (SLOPE * sign, None)
         low, high = -FARTHEST, FARTHEST
@@ -163,25 +154,25 @@ class Division:
         """Return the shares at which the links with a limit reach it; the others send every sample."""
         named = [self._links.index(link) for link in goal.limits]
         logs = np.full(len(self._links), -np.inf)
-        logs[named] = self._start() - np.log(len(named))
+        given = self._problem.parameters.get(self._tuning.name)
+        start = 0.5 * float(np.log(given)) if isinstance(given, int | float) and given > 0 else 0.0
+        logs[named] = start - np.log(len(named))
         axes = np.eye(len(self._links))
         for _ in range(ROUNDS):
             before = logs.copy()
             for place in named:
                 self._slopes = None
                 link = self._links[place]
-                above, limit = self._above_limit(goal, link), (f"rate of {link}", goal.limits[link])
+
+                def above(trial: Trial, link: str = link) -> float:
+                    least = 0.5 * (trial.evaluation.base_rate or 1.0) / EFFORT  # half a send in a trial
+                    return float(np.log(max(trial.evaluation.rates[link].value, least) / goal.limits[link]))
+
+                limit = f"rate of {link}", goal.limits[link]
                 logs = self._root(logs, axes[place], above, lambda _: 0.0, -1.0, limit)[0].logs
             if np.abs(logs[named] - before[named]).max() < CLOSE or len(named) == 1:
                 break
         return logs
-
-    def _above_limit(self, goal: RatesGoal, link: str) -> Callable[[Trial], float]:
-        def above(trial: Trial) -> float:
-            least = 0.5 * (trial.evaluation.base_rate or 1.0) / EFFORT
-            return float(np.log(max(trial.evaluation.rates[link].value, least) / goal.limits[link]))
-
-        return above
 
     def _try(self, logs: Array) -> Trial:
         changed = self._problem.changed(

@@ -45,6 +45,78 @@ ROOM = 1.25  # top of the figure, as a multiple of the highest extra cost of the
 GRAY = 7
 
 
+def tradeoff(
+    problem: Studied,
+    over: Mapping[str, Sequence[object]],
+    *,
+    seed: int = 0,
+    standard_error: float | None = None,
+    confidence: float | None = None,
+    executor: Executor | None = None,
+    store: str | Path | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> Tradeoff:
+    """Return cost against rate of a problem's policy over a grid of its parameters.
+
+    Args:
+        problem: the problem in which each point changes the named keys.
+        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid.
+        seed: seed of the random draws, the same at every point, so the errors of two points are correlated.
+        standard_error: absolute standard error of each cost; default: 1e-4 of the cost.
+        confidence: confidence of lower bounds on the cost of any scheduling at the measured rates; default: no lower
+            bounds. Points without a lower bound are allowed unless no point has one.
+        executor: executor that runs the points, as in ``sweep``; default: this process.
+        store: folder that stores the points, as in ``sweep``; a second run computes only the missing points.
+        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised; the cells that
+            are stored remain.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        The points, with the curve of periodic control for the same plant and cost.
+
+    Raises:
+        ProblemError: no values are given, a key is unknown, or the data are inconsistent.
+    """
+    with answered_within(time_limit):
+        problem = as_problem("problem", problem)
+        check_effort(seed, standard_error, None)
+        grid = grid_of(check_grid(over))
+        problems = [problem.changed(cell) for cell in grid]
+        for changed in problems:
+            changed.designed()  # reports a mistake in the last cell before the first one runs
+        if len({changed.cost.mission for changed in problems}) > 1:
+            raise ProblemError(
+                "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of "
+                "one kind"
+            )
+        check_confidence(problems, confidence)
+        effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
+        kept = None if store is None else Store(store, label_of(problem))
+        found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
+        points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
+        unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
+        return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
+
+
+def _curves(
+    problems: Sequence[Problem], points: Sequence[Point], over: Mapping[str, object]
+) -> dict[ClockKind, tuple[ClockPoint, ...]]:
+    """Return the curves of periodic control that all points share; there are none if plant, cost or period varies."""
+    if any(name.removeprefix("policy.") == "period" or "." in name.removeprefix("policy.") for name in over):
+        return {}
+    fastest = max(point.evaluation.base_rate or 2 * _rate(point) for point in points)
+    slowest = min((_rate(point) for point in points if _rate(point) > 0), default=fastest)
+    curves: dict[ClockKind, tuple[ClockPoint, ...]] = {}
+    for problem, point in zip(problems, points, strict=True):
+        used = point.evaluation.clock
+        if used is not None and used.words not in curves:
+            clock = clock_of(problem, problem.designed())
+            assert clock is not None
+            curves[used.words] = clock.curve(fastest, slowest)
+    return curves
+
+
 @dataclass(frozen=True, repr=False)
 class Point(Result):
     """One point of the trade-off.
@@ -167,7 +239,12 @@ class Tradeoff(Tabular):
 
         def violation(name: str) -> Field[Point]:
             heading = {"violation": "violation per step", "violation_within": f"within {seen[0].window}"}.get(name)
-            return Field(name, lambda point: _violation(point.evaluation, name), column=name, say=heading, none="none")
+
+            def share(point: Point) -> Estimate | None:
+                found = point.evaluation.violations
+                return None if found is None else found.records().get(name)
+
+            return Field(name, share, column=name, say=heading, none="none")
 
         return (
             *map(value, self.points[0].values),
@@ -221,12 +298,15 @@ class Tradeoff(Tabular):
     def _panel(self, link: str, named: str) -> Panel:
         series: list[Series] = []
         families: dict[tuple[tuple[str, Any], ...], list[Point]] = {}
-        lead = _lead([point.values for point in self.points])
+        cells = [point.values for point in self.points]
+        names = list(cells[0])  # points are connected along the first key with numerical values
+        lead = next((n for n in names if all(isinstance(cell[n], int | float) for cell in cells)), names[0])
         for point in self.points:
             families.setdefault(tuple((k, v) for k, v in point.values.items() if k != lead), []).append(point)
         for index, (family, points) in enumerate(families.items()):
             found = sorted((point.evaluation for point in points), key=lambda one: one.rates[link].value)
-            label = ", ".join([found[0].policy, *(_name(key, value) for key, value in family)])
+            words = [value if isinstance(value, str) else f"{key} = {value}" for key, value in family]
+            label = ", ".join([found[0].policy, *words])
             x, y = [one.rates[link].value for one in found], [one.cost.value for one in found]
             series.append(Series(x, y, label, error=[one.cost.standard_error for one in found], color=index))
             bounds = [one.cost_bound if one.cost_bound_at_rate is None else one.cost_bound_at_rate for one in found]
@@ -276,92 +356,5 @@ class Tradeoff(Tabular):
         ]
 
 
-def tradeoff(
-    problem: Studied,
-    over: Mapping[str, Sequence[object]],
-    *,
-    seed: int = 0,
-    standard_error: float | None = None,
-    confidence: float | None = None,
-    executor: Executor | None = None,
-    store: str | Path | None = None,
-    time_limit: float | None = None,
-    progress: Progress | None = None,
-) -> Tradeoff:
-    """Return cost against rate of a problem's policy over a grid of its parameters.
-
-    Args:
-        problem: the problem in which each point changes the named keys.
-        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid.
-        seed: seed of the random draws, the same at every point, so the errors of two points are correlated.
-        standard_error: absolute standard error of each cost; default: 1e-4 of the cost.
-        confidence: confidence of lower bounds on the cost of any scheduling at the measured rates; default: no lower
-            bounds. Points without a lower bound are allowed unless no point has one.
-        executor: executor that runs the points, as in ``sweep``; default: this process.
-        store: folder that stores the points, as in ``sweep``; a second run computes only the missing points.
-        time_limit: time limit in seconds; default: none. Without a result in time, an error is raised; the cells that
-            are stored remain.
-        progress: callback that receives the fraction done.
-
-    Returns:
-        The points, with the curve of periodic control for the same plant and cost.
-
-    Raises:
-        ProblemError: no values are given, a key is unknown, or the data are inconsistent.
-    """
-    with answered_within(time_limit):
-        problem = as_problem("problem", problem)
-        check_effort(seed, standard_error, None)
-        grid = grid_of(check_grid(over))
-        problems = [problem.changed(cell) for cell in grid]
-        for changed in problems:
-            changed.designed()  # reports a mistake in the last cell before the first one runs
-        if len({changed.cost.mission for changed in problems}) > 1:
-            raise ProblemError(
-                "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of "
-                "one kind"
-            )
-        check_confidence(problems, confidence)
-        effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
-        kept = None if store is None else Store(store, label_of(problem))
-        found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
-        points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
-        unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
-        return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
-
-
-def _curves(
-    problems: Sequence[Problem], points: Sequence[Point], over: Mapping[str, object]
-) -> dict[ClockKind, tuple[ClockPoint, ...]]:
-    """Return the curves of periodic control that all points share; there are none if plant, cost or period varies."""
-    if any(name.removeprefix("policy.") == "period" or "." in name.removeprefix("policy.") for name in over):
-        return {}
-    fastest = max(point.evaluation.base_rate or 2 * _rate(point) for point in points)
-    slowest = min((_rate(point) for point in points if _rate(point) > 0), default=fastest)
-    curves: dict[ClockKind, tuple[ClockPoint, ...]] = {}
-    for problem, point in zip(problems, points, strict=True):
-        used = point.evaluation.clock
-        if used is not None and used.words not in curves:
-            clock = clock_of(problem, problem.designed())
-            assert clock is not None
-            curves[used.words] = clock.curve(fastest, slowest)
-    return curves
-
-
-def _lead(cells: Sequence[Mapping[str, Any]]) -> str:
-    """Return the key along which points are connected, which is the first key with numerical values."""
-    names = list(cells[0])
-    return next((n for n in names if all(isinstance(cell[n], int | float) for cell in cells)), names[0])
-
-
-def _name(key: str, value: object) -> str:
-    """Return a value as the legend shows it; the key is omitted for words."""
-    return value if isinstance(value, str) else f"{key} = {value}"
-
-
 def _rate(point: Point) -> float:
     return next(iter(point.evaluation.rates.values())).value
-
-
-def _violation(found: Evaluation, name: str) -> Estimate | None:
-    return None if found.violations is None else found.violations.records().get(name)

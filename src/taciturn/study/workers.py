@@ -34,8 +34,9 @@ from taciturn.errors import ProblemError, TaciturnError
 from taciturn.program.machine import available_processors, one_thread
 
 Answer = TypeVar("Answer")
-
 PATIENCE = 5.0  # seconds in which workers must report their version after a task failed
+Job = TypeVar("Job")
+MOST_ON_WINDOWS = 61  # largest number of processes that Windows can wait for
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,6 +56,96 @@ class Report(Displayed, Generic[Answer]):
     answer: Answer | None  # the answer; None if the worker has other code than the process that asked
 
 
+@contextmanager
+def processes(workers: int | None) -> Generator[Executor | None]:
+    """Provide a pool of worker processes, or None for one worker, because this process then uses its threads."""
+    if (workers := workers or available_processors()) == 1:
+        yield None
+        return
+    prefer_one_thread()  # in the processes to come
+    workers = min(workers, MOST_ON_WINDOWS) if sys.platform == "win32" else workers
+    with deferred():  # it starts a process that counts semaphores
+        pool = ProcessPoolExecutor(workers, get_context("spawn"), _be_a_worker)
+    with at_once(lambda: _abandon(pool)):
+        try:
+            with deferred():
+                for _ in range(workers):
+                    pool.submit(abs, 0)  # each starts a process
+            yield pool
+        except BaseException:  # the answers to come are not used
+            _kill(pool)
+            raise
+        finally:  # without cancelling, shutdown would wait for a submission that Ctrl-C interrupted
+            pool.shutdown(cancel_futures=True)
+
+
+def answer_all(
+    executor: Executor | None, answer: Callable[[Job], Answer], jobs: Sequence[Job], progress: Progress
+) -> list[Answer]:
+    """Return the answers to some jobs, in their order; the first exception ends the computation."""
+    found: list[Answer] = []
+    if executor is not None:
+        refuse_other_versions(executor, workers_of(executor))
+    futures = [] if executor is None else [asked(executor, _alone, answer, job) for job in jobs]
+    try:
+        for k, job in enumerate(jobs):
+            if futures:
+                wait(futures[k : k + 1], timeout=min(seconds_left(), threading.TIMEOUT_MAX))
+            check_time()
+            found.append(accepted(futures[k].result()) if futures else answer(job))
+            progress((k + 1) / len(jobs))
+    except BrokenExecutor as error:
+        raise ProblemError(
+            f"the executor failed after {len(found)} of {len(jobs)} answers ({error}); expected workers that stay "
+            "alive and can import taciturn: use fewer workers, or none"
+        ) from error
+    except Exception as error:
+        if executor is not None and not isinstance(error, TaciturnError | NoTimeLeft):
+            refuse_other_versions(executor, workers_of(executor), error)
+        raise
+    finally:
+        for future in futures:
+            future.cancel()
+    return found
+
+
+def workers_of(executor: Executor) -> int:
+    """Return the number of tasks that an executor runs at a time, as far as it is known."""
+    for name in ("num_workers", "_max_workers"):  # mpi4py's; the standard library's
+        known: Any = getattr(executor, name, None)
+        if isinstance(known, int) and known > 0:
+            return known
+    client: Any = getattr(executor, "_client", None)  # dask's
+    if client is not None:
+        return max(1, sum(client.nthreads().values()))
+    return available_processors()
+
+
+def deserted(executor: Executor) -> str | None:
+    """Return the address of an executor's dask scheduler if this scheduler has no workers, else None."""
+    client: Any = getattr(executor, "_client", None)
+    return None if client is None or client.nthreads() else str(client.scheduler.address)
+
+
+def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:
+    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal."""
+    return executor.submit(_report, own_code(), ask, *given)
+
+
+def accepted(report: Report[Answer]) -> Answer:
+    """Return the answer in the report of a worker, if the worker runs the same code as this process."""
+    own = own_code()
+    if report.code != own:
+        raise ProblemError(_refusal(report.worker, report.code, own))
+    return cast("Answer", report.answer)
+
+
+@cache
+def own_code() -> Code:
+    """Return version and digest of the code of this process, which is read once."""
+    return code_of(Path(_version.__file__).parent, _version.__version__)
+
+
 def code_of(folder: Path, version: str) -> Code:
     """Return the version of a package and a digest of the names and texts of all its Python files."""
     read = hashlib.sha256()
@@ -64,17 +155,6 @@ def code_of(folder: Path, version: str) -> Code:
     return Code(version, read.hexdigest())
 
 
-@cache
-def own_code() -> Code:
-    """Return version and digest of the code of this process, which is read once."""
-    return code_of(Path(_version.__file__).parent, _version.__version__)
-
-
-def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:
-    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal."""
-    return executor.submit(_report, own_code(), ask, *given)
-
-
 def _report(expected: Code, ask: Callable[..., Answer], *given: Any) -> Report[Answer]:
     own = own_code()
     return Report(_place(), own, ask(*given) if own == expected else None)
@@ -82,14 +162,6 @@ def _report(expected: Code, ask: Callable[..., Answer], *given: Any) -> Report[A
 
 def _place() -> str:
     return f"process {os.getpid()} on {platform.node() or 'this machine'}"
-
-
-def accepted(report: Report[Answer]) -> Answer:
-    """Return the answer in the report of a worker, if the worker runs the same code as this process."""
-    own = own_code()
-    if report.code != own:
-        raise ProblemError(_refusal(report.worker, report.code, own))
-    return cast("Answer", report.answer)
 
 
 def _refusal(worker: str, code: Code, own: Code) -> str:
@@ -141,88 +213,13 @@ def _ask_versions(executor: Executor, client: Any, workers: int) -> list[tuple[s
         return []
 
 
-Job = TypeVar("Job")
-MOST_ON_WINDOWS = 61  # largest number of processes that Windows can wait for
-
-
-def workers_of(executor: Executor) -> int:
-    """Return the number of tasks that an executor runs at a time, as far as it is known."""
-    for name in ("num_workers", "_max_workers"):  # mpi4py's; the standard library's
-        known: Any = getattr(executor, name, None)
-        if isinstance(known, int) and known > 0:
-            return known
-    client: Any = getattr(executor, "_client", None)  # dask's
-    if client is not None:
-        return max(1, sum(client.nthreads().values()))
-    return available_processors()
-
-
-def deserted(executor: Executor) -> str | None:
-    """Return the address of an executor's dask scheduler if this scheduler has no workers, else None."""
-    client: Any = getattr(executor, "_client", None)
-    return None if client is None or client.nthreads() else str(client.scheduler.address)
-
-
 def idle(fraction: float) -> None:
     """Ignore the progress."""
-
-
-def answer_all(
-    executor: Executor | None, answer: Callable[[Job], Answer], jobs: Sequence[Job], progress: Progress
-) -> list[Answer]:
-    """Return the answers to some jobs, in their order; the first exception ends the computation."""
-    found: list[Answer] = []
-    if executor is not None:
-        refuse_other_versions(executor, workers_of(executor))
-    futures = [] if executor is None else [asked(executor, _alone, answer, job) for job in jobs]
-    try:
-        for k, job in enumerate(jobs):
-            if futures:
-                wait(futures[k : k + 1], timeout=min(seconds_left(), threading.TIMEOUT_MAX))
-            check_time()
-            found.append(accepted(futures[k].result()) if futures else answer(job))
-            progress((k + 1) / len(jobs))
-    except BrokenExecutor as error:
-        raise ProblemError(
-            f"the executor failed after {len(found)} of {len(jobs)} answers ({error}); expected workers that stay "
-            "alive and can import taciturn: use fewer workers, or none"
-        ) from error
-    except Exception as error:
-        if executor is not None and not isinstance(error, TaciturnError | NoTimeLeft):
-            refuse_other_versions(executor, workers_of(executor), error)
-        raise
-    finally:
-        for future in futures:
-            future.cancel()
-    return found
 
 
 def _alone(answer: Callable[[Job], Answer], job: Job) -> Answer:
     with one_thread():
         return answer(job)
-
-
-@contextmanager
-def processes(workers: int | None) -> Generator[Executor | None]:
-    """Provide a pool of worker processes, or None for one worker, because this process then uses its threads."""
-    if (workers := workers or available_processors()) == 1:
-        yield None
-        return
-    prefer_one_thread()  # in the processes to come
-    workers = min(workers, MOST_ON_WINDOWS) if sys.platform == "win32" else workers
-    with deferred():  # it starts a process that counts semaphores
-        pool = ProcessPoolExecutor(workers, get_context("spawn"), _be_a_worker)
-    with at_once(lambda: _abandon(pool)):
-        try:
-            with deferred():
-                for _ in range(workers):
-                    pool.submit(abs, 0)  # each starts a process
-            yield pool
-        except BaseException:  # the answers to come are not used
-            _kill(pool)
-            raise
-        finally:  # without cancelling, shutdown would wait for a submission that Ctrl-C interrupted
-            pool.shutdown(cancel_futures=True)
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:
