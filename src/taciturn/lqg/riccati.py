@@ -10,15 +10,11 @@ rational numbers, among the modes before sampling if these are known.
 With a horizon the equation is a recursion. It converges up to rounding, and then stays constant or alternates between a
 few states. Each state determines the next one, so as soon as a state returns bit for bit (``Repetition``), the
 remaining steps of a long horizon need no further computation.
-
-The points of a sweep often have the same plant and cost, so solutions are cached by the bytes of the matrices
-(``cache``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -35,18 +31,6 @@ from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.followed import Followed, followed
 from taciturn.lqg.quadratic import Quadratic, unpaid, worth_of
 from taciturn.lqg.sampling import Exact, Source
-
-Ts = TypeVarTuple("Ts")
-T = TypeVar("T")
-__all__ = [
-    "FiniteRegulator",
-    "Regulator",
-    "refuse_uncertain",
-    "regulate",
-    "regulate_continuous",
-    "regulate_finite",
-    "states_with_cost",
-]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
