@@ -82,7 +82,7 @@ class Channel(Displayed):
     delayed: bool
     keys: tuple[str, str] = field(default=("network.actuator_loss", "network.sensor_loss"), compare=False)
 
-    def at(self, link: Link, loss: float) -> Channel:
+    def at(self, link: Literal["actuator", "sensor"], loss: float) -> Channel:
         """Return these links with another loss of one of them."""
         return replace(self, actuator_loss=loss) if link == "actuator" else replace(self, sensor_loss=loss)
 

@@ -35,14 +35,14 @@ from taciturn.errors import UnstableError
 from taciturn.lqg.critical_losses import Channel, Lasting, Link, LossyStep, MeanSquare
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, solve
 from taciturn.lqg.equation import ASKED, FEW, sizes
-from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
-from taciturn.lqg.riccati import Repetition, costs_nothing, fill_earlier, regulate, states_with_cost
+from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price, worth_of
+from taciturn.lqg.riccati import Repetition, costs_nothing, regulate
 
 _TURNS = 100
 _NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
 _CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
 _CORRECTIONS = 5  # steps of Newton's method
-Four: TypeAlias = tuple[Array, Array, Array, Array]  # A, B, Q and R, or K, P, L and Γ
+FourMatrices: TypeAlias = tuple[Array, Array, Array, Array]  # A, B, Q and R, or K, P, L and Γ
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
 
 
@@ -88,7 +88,7 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
     Source: khashooei2017, schenato2007
     """
     given = Quadratic(A, B, Q, R, np.zeros_like(B))
-    seen = states_with_cost(*given)
+    seen = worth_of(given).states
     found = _fixed_point(given.among(seen), channel)
     to = np.eye(len(seen))[:, seen]
     K, P, Gamma, error = (frozen(to @ form @ to.T) for form in (found.K, found.P, found.Gamma, found.error))
@@ -192,7 +192,9 @@ def _proved(
     return K, P, L, Gamma, symmetrised((1 - phi) * errors[0] + phi * errors[1]) + np.diag(rounding)
 
 
-def lossy_step(A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel) -> Four:
+def lossy_step(
+    A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
+) -> tuple[Array, Array, Array, Array]:
     """Return the weights K, P and Γ and the gain L of one step over lossy links, from K and P of the next step.
 
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
@@ -238,9 +240,7 @@ def regulate_lossy_finite(
                 f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the losses "
                 "are too large for this plant; expected a shorter horizon, or smaller losses"
             )
-        period = repetition.period(k, K[k], P[k])
-        if period is not None:
-            fill_earlier((K, P, L, Gamma), k, period)
+        if repetition.fills((K, P, L, Gamma), k, K[k], P[k]):
             break
     found = (K, P, L, Gamma)
     H = R + B.T @ (K[1] + channel.coupling * P[1]) @ B
@@ -256,9 +256,9 @@ def _is_narrow(form: Array) -> bool:
     return bool(kept.any() and np.linalg.eigvalsh(form[np.ix_(kept, kept)] / unit / unit[:, None])[0] < _NARROW)
 
 
-def _finite_in_balls(given: Four, terminal: Array, horizon: int, channel: Channel) -> Four:
+def _finite_in_balls(given: FourMatrices, terminal: Array, horizon: int, channel: Channel) -> FourMatrices:
     """Return K, P, L and Γ of :func:`regulate_lossy_finite`, to which twice as many bits change nothing."""
-    before: Four | None = None
+    before: FourMatrices | None = None
     for bits in PRECISIONS:
         with precision(bits):
             try:
@@ -276,7 +276,7 @@ def _finite_in_balls(given: Four, terminal: Array, horizon: int, channel: Channe
     )
 
 
-def _recursion_in_balls(given: Four, terminal: Array, horizon: int, channel: Channel) -> Four:
+def _recursion_in_balls(given: FourMatrices, terminal: Array, horizon: int, channel: Channel) -> FourMatrices:
     """Return K, P, L and Γ by the recursion of :func:`lossy_step` with the middles of balls."""
     A, B, Q, R = (Balls.exact(part) for part in given)
     K: Balls = Balls.exact(terminal)

@@ -28,7 +28,8 @@ from taciturn.lqg.lossy import (
     regulate_lossy,
     regulate_lossy_finite,
 )
-from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
+from taciturn.lqg.quadratic import Quadratic, worth_of
+from taciturn.lqg.riccati import refuse_uncertain
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Reference, Tracking
 from taciturn.model.network import Network
@@ -112,7 +113,7 @@ def lossy_lqg(
     )
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
-    seen = states_with_cost(plant.A, plant.B, cost.Q, cost.R, cost.N)
+    seen = worth_of(Quadratic(plant.A, plant.B, cost.Q, cost.R, cost.N)).states
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
         gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
