@@ -4,8 +4,8 @@ A schedule of a window, followed by periodic control for ever, has optimal gains
 form of the estimate and the held input (``_Future``). The cheapest one costs no more than the periodic one, which is
 among them, in every window. The sum over all windows telescopes: J ≤ J_periodic, at exactly the same rate.
 
-The policy keeps in mind only the sends that are left in the window. Schedules with the same remaining sends share a
-state (``_Rooms``).
+A state of the policy stores only the sends that are left in the window. Schedules with the same remaining sends share a
+state (``_WindowStates``).
 
 Source: antunes2014rollout
 """
@@ -90,9 +90,9 @@ def rollout(
     others = (sends for sends in combinations(range(horizon), periods) if sends != usual)
     # periodic control is first, so it is selected at equal costs
     futures = [_Future(certainty, base.values[0], sends, horizon) for sends in (usual, *others)]
-    rooms = _Rooms(futures, horizon)
+    window = _WindowStates(futures, horizon)
     turn = Scheduled(CLOCK, [-1.0] + [1.0] * (horizon - 1))
-    later = Form(constant=Scheduled(PLACE, rooms.due))
+    later = Form(constant=Scheduled(PLACE, window.due))
     before = (
         Decide("controller", FUTURE, Trigger({f"future {i}": future.form for i, future in enumerate(futures)})),
         Decide("controller", BEGIN, Trigger({"go on": Form(), BEGIN: Form(constant=turn)})),
@@ -105,7 +105,7 @@ def rollout(
     steps, initial = control_steps(
         problem.plant,
         certainty.estimation,
-        Scheduled(PLACE, rooms.gains),
+        Scheduled(PLACE, window.gains),
         "hold",
         Trigger({"silent": Form(plus={DUE: 1.0}), SEND: Form(constant=0.5)}),
         before=before,
@@ -120,7 +120,7 @@ def rollout(
         identity=identity,
         locations=(
             count_ticks(horizon, 0),
-            Location(PLACE, rooms.following, "controller", FUTURE),
+            Location(PLACE, window.following, "controller", FUTURE),
         ),
         guarantee=Guarantee(problem.per_unit(certainty.estimation_cost + base.cost), statement, "antunes2014rollout"),
         fixed_rates={"actuator": 1 / every},
@@ -152,7 +152,7 @@ class _Future:
         return self.gains.get(tick, next(iter(self.gains.values())))
 
 
-class _Rooms:
+class _WindowStates:
     """The discrete states of a window: its start, and for each later step the remaining sends."""
 
     def __init__(self, futures: list[_Future], horizon: int) -> None:
