@@ -18,11 +18,10 @@ from systems import uncontrollable_modes
 from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, UnstableError, design, evaluate
 from taciturn._modes import radius
 from taciturn._rational import precision
-from taciturn.lqg.critical_losses import Channel, Lasting
+from taciturn.lqg.critical_losses import Channel, Lasting, MeanSquare
 from taciturn.lqg.lossy import (
     critical_losses,
     lossy_step,
-    mean_square_rate,
     regulate_lossy,
     regulate_lossy_finite,
 )
@@ -227,13 +226,13 @@ def test_the_fixed_point_is_the_limit_of_the_recursions(link, seed):
     problem = system(seed, 4)
     channel = survivable(problem[0], problem[1], link, seed)
     found = regulate_lossy(*problem, channel)
-    assume(mean_square_rate(*problem[:2], found.L, channel) < 0.95)
+    assume(MeanSquare(*problem[:2], found.L, channel).growth() < 0.95)
     step = (problem[2], np.zeros_like(problem[2]))
     for _ in range(800):
         step = lossy_step(*problem, *step[:2], channel)
     for limit, part in zip(step, (found.K, found.P, found.L, found.Gamma), strict=True):
         assert part == pytest.approx(limit, rel=1e-10, abs=1e-10 * np.abs(limit).max(initial=1e-6))
-    assert mean_square_rate(*problem[:2], found.L, channel) < 1
+    assert MeanSquare(*problem[:2], found.L, channel).growth() < 1
 
 
 def exact_limit(
@@ -272,7 +271,7 @@ def test_the_claimed_error_holds_the_least_cost_and_that_of_the_stored_gain(link
         R * np.outer(unit, unit),
     )
     found = regulate_lossy(*problem, channel)
-    assume(mean_square_rate(*problem[:2], found.L, channel) < 0.97)
+    assume(MeanSquare(*problem[:2], found.L, channel).growth() < 0.97)
     claimed = found.K + (1.0 if channel.delayed else channel.sensor_loss) * found.P
     assert (found.error.diagonal() <= 1e-9 * claimed.diagonal() * (1 + 1e-6)).all()
     with precision(300):
@@ -370,7 +369,7 @@ def test_modes_that_one_input_hardly_tells_apart_survive_more_than_double_precis
     channel = Channel(0.155, 0.22, acknowledged=False, delayed=False)
     found = Lasting(A, B).critical(channel, "actuator")
     assert 0.159 < found.survived < found.lost < 0.1591
-    assert mean_square_rate(A, B, Lasting(A, B).slowest(channel)[1], channel) < 1
+    assert MeanSquare(A, B, Lasting(A, B).slowest(channel)[1], channel).growth() < 1
 
 
 def test_what_is_not_proved_is_said():
@@ -449,11 +448,11 @@ def test_no_gain_grows_slower_than_the_slowest_growth(link, seed):
     channel = at_losses(link, *rng.uniform(0, 0.8, 2))
     rate, best = Lasting(A, B).slowest(channel)
     stable = max((abs(value) ** 2 for value in np.linalg.eigvals(A) if abs(value) < 1), default=0.0)
-    assert mean_square_rate(A, B, best, channel) <= max(rate, stable) * (1 + 1e-6)
+    assert MeanSquare(A, B, best, channel).growth() <= max(rate, stable) * (1 + 1e-6)
     for size in (1e-3, 1e-2, 0.1, 1.0):
         for _ in range(10):
             gain = best + size * rng.normal(size=best.shape)
-            assert rate <= mean_square_rate(A, B, gain, channel) * (1 + 1e-9)
+            assert rate <= MeanSquare(A, B, gain, channel).growth() * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("link", LINKS, ids=str)

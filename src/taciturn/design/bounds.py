@@ -1,6 +1,18 @@
-"""Bounds on the additional cost of steps without a send, for triggers with a threshold on the error.
+"""Bounds on the cost of silence, and the checks of the thresholds to which they refer.
 
-Completion of squares gives J = J_all + E[(1−σ)e'L'HLe].
+Four arguments give all bounds of the policy kinds.
+
+* **Completion of squares.** A deviation e from the best input that depends on the measurements so far costs e'He, now
+  and later, with H = R + B'KB. So J = J_all + E[(1−σ)e'He]: a trigger that allows at most δ in silence costs at most
+  δ(1 − rate) more (``bound_by_silence``). An error e of the state at the actuator is the deviation Le of the input, and
+  costs e'L'HLe. A weight W of a trigger is compared with the cost by the least μ with H ⪯ μW or L'HL ⪯ μW
+  (``largest_ratio``).
+* **A share of the stage cost.** If the threshold grows with the state, silence costs at most a share of J itself, and
+  the inequality is solved for J (``bound_by_state``).
+* **Gains.** For a given controller and any noise, the errors of all links enter a linear loop. The roots of the costs
+  that they cause add up at most, each with the H∞ norm γ from its error (``bound_by_errors``).
+* **Attempts.** With the value function of a base that sends at every q-th step, a packet is sent iff silence would cost
+  more than δ. So J + δ·rate ≤ J_q + δ/q, with the cost J_q and the rate 1/q of the base (``bound_by_attempts``).
 """
 
 from __future__ import annotations
@@ -20,6 +32,7 @@ from taciturn.lqg.discrete import Discrete
 from taciturn.model.theory import ErrorGain, Guarantee, with_silence
 
 PULLED = " + 2γ√(what silence adds), γ of the timetable"
+NO_BOUND = "no bound is known: the weight is zero for some errors that have a cost"
 LARGEST_PARAMETER = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
 
 
@@ -52,6 +65,14 @@ def shares_of(shares: Mapping[str, float] | None, links: Sequence[str]) -> dict[
             )
         found[link] = number(f"shares.{link}", share, 0.0, LARGEST_PARAMETER, closed=True)
     return found
+
+
+def expect_some_weight(W: Array) -> None:
+    """Raise a ``ProblemError`` if the weight of a trigger is zero."""
+    if not W.any():
+        raise ProblemError(
+            "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
+        )
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
@@ -94,12 +115,11 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
 def bound_by_state(
     certainty: CertaintyEquivalentDesign, sigma: float, threshold: float, source: str
 ) -> tuple[Guarantee | None, tuple[str, ...]]:
-    """Return the guarantee of a trigger with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or None and a note if no bound is known.
-
-    With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least q|x̂|² + tr(QΣ)
-    with q = λ_min(Q − NR^{-1}N'). Therefore, with s = σ²μ/q < 1, J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s). For a
-    sampled plant, tr(QΣ) includes the inter-sample noise cost c, as do J and J_all.
-    """
+    """Return the guarantee of a trigger with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or None and a note without a bound."""
+    # With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least
+    # q|x̂|² + tr(QΣ) with q = λ_min(Q − NR^{-1}N'). Therefore, with s = σ²μ/q < 1,
+    # J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s). For a sampled plant, tr(QΣ) includes the inter-sample noise cost
+    # c, as do J and J_all.
     problem = certainty.problem
     if problem.source is not None and problem.source.exosystem is not None:
         raise ProblemError(

@@ -1,6 +1,20 @@
-"""Policies whose sensor and controller run the same continuous-time model; each send corrects the model's state.
+"""Policies whose actuator runs a model of the loop, and which send by a function of the model's error.
 
-Policies whose actuator runs a model, and which send if a function of the model's error is positive.
+The model predicts the state x̂ from the last packet, and the input is Lx̂. A send resets the error e = x − x̂, which then
+grows with the dynamics of the plant and the noise until the next send. So the intervals between sends are independent
+and alike (``renewal``), and silence costs a quadratic form of e alone:
+
+* **In continuous time**, with a measured full state. Sensor and actuator run dx̂/dt = (A + BL)x̂ with the gain L of the
+  continuous-time regulator, also between the checks, one every τ seconds. At a check, an error that is not sent costs
+  e'Γ(τ)e until the next one, with Γ(τ) = ∫_0^τ e^{A't} L'RL e^{At} dt, so V = V_p(1/τ) + E[(1−σ)e'Γe]/τ with the cost
+  V_p(1/τ) of sending at every check (``lqg/prediction``).
+* **From step to step**, with outputs or a discrete plant. The actuator runs x̃⁺ = (A + BL)x̃, and silence costs e'L'HLe
+  with e = x̃ − x̂ for the filtered estimate x̂ (``base/certainty``).
+
+``modelled`` makes the policy of either form for a trigger that is given by a function of the error: kinds of other
+packages use it for the optimal schedule and for shared channels.
+
+Source: khashooei2017
 """
 
 from __future__ import annotations
@@ -102,9 +116,7 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
 
 
 def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the policy steps of a sensor and an actuator that predict the state; the prediction error triggers
-    sends.
-    """
+    """Return the policy steps of a sensor and an actuator that predict the state, with a trigger on their error."""
     unit = np.eye(len(closed))
     return (
         Assign("sensor", ERROR, {"y": unit, "prediction": -unit}),

@@ -273,8 +273,9 @@ class Lasting:
         self.grows = any(one.side > 0 for one in self.roots)
         self.size = max((abs(complex(self.roots[k].root)) for k in self.modes), default=0.0)
 
-    def rough(self, modes: Sequence[int]) -> Rough:
-        """Return some modes in double precision."""
+    def rough(self, modes: Sequence[int] | None = None) -> Rough:
+        """Return all modes that do not decay, or some modes, in double precision."""
+        modes = self.modes if modes is None else modes
         key = tuple(modes)
         if key not in self._known:
             every = np.array([complex(one.root) for one in self.roots])
@@ -293,7 +294,7 @@ class Lasting:
 
     def reached(self, channel: Channel, link: Link, modes: Sequence[int] | None = None) -> Reached | None:
         """Return the largest loss of a link, up to the given one, that some modes survive; None if none was found."""
-        A, B, _, _, L = self.rough(self.modes if modes is None else modes)
+        A, B, _, _, L = self.rough(modes)
         if link == "sensor":
             start = self.reached(replace(channel, sensor_loss=0.0), "actuator", modes)
             if start is None or start.place < channel.actuator_loss:
@@ -320,14 +321,14 @@ class Lasting:
     def of_states(self, L: Array, modes: Sequence[int] | None = None) -> Array:
         """Return a gain of the states from one of the coordinates of some modes."""
         found = np.zeros((self.every, len(self.A)))
-        found[self.inputs] = L @ self.rough(self.modes if modes is None else modes).V / self.scale
+        found[self.inputs] = L @ self.rough(modes).V / self.scale
         return found
 
     def slowest(self, channel: Channel) -> tuple[float, Array]:
         """Return the least growth of the mean square, and a gain of the states with this growth."""
         if not self.modes:
             return 0.0, self.of_states(np.zeros((self.B.shape[1], 0)))
-        A, B, *_ = self.rough(self.modes)
+        A, B, *_ = self.rough()
         first = _FASTER * self.size**2
         last = max(_NILPOTENT, channel.sensor_loss * self.size**2)  # of the error alone
         found = _follow(
@@ -357,7 +358,7 @@ class Lasting:
 
     def _survived(self, channel: Channel, link: Link, found: Reached) -> float:
         """Return the largest loss of a link that is proved to be survived."""
-        A, B, *_ = self.rough(self.modes)
+        A, B, *_ = self.rough()
         for margin in _MARGINS:
             there = channel.at(link, found.place * (1 - margin))
             if self._survives(A, B, found.L, there):

@@ -172,12 +172,10 @@ class Followed(Displayed):
         return effects[-1] > CANCELS * max(effects)
 
     def transients(self, L: Array, K: Array, H: Array, table: Array) -> tuple[float, float]:
-        """Return the effects of set-points that change at known times, which are no noise of mean zero.
-
-        A change moves the deviation ξ = x − Xd by m = −XΔ, before the transient of the change before it has ended. So
-        the cost-to-go of the regulator is ξ'Kξ + 2h'ξ + constant with h_k = (A + BL)'(K m_k + h_{k+1}), and an error e
-        of the input adds e'He + 2e'g with g_k = B'(K m_k + h_{k+1}).
-        """
+        """Return the effects of set-points that change at known times, which are no noise of mean zero."""
+        # A change moves the deviation ξ = x − Xd by m = −XΔ, before the transient of the change before it has ended. So
+        # the cost-to-go of the regulator is ξ'Kξ + 2h'ξ + constant with h_k = (A + BL)'(K m_k + h_{k+1}), and an error
+        # e of the input adds e'He + 2e'g with g_k = B'(K m_k + h_{k+1}).
         x = ~self.states
         A, B, Q, R, N = self.problem
         gain, weight = L[:, x], K[np.ix_(x, x)]

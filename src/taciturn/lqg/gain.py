@@ -26,12 +26,7 @@ _SLACK = (1e-10, 1e-8, 1e-6)  # margins of the proof, relative to the weight of 
 
 
 def largest_gain(A: Array, B: Array, C: Array, D: Array) -> float:
-    """Return an upper bound on the H∞ norm of x⁺ = A x + B d, ζ = C x + D d; it is usually 1e-6 above the norm or less.
-
-    The largest gain at many frequencies is a lower bound. A number γ above it is an upper bound if there is a P with
-    x⁺'P x⁺ + |ζ|² ≤ x'P x + γ²|d|² for all x and d; P is computed from a Riccati equation, and then the inequality is
-    checked.
-    """
+    """Return an upper bound on the H∞ norm of x⁺ = A x + B d, ζ = C x + D d, mostly at most 1e-6 above it."""
     units, _ = reach(A, B)  # so that the result does not depend on the units of the states
     A, B, C = A / units[:, None] * units, B / units[:, None], C * units
     reached = invariant(unit_columns(B), (A,))

@@ -133,9 +133,7 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
         )
 
 
-def forgetting(
-    plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str = "take more measurements"
-) -> float:
+def forgetting(plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str) -> float:
     """Return the time constant, in steps, of a Kalman filter together with a regulator."""
     # 1/(1 − |slowest mode per step|) of a steady filter, or of one whose gains repeat along a schedule, without the
     # modes of ``resting_states``
@@ -151,11 +149,9 @@ def forgetting(
 
 @kept
 def filter_sampled(exact: Exact | None, A: Array, C: Array, W: Array, V: Array, given: int) -> Filter:
-    """Return the steady Kalman filter of a plant whose A and W are known to any precision, and whose doubles are given.
-
-    The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
-    outputs have no noise: the filter takes them over, also those that never move.
-    """
+    """Return the steady Kalman filter of a plant in doubles, whose A and W may be known to any precision."""
+    # The last states, such as set-points, may be the last outputs. Nothing else depends on these states, and their
+    # outputs have no noise: the filter takes them over, also those that never move.
     n, p = len(A) - given, len(C) - given
     found, unit = _filtered(A[:n, :n], C[:p, :n], W[:n, :n], V[:p, :p], exact), np.eye(given)
     if not given:

@@ -6,9 +6,9 @@ actuator link and β of the sensor link, the cost-to-go has a weight K of the es
     M = R + B'(K + αφP)B without acknowledgements, or R + B'KB with them,   L = −M⁻¹B'KA,
     Γ = (1−α) A'KB M⁻¹ B'KA,   K ← Q + A'KA − Γ,   P ← Γ + βA'PA,   φ = β, or 1 with a delay of one step.
 
-**Steady gains** are the fixed point. Policy iteration finds it: the cost of a stabilising gain from coupled Lyapunov
-equations (``critical_losses``), then the best gain for this cost. This converges quadratically, and all its gains are
-stabilising; the first one is that of the plant without losses, or one that survives the most losses.
+**Steady gains** are the fixed point, which policy iteration finds: the cost of a stabilising gain from coupled Lyapunov
+equations (``critical_losses``), then the best gain for this cost. The first gain is that of the plant without losses,
+or one that survives the most losses.
 
 **The proof.** One step under a gain maps the pairs (K, T), T = K + P, to larger pairs for larger pairs, and the best
 gain is the best one for both weights, since T⁺ does not depend on it. So pairs have the proof of ``equation``. Let
@@ -22,6 +22,7 @@ Source: khashooei2017, schenato2007
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,28 +34,15 @@ from taciturn._rational import Limit, precision, unmoved
 from taciturn.errors import UnstableError
 from taciturn.lqg.critical_losses import Channel, Lasting, Link, LossyStep, MeanSquare
 from taciturn.lqg.enclosures import PRECISIONS, UNIT, Balls, Doubles, E, UnprovedError, solve
-from taciturn.lqg.equation import sizes
-from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price
-from taciturn.lqg.riccati import Repetition, costs_nothing, fill_earlier, regulate, states_with_cost
-
-__all__ = [
-    "Channel",
-    "LossyRegulator",
-    "critical_losses",
-    "loss_sentence",
-    "lossy_step",
-    "mean_square_rate",
-    "no_gain_survives",
-    "regulate_lossy",
-    "regulate_lossy_finite",
-]
+from taciturn.lqg.equation import ASKED, FEW, sizes
+from taciturn.lqg.quadratic import Quadratic, in_powers_of_two, price, worth_of
+from taciturn.lqg.riccati import Repetition, costs_nothing, regulate
 
 _TURNS = 100
-_FEW = 10  # most states for which balls are faster than doubles with bounds
-_ASKED = 1e-9  # relative error of the cost of each state to which gains are proved
 _NARROW = 1e-6  # least eigenvalue of a form with a unit diagonal that rounding of a recursion leaves its digits
 _CRUMB = 1e-11  # part of the terms of a sum up to which a cost next to them has a size of its own
 _CORRECTIONS = 5  # steps of Newton's method
+FourMatrices: TypeAlias = tuple[Array, Array, Array, Array]  # A, B, Q and R, or K, P, L and Γ
 MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
 
 
@@ -100,7 +88,7 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
     Source: khashooei2017, schenato2007
     """
     given = Quadratic(A, B, Q, R, np.zeros_like(B))
-    seen = states_with_cost(*given)
+    seen = worth_of(given).states
     found = _fixed_point(given.among(seen), channel)
     to = np.eye(len(seen))[:, seen]
     K, P, Gamma, error = (frozen(to @ form @ to.T) for form in (found.K, found.P, found.Gamma, found.error))
@@ -126,7 +114,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         L = gain * state / unit[:, None]
     K, T = _iterated(here, L, channel)
     reason = UnprovedError()
-    for bits in (0, *PRECISIONS) if len(A) > _FEW else PRECISIONS:
+    for bits in (0, *PRECISIONS) if len(A) > FEW else PRECISIONS:
         check_time()
         try:
             with precision(max(bits, PRECISIONS[0])), np.errstate(all="ignore"):
@@ -137,7 +125,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         K, P, Gamma, error = (frozen(found[i] / state / state[:, None]) for i in (0, 1, 3, 4))
         return LossyRegulator(K, P, frozen(found[2] * unit[:, None] / state), Gamma, error)
     raise UnstableError(
-        f"the gains over lossy links could not be proved to {_ASKED:.0e} of the cost-to-go of each state: {reason}; "
+        f"the gains over lossy links could not be proved to {ASKED:.0e} of the cost-to-go of each state: {reason}; "
         "expected loss probabilities further from their critical values, modes that the inputs move more strongly, or "
         "states that decay faster"
     )
@@ -191,7 +179,7 @@ def _proved(
             reason = error
             continue
         errors = [slack * form.middle for form in (X, Z)]
-        if all((np.diag(error) <= _ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
+        if all((np.diag(error) <= ASKED * size).all() for error, size in zip(errors, scale, strict=True)):
             break
         reason = UnprovedError("the error of the cost-to-go is too large")
     else:
@@ -252,9 +240,7 @@ def regulate_lossy_finite(
                 f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the losses "
                 "are too large for this plant; expected a shorter horizon, or smaller losses"
             )
-        period = repetition.period(k, K[k], P[k])
-        if period is not None:
-            fill_earlier((K, P, L, Gamma), k, period)
+        if repetition.fills((K, P, L, Gamma), k, K[k], P[k]):
             break
     found = (K, P, L, Gamma)
     H = R + B.T @ (K[1] + channel.coupling * P[1]) @ B
@@ -270,11 +256,9 @@ def _is_narrow(form: Array) -> bool:
     return bool(kept.any() and np.linalg.eigvalsh(form[np.ix_(kept, kept)] / unit / unit[:, None])[0] < _NARROW)
 
 
-def _finite_in_balls(
-    given: tuple[Array, Array, Array, Array], terminal: Array, horizon: int, channel: Channel
-) -> tuple[Array, Array, Array, Array]:
+def _finite_in_balls(given: FourMatrices, terminal: Array, horizon: int, channel: Channel) -> FourMatrices:
     """Return K, P, L and Γ of :func:`regulate_lossy_finite`, to which twice as many bits change nothing."""
-    before: tuple[Array, Array, Array, Array] | None = None
+    before: FourMatrices | None = None
     for bits in PRECISIONS:
         with precision(bits):
             try:
@@ -283,7 +267,7 @@ def _finite_in_balls(
                 continue
         if before is not None:
             first, last = ([np.diag(part[0]) for part in forms[:2]] for forms in (before, found))
-            if all((np.abs(one - other) <= _ASKED * other).all() for one, other in zip(first, last, strict=True)):
+            if all((np.abs(one - other) <= ASKED * other).all() for one, other in zip(first, last, strict=True)):
                 return found
         before = found
     raise UnstableError(
@@ -292,9 +276,7 @@ def _finite_in_balls(
     )
 
 
-def _recursion_in_balls(
-    given: tuple[Array, Array, Array, Array], terminal: Array, horizon: int, channel: Channel
-) -> tuple[Array, Array, Array, Array]:
+def _recursion_in_balls(given: FourMatrices, terminal: Array, horizon: int, channel: Channel) -> FourMatrices:
     """Return K, P, L and Γ by the recursion of :func:`lossy_step` with the middles of balls."""
     A, B, Q, R = (Balls.exact(part) for part in given)
     K: Balls = Balls.exact(terminal)
@@ -359,8 +341,3 @@ def no_gain_survives(A: Array, B: Array, channel: Channel) -> bool:
         return False
     plant = Lasting(A, B)
     return plant.grows and plant.count <= MOST_MODES and plant.exceeded(channel)
-
-
-def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
-    """Return the factor by which the mean square of a noise-free loop with a given gain grows per step."""
-    return MeanSquare(A, B, L, channel).growth()

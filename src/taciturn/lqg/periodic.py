@@ -40,8 +40,6 @@ from taciturn.lqg.riccati import costs_nothing, regulate_for
 from taciturn.lqg.sampling import Interval, Sampled, Step, sampled
 from taciturn.model.network import Network
 
-__all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
-
 _CRUMB = 1e-12  # change of a cost-to-go, relative to the products in its sum, that is rounding
 _SETTLED = 1e-11  # relative change of the cost-to-go over a cycle at which it is stationary
 _LARGEST = 1e12  # growth of the cost-to-go at which a cycle counts as unstable
@@ -82,12 +80,6 @@ class Pattern(Displayed):
     values: Array  # cost-to-go x̂'Kx̂ at each send, (sends, n, n)
     cost: float  # average cost per step of the input and of the corrections of the estimate
 
-    def unrolled(self) -> tuple[Array, Array]:
-        """Return, for each step of a period, whether a send occurs, and the gain of the most recent send."""
-        places = np.zeros(sum(self.intervals), dtype=bool)
-        places[np.cumsum((0, *self.intervals[:-1]))] = True
-        return places, np.repeat(self.gains, self.intervals, axis=0)
-
 
 class Held:
     """Optimal control of a plant whose input is held from one send to the next, for given intervals between sends."""
@@ -125,10 +117,8 @@ class Held:
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:
-        """Return approximate costs of many cycles with equal numbers of intervals; inf for a cost that was not found.
-
-        The costs come from the doubling algorithm without an error check. They show which cycles are worth solving.
-        """
+        """Return approximate costs of many cycles with equal numbers of intervals; inf for one that was not found."""
+        # by doubling without an error check: enough to show which cycles are worth solving
         ticks = sorted({interval for cycle in listed for interval in cycle})
         parts, chosen = [self.lifted(interval) for interval in ticks], np.searchsorted(ticks, np.array(listed))
         Q, many = parts[0].Q, range(chosen.shape[1])
@@ -207,16 +197,12 @@ def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Yield all cycles of ``sends`` intervals with the sum ``length``, but only one rotation of each cycle."""
-    # The lexicographically largest rotation of each cycle is given.
+    """Yield all cycles of ``sends`` intervals with the sum ``length``; of each, only the largest rotation."""
     return _extended((), length, sends, range(1, length + 1))
 
 
 def cycles(intervals: Sequence[int], most: int) -> Iterator[tuple[int, ...]]:
-    """Yield all cycles of up to ``most`` of the given intervals, but only one rotation of each cycle.
-
-    Cycles that repeat a shorter cycle are left out.
-    """
+    """Yield all cycles of up to ``most`` intervals that repeat no shorter cycle, but only one rotation of each."""
     low, high = min(intervals), max(intervals)
     for sends in range(1, most + 1):
         for length in range(low * sends, high * sends + 1):
@@ -338,8 +324,9 @@ class MultirateControl(Displayed):
         kept = [one.period - 1 if self.plans else min(one.period - 1, 1) for one in timings]
         sizes = [len(self._applied[node]) * count for node, count in zip(self._linked, kept, strict=True)]
         states, at = n + sum(sizes), n
-        from_state, columns = np.zeros((m, states)), list[tuple[Array, Array]]()  # of u, and of the kept inputs
-        stays = np.zeros((states, states))
+        from_state = np.zeros((m, states))
+        columns = [(np.zeros((m, 0)), np.zeros((states, 0)))]  # of u, and of the kept inputs
+        F = np.zeros((states, states))
         for node in (node for node in self._applied if node not in self._linked):
             columns.append((np.eye(m)[:, self._applied[node]], np.zeros((states, len(self._applied[node])))))
         for node, timing, size in zip(self._linked, timings, sizes, strict=True):
@@ -354,11 +341,9 @@ class MultirateControl(Displayed):
                 columns.append((chosen, later))
             else:
                 from_state[:, at : at + width] = held
-                stays[place, place] = np.eye(size, k=width) if self.plans else np.eye(size)
+                F[place, place] = np.eye(size, k=width) if self.plans else np.eye(size)
             at += size
-        given = np.hstack([one for one, _ in columns]) if columns else np.zeros((m, 0))
-        stored = np.hstack([one for _, one in columns]) if columns else np.zeros((states, 0))
-        F, G = stays.copy(), stored.copy()
+        given, G = (np.hstack(part) for part in zip(*columns, strict=True))
         F[:n, :n] = A
         F[:n] += B @ from_state
         G[:n] += B @ given

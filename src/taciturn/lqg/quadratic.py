@@ -62,11 +62,7 @@ class Quadratic(NamedTuple):
 
     @classmethod
     def checked(cls, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Quadratic:
-        """Return the regulator problem with the given matrices, after a check of their shapes and symmetry.
-
-        Raises:
-            ProblemError: data of the wrong shape or not finite, or Q or R is not symmetric.
-        """
+        """Return the regulator problem with the given matrices, after a check of their shapes and symmetry."""
         A = _arrays.square("A", A, "states × states")
         B = _arrays.array("B", B, (len(A), None), "states × inputs")
         n, m = B.shape

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array, Bits, frozen, is_definite, symmetrised
+from taciturn._arrays import Array, frozen, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import closure, radius, root, summed
 from taciturn._progress import check_time
@@ -86,23 +86,18 @@ class Weights(Displayed):
 
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
     """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ."""
-    # It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that is known for ever,
-    # such as a set-point, has no error, so it is left out: in the sums over all later steps, a weight of such a state
-    # would not decay.
-    unknown = _unknown_states(plant, initial)
+    # It begins with the covariance Σ_0 and ends when it repeats or the horizon ends. A state that neither noise nor the
+    # initial covariance ever makes uncertain, such as a set-point, has no error. It is left out: in the sums over all
+    # later steps, a weight of such a state would not decay.
+    uncertain = (plant.W.diagonal() > 0) | (initial.diagonal() > 0)
+    unknown = closure(uncertain, np.asarray(plant.A != 0, dtype=np.bool_))
+    unknown = unknown if unknown.any() else ~unknown
     block = np.ix_(unknown, unknown)
     A, W, C, first = plant.A[block], plant.W[block], plant.C[:, unknown], initial[block]
     found = _scheduled(A, plant.B[unknown], W, C, plant.V, weights.P[..., *block], weights.discount, price, first)
     covariance = np.zeros((len(found.covariance), plant.states, plant.states))
     covariance[:, *block] = found.covariance
     return replace(found, covariance=frozen(covariance))
-
-
-def _unknown_states(plant: Plant, initial: Array) -> Bits:
-    """Return a mask of the states that noise or the initial covariance makes uncertain at some step; all if none is."""
-    uncertain = (plant.W.diagonal() > 0) | (initial.diagonal() > 0)
-    found = closure(uncertain, np.asarray(plant.A != 0, dtype=np.bool_))
-    return found if found.any() else ~found
 
 
 @kept
@@ -228,22 +223,17 @@ def schedule_by_variance(plant: Plant, threshold: float, sensors: Sensors) -> Sc
         covariance.append(predictors[read].follow(covariance[-1], len(read) > 0))
         cycle = _cycle_of(every, covariance)
         if cycle is not None:
-            return _repeating(plant, covariance[slice(*cycle)], value[slice(*cycle)], threshold, sensors)
+            values = np.array(value[slice(*cycle)])
+            values = frozen(values[:, 0] if len(sensors) == 1 else values)
+            repeating = frozen(np.array(covariance[slice(*cycle)]))
+            found = Schedule(values > threshold, values, repeating, threshold, 0, links=(*sensors,))
+            if sum(map(len, sensors.values())) == plant.outputs:  # no output is measured in every step
+                _expect_queries(plant, found)
+            return found
     raise UnstableError(
         f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} steps; "
         "expected another threshold"
     )
-
-
-def _repeating(
-    plant: Plant, covariance: Sequence[Array], value: Sequence[Sequence[float]], threshold: float, sensors: Sensors
-) -> Schedule:
-    values = np.array(value)
-    values = frozen(values[:, 0] if len(sensors) == 1 else values)
-    found = Schedule(values > threshold, values, frozen(np.array(covariance)), threshold, 0, links=(*sensors,))
-    if sum(map(len, sensors.values())) == plant.outputs:
-        _expect_queries(plant, found)
-    return found
 
 
 def corrections_of(plant: Plant, schedule: Schedule, sensors: Sensors) -> Array:

@@ -10,20 +10,16 @@ rational numbers, among the modes before sampling if these are known.
 With a horizon the equation is a recursion. It converges up to rounding, and then stays constant or alternates between a
 few states. Each state determines the next one, so as soon as a state returns bit for bit (``Repetition``), the
 remaining steps of a long horizon need no further computation.
-
-The points of a sweep often have the same plant and cost, so solutions are cached by the bytes of the matrices
-(``cache``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
+from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import COST_ERROR, Modes, eigenvalues, mode_text
 from taciturn._progress import check_time
@@ -33,20 +29,8 @@ from taciturn.lqg.cache import kept
 from taciturn.lqg.enclosures import E, UnprovedError
 from taciturn.lqg.equation import Equation, Problem, Recipe, exactly, not_held
 from taciturn.lqg.followed import Followed, followed
-from taciturn.lqg.quadratic import Quadratic, unpaid, worth_of
+from taciturn.lqg.quadratic import Quadratic, unpaid
 from taciturn.lqg.sampling import Exact, Source
-
-Ts = TypeVarTuple("Ts")
-T = TypeVar("T")
-__all__ = [
-    "FiniteRegulator",
-    "Regulator",
-    "refuse_uncertain",
-    "regulate",
-    "regulate_continuous",
-    "regulate_finite",
-    "states_with_cost",
-]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,9 +146,7 @@ def regulate_finite(
         closed = A + B @ L[k]
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is detected and reported in the next step
             K[k] = symmetrised(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
-        period = repetition.period(k, K[k])
-        if period is not None:
-            fill_earlier((K, L, H), k, period)
+        if repetition.fills((K, L, H), k, K[k]):
             break
     if not np.isfinite(K[0]).all():
         raise UnstableError(f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon")
@@ -208,11 +190,6 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
             "weight of each input, or a policy that holds its input between samples"
         )
     return _solved(Problem(*exactly(given), continuous=True), given, Limit(True))
-
-
-def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
-    """Return, for each state, whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
-    return worth_of(Quadratic(A, B, Q, R, N)).states
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
@@ -354,9 +331,12 @@ class Repetition:
         alike = all(np.array_equal(one, other) for one, other in zip(state, same, strict=True))
         return abs(step - earlier) if alike and step != earlier else None
 
-
-def fill_earlier(parts: tuple[Array, ...], step: int, period: int) -> None:
-    """Fill the steps before a step of a backward recursion that repeats after ``period`` steps."""
-    alike = step + (np.arange(step) - step) % period
-    for part in parts:
-        part[:step] = part[alike]
+    def fills(self, parts: tuple[Array, ...], step: int, *state: Array) -> bool:
+        """Return whether a backward recursion repeats from here on; then, all earlier steps of the parts are filled."""
+        period = self.period(step, *state)
+        if period is None:
+            return False
+        alike = step + (np.arange(step) - step) % period
+        for part in parts:
+            part[:step] = part[alike]
+        return True

@@ -39,7 +39,6 @@ _DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
 _SMALL = 0.5  # norm of F over the interval of the series
 _LATER = 8  # terms after the last one that are bounded entry by entry
 _MOST = 1000  # doublings
-__all__ = ["Sampled", "sample", "sample_prediction"]
 
 
 class Step(NamedTuple, Generic[E]):

@@ -144,12 +144,10 @@ class Stored(Displayed):
         return cast("Valued[E]", self._kept[key])
 
     def cost(self, patient: bool = False) -> Proved | None:
-        """Return the average cost per step, or None if it is not proved to nine digits.
-
-        The inter-sample noise cost is not part of it, but the rounding of the stored one is part of the radius. With
-        disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
-        state that wanders for ever depends: nothing is proved.
-        """
+        """Return the average cost per step, or None if it is not proved to nine digits."""
+        # The inter-sample noise cost is not part of it, but the rounding of the stored one is part of the radius. With
+        # disturbances and set-points, the inputs and states at rest are stored with rounding, on which the cost of a
+        # state that wanders for ever depends: nothing is proved.
         problem, source = self.problem, self.problem.source
         moves = problem.deviations is not None or (source is not None and source.exosystem is not None)
         for bits, doubles in [] if problem.cost.mission or moves else self.attempts(patient):

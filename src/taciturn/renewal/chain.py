@@ -179,9 +179,7 @@ class Data(Displayed):
 
 
 def reduced(chain: Chain) -> Data:
-    """Return an error process without the directions that noise never reaches or that affect neither trigger nor
-    cost.
-    """
+    """Return an error process without directions that noise never reaches, or that trigger and cost do not see."""
     if isinstance(chain.noise, JumpNoise):
         raise NoQuadratureError("the noise consists of jumps; expected Gaussian noise; use solve_jumps instead")
     data = _seen(_reached(Data(chain.F, chain.noise, chain.Psi / chain.delta, chain.Gamma, np.eye(len(chain.F)))))
@@ -253,11 +251,9 @@ def _reached(data: Data) -> Data:
 
 
 def _accumulated(F: Array, start: Array) -> Array:
-    """Return a matrix whose columns span what powers of F make of some columns.
-
-    If the first n powers do not span the whole space, the sum of 2^DOUBLINGS powers decides: with short periods, slow
-    modes differ only after many steps.
-    """
+    """Return a matrix whose columns span what powers of F make of some columns."""
+    # If the first n powers do not span the whole space, the sum of 2^DOUBLINGS powers decides: with short periods, slow
+    # modes differ only after many steps.
     size = float(np.linalg.norm(F, 2)) if F.any() else 1.0
     blocks = [start]
     for _ in range(len(F) - 1):

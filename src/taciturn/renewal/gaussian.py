@@ -5,9 +5,9 @@ next send satisfy
 
     T = 1 + ∫_E k T,    C = e'Γe + ∫_E k C,
 
-and the rate is 1/T₀, the excess C₀/T₀, both from an error of 0. :mod:`taciturn.renewal.quadrature` solves these
-equations on nodes; resolution and window increase together until rate and excess no longer change. The operations of a
-solution can be predicted from the numbers of nodes before it is computed.
+and the rate is 1/T₀, the excess C₀/T₀, both from an error of 0. ``quadrature`` solves these equations on nodes;
+resolution and window increase together until rate and excess no longer change. The operations of a solution can be
+predicted from the numbers of nodes before it is computed.
 
 The distribution of the intervals follows from the density of unsent errors, which is propagated from check to check
 until the probability of no send is negligible, or decreases geometrically. Long intervals take many checks per product,
@@ -50,6 +50,7 @@ from taciturn.renewal.quadrature import (
 )
 from taciturn.renewal.rates import least_interval
 
+# of the distribution of the intervals
 NEGLIGIBLE = 1e-14  # survival probability that counts as 0
 SETTLED = 1e-12  # change of the distribution of the unsent error below which the survival is geometric
 SMALL = 1e-3  # share of the mean interval after the last check below which a difference would cancel
@@ -57,6 +58,16 @@ STEPS = 1024  # checks that are computed one by one; after them this many per pr
 SLOW_STEPS = 128  # checks that are computed one by one on a grid
 MOST_NODES = 2500  # most nodes of a map that is raised to a power
 MOST_CHECKS = 1 << 22
+
+# of the prediction of the operations
+WINDOW_PASSES = 3  # passes in which the window of unsent errors is found
+TIGHT = 1e-4  # accuracy below which one more refinement is needed
+NORMAL_WINDOW = 0.85  # window relative to the one that a normal distribution would need
+ENTRY = 16.0  # operations per entry of a matrix
+SOLVING = 0.05  # operations of the linear solver over the third power of the nodes; it is vectorised
+READ = (80.0, 50.0)  # operations per point in an interpolation on a grid: once, and per check of an interval
+LONG = 13.0  # checks of an interval beyond which the number of iterations does not increase
+LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations for the easiest chains, by dimension
 
 
 def intervals(start: Array, check: CheckMatrix | GridCheck, checks: Array, mean: float) -> Intervals:
@@ -107,16 +118,6 @@ def _same(before: Array, after: Array) -> bool:
     """Return whether two densities have the same shape."""
     sizes = before.sum(), after.sum()
     return bool(sizes[1] > 0 and np.abs(after / sizes[1] - before / sizes[0]).sum() <= SETTLED)
-
-
-PASSES = 3  # passes in which the window of unsent errors is found
-TIGHT = 1e-4  # accuracy below which one more refinement is needed
-REACH = 0.85  # window relative to the one that a normal distribution would need
-ENTRY = 16.0  # operations per entry of a matrix
-SOLVING = 0.05  # operations of the linear solver over the third power of the nodes; it is vectorised
-READ = (80.0, 50.0)  # operations per point in an interpolation on a grid: once, and per check of an interval
-LONG = 13.0  # checks of an interval beyond which the number of iterations does not increase
-LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations for the easiest chains, by dimension
 
 
 def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
@@ -203,12 +204,9 @@ class Quadrature:
         )
 
     def predict(self, accuracy: float) -> float:
-        """Return approximately how many operations a given relative accuracy requires, without solving the equations.
-
-        The result is infinite if too many nodes are needed.
-        """
+        """Return approximately how many operations a relative accuracy requires; infinite if too many nodes."""
         n, looked = self.dimensions, min(accuracy, LOOSEST)
-        window = ErrorRegion(self.covariance, np.full(n, REACH * np.sqrt(-2 * np.log(BEYOND * looked))))
+        window = ErrorRegion(self.covariance, np.full(n, NORMAL_WINDOW * np.sqrt(-2 * np.log(BEYOND * looked))))
         try:
             coarse, first = (
                 len(place(self.white, self.region, window, density, 0, afforded(0, n)).x)
@@ -221,7 +219,7 @@ class Quadrature:
             return float("inf")
         return (
             self.least
-            + PASSES * self._work(coarse, DENSE)
+            + WINDOW_PASSES * self._work(coarse, DENSE)
             + sum(self._work(min(nodes, afforded(1, n)), most_dense(self.dimensions, accuracy)) for nodes in rungs)
         )
 

@@ -73,10 +73,7 @@ class Walk:
         self.draws = len(self.pulls)
 
     def step(self, errors: Array, uniform: Array) -> tuple[Array, Array, Array]:
-        """Return the next unsent error of each path, the probability that it is unsent, and its expected cost.
-
-        The expectation of the cost is over the last coordinate that is drawn.
-        """
+        """Return the next unsent error of each path, the probability that it is unsent, and its expected cost."""
         moved = errors @ self.F.T
         rest = moved @ self.seen.T
         # ``room`` is what the coordinates so far leave of the threshold: 1 − |r|² − Σ m_i (z_i − c_i)²
@@ -216,11 +213,9 @@ def _moments(low: Array, high: Array, share: Array, draw: Array) -> tuple[Array,
 
 
 def _later(terms: list[float]) -> tuple[float, float]:
-    """Return the sum of later terms, extrapolated with the ratio of the last quarter, and its uncertainty.
-
-    The uncertainty is the difference to the ratio of the last half, or the whole sum if there are few terms. If the
-    terms do not decrease, the sum is infinite.
-    """
+    """Return the sum of later terms, extrapolated with the ratio of the last quarter, and its uncertainty."""
+    # The uncertainty is the difference to the ratio of the last half, or the whole sum if there are few terms. If the
+    # terms do not decrease, the sum is infinite.
     quarter, half = max((len(terms) - 1) // 4, 1), max((len(terms) - 1) // 2, 1)
     if terms[-1] <= 0:
         return 0.0, 0.0
@@ -232,7 +227,7 @@ def _later(terms: list[float]) -> tuple[float, float]:
 
 
 RANDOMISATIONS = 16  # computed at a time; the relative error of their spread is a fifth
-FIRST, LARGEST = 1 << 10, 1 << 16  # paths of each randomisation
+FIRST_PATHS, MOST_PATHS = 1 << 10, 1 << 16  # paths of each randomisation
 CUT = 0.01  # largest share of an interval in its geometric tail, times the accuracy
 USUAL = 50_000_000  # default limit of paths times checks
 SHORT = 2.5  # checks: intervals up to here count as short
@@ -272,7 +267,7 @@ def solve_paths(
     count("steps", steps)
     walk = Walk(reduced(chain))
     source = np.random.SeedSequence(seed)
-    courses, paths, work, told = list[SampledInterval](), FIRST, 0, Stages(progress)
+    courses, paths, work, told = list[SampledInterval](), FIRST_PATHS, 0, Stages(progress)
     found, kept = None, courses
     while True:
         draws = (np.random.default_rng(child) for child in source.spawn(RANDOMISATIONS))
@@ -293,9 +288,9 @@ def solve_paths(
         if off <= standard_error or work + spent > steps:
             break
         told.at = max(told.at, work / steps, min(standard_error / off, 1.0) ** 2)
-        if paths < LARGEST:
+        if paths < MOST_PATHS:
             # the spread falls at most as one over the number of points, and the work is limited to what remains
-            more = min(max(off / standard_error, 2.0), LARGEST / paths, max((steps - work) / spent, 2.0))
+            more = min(max(off / standard_error, 2.0), MOST_PATHS / paths, max((steps - work) / spent, 2.0))
             paths, courses = paths << int(np.log2(more)), []
     assert found is not None
     rate, excess, covariance = found
@@ -311,10 +306,7 @@ def _off(*found: Estimate) -> float:
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
-    """Return approximately how many operations ``solve_paths`` needs, given a less accurate solution.
-
-    The result is 0 if the coarser answer is accurate enough.
-    """
+    """Return about how many operations ``solve_paths`` needs, given a less accurate solution; 0 if it suffices."""
     off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
     if off <= standard_error:
         return 0.0
@@ -324,23 +316,17 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
 
 def predict_fewest(chain: Chain) -> float:
     """Return approximately how many operations ``solve_paths`` needs for its smallest number of paths."""
-    return _fewest(chain, least_interval(chain, LOOKED))
+    return fewest_operations(chain, least_interval(chain, LOOKED))
 
 
-def fewest_operations(chain: Chain) -> float:
-    """Return a lower bound on the operations of ``solve_paths``: fewest paths, and a send at every check."""
-    return _fewest(chain, 1.0)
-
-
-def _fewest(chain: Chain, interval: float) -> float:
-    return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST * LASTING * interval
+def fewest_operations(chain: Chain, interval: float = 1.0) -> float:
+    """Return about how many operations ``solve_paths`` needs for its fewest paths; at least for one check per send."""
+    return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST_PATHS * LASTING * interval
 
 
 def _ratios(courses: list[SampledInterval]) -> tuple[Estimate, Estimate, Array]:
-    """Return rate, excess and their covariance, as ratios of means, to first order in the errors of the means.
-
-    The uncertainty about the checks after the last one counts in full, as it may be common to all randomisations.
-    """
+    """Return rate, excess and their covariance, as ratios of means, to first order in the errors of the means."""
+    # the uncertainty about the checks after the last one counts in full, as it may be common to all randomisations
     sums = np.array([course.sums for course in courses])
     checks, cost = sums.mean(axis=0)
     excess = cost / checks

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -41,15 +41,12 @@ if TYPE_CHECKING:
 
 STEEP = 4.0  # norm of a column of F from which on nodes are finer in proportion
 SPACING = 0.8  # noise standard deviations between equidistant nodes
-LARGEST = 3000  # most nodes of one rule; computing them takes seconds, with the third power of their number
+LONGEST_RULE = 3000  # most nodes of one rule; computing them takes seconds, with the third power of their number
 FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: a constant, and per noise deviation of the half-width
 
 
 class Region(Protocol):
-    """Set of the errors that are not sent; it is symmetric about 0.
-
-    For given coordinates on the outer axes, it contains one interval (chord) on the next axis.
-    """
+    """Set of the errors that are not sent, symmetric about 0, with one chord on an axis at each place of outer axes."""
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
         """Return the ends of the region's chord on the next axis, for given coordinates on the outer axes."""
@@ -73,9 +70,7 @@ class Ellipsoid(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ErrorRegion(Displayed):
-    """Bounded region that contains nearly all unsent errors: on each axis, an interval that depends on the outer
-    axes.
-    """
+    """Bounded region of nearly all unsent errors: on each axis, an interval that depends on the outer axes."""
 
     covariance: Array  # approximate covariance of unsent errors, (n, n)
     reach: Array  # half-width of the window on each axis, in conditional standard deviations, (n,)
@@ -100,10 +95,8 @@ class AxisNodes(Displayed):
     first: npt.NDArray[np.int64]
 
     def gathered(self, fall: Array, sums: Array) -> Array:
-        """Return, for each point on the outer axes, the sum over this axis of the products of ``fall`` and ``sums``.
-
-        The shapes are (places, points) and (places, k) to (outer, points·k).
-        """
+        """Return, for each point on the outer axes, the sum over this axis of the products of ``fall`` and ``sums``."""
+        # the shapes are (places, points) and (places, k) to (outer, points·k)
         ends = (*self.first[1:], len(self.x))
         parts = [fall[low:high].T @ sums[low:high] for low, high in zip(self.first, ends, strict=True)]
         return np.stack(parts).reshape(len(parts), -1)
@@ -151,7 +144,8 @@ def place(white: White, region: Region, window: ErrorRegion, density: float, mor
         afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first axis is dropped, by symmetry
         inner, inner_weight = rule(span, density * float(bends[axis]), more, afforded)
         if axis == 0:
-            inner, inner_weight = _upper_half(inner, inner_weight)
+            half = inner.shape[1] // 2
+            inner, inner_weight = inner[:, half:], inner_weight[:, half:]
         outer = np.repeat(np.arange(len(x)), inner.shape[1])
         x = np.hstack([np.repeat(x, inner.shape[1], axis=0), inner.reshape(-1, 1)])
         weight = (weight[:, None] * inner_weight).ravel()
@@ -196,7 +190,7 @@ def _angular(span: _Span, density: float, more: int, most: float) -> tuple[Array
 
 
 def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[Array, Array]:
-    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2 + more, min(most, LARGEST) / 2)
+    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2 + more, min(most, LONGEST_RULE) / 2)
     return legendre(2 * half)
 
 
@@ -212,11 +206,6 @@ def _affordable(half: float, most: float) -> int:
     if half > most:
         raise TooManyNodes
     return max(int(np.ceil(half)), 1)
-
-
-def _upper_half(x: Array, weight: Array) -> tuple[Array, Array]:
-    half = x.shape[1] // 2
-    return x[:, half:], weight[:, half:]
 
 
 STEP = 0.2  # noise standard deviations between points of the grid
@@ -282,6 +271,7 @@ class GridCheck:
             np.exp(-0.5 * np.square(level.x[:, None] - axis)) for level, axis in zip(self.levels, axes, strict=True)
         ]
         self.read = _stencils(means, halves, self.shape)
+        self.read_back = self.read.T
 
     def ahead(self, values: Array) -> Array:
         """Return, for each node, the expectation of a function at the next check; its value after a send is 0."""
@@ -293,28 +283,18 @@ class GridCheck:
 
     def after(self, share: Array) -> Array:
         """Return the probability of each node after a trigger check, given the probabilities before the check."""
-        even = np.asarray(self._read_back @ share, dtype=np.float64).reshape(self.shape)
+        even = np.asarray(self.read_back @ share, dtype=np.float64).reshape(self.shape)
         sums = (even + np.flip(even)).reshape(1, -1)
         for level, fall in zip(self.levels, self.falls, strict=True):
             sums = level.scattered(fall, sums)
         return self.scale * sums[:, 0]
 
-    @cached_property
-    def _read_back(self) -> scipy.sparse.csc_matrix:
-        return self.read.T
-
     def settled(self, known: Array) -> Array:
-        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + ahead(X).
-
-        The result is NaN if GMRES does not converge. Each column is solved separately.
-        """
+        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + ahead(X)."""
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits.
-
-        The result is NaN if GMRES does not converge.
-        """
+        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits."""
         return self._solved(self.after, known)
 
     def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:
@@ -367,13 +347,13 @@ def _lagrange(away: Array) -> Array:
 MOST_STORED_NODES = 40_000  # most nodes; their equations take seconds
 DENSE, DENSEST = 1200, 6000  # nodes up to which a matrix is faster than a grid, and up to which it is affordable
 COARSE = 0.5  # density of the nodes from which the window of unsent errors is found
-FIRST, USUAL = 0.53, 1e-8  # first density for this accuracy; it is proportional to the root of the number of digits
-LARGE = 1e-6  # default accuracy in three dimensions
+FIRST_DENSITY, USUAL_ACCURACY = 0.53, 1e-8  # the density is proportional to the root of the number of digits
+USUAL_IN_SPACE = 1e-6  # default accuracy in three dimensions
 LOOSEST = 1e-4  # loosest accuracy: the error of coarser nodes cannot be estimated
 NARROW = 0.85  # first window, relative to the one found with coarse nodes
 FINER, WIDER = 1.25, 1.1  # factors of density and window from one answer to the next
-RUNGS = 12
-PASSES = 12
+RUNGS = 12  # attempts, each with finer nodes and a wider window
+WINDOW_PASSES = 12  # iterations in which the window is sought
 REACH = 8.0  # first reach of a window, in conditional standard deviations
 BEYOND = 0.01  # fraction of checks and of cost that a window may cut off, relative to the accuracy
 ERROR_SAFETY = 2.0  # claimed error over the last change
@@ -416,9 +396,7 @@ class Solved(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolutionPair(Displayed):
-    """Solutions of the renewal equations on fine and on coarser nodes, and the error estimated from their
-    difference.
-    """
+    """Solutions of the renewal equations on fine and coarser nodes, and the error estimated from their difference."""
 
     found: Solved  # the finer solution
     rate_error: float  # absolute error of the rate
@@ -434,29 +412,25 @@ class SolutionPair(Displayed):
 
 def usual_accuracy(white: White) -> float:
     """Return the default relative accuracy."""
-    return USUAL if len(white.m) < 3 else LARGE
+    return USUAL_ACCURACY if len(white.m) < 3 else USUAL_IN_SPACE
 
 
 def afforded(step: int, dimensions: int) -> int:
-    """Return the largest number of quadrature nodes that is allowed in an attempt.
-
-    The first attempt uses fewer nodes, because its error estimate needs a finer one.
-    """
-    # the exponent is n/2, not n, as part of the nodes of a chord does not depend on the density
+    """Return the largest number of quadrature nodes that is allowed in an attempt."""
+    # The first attempt uses fewer nodes, because its error estimate needs a finer one. The exponent is n/2, not n, as
+    # part of the nodes of a chord does not depend on the density.
     return MOST_STORED_NODES if step else int(MOST_STORED_NODES / FINER ** (dimensions / 2))
 
 
 def most_dense(dimensions: int, accuracy: float) -> int:
-    """Return the largest number of nodes for which the map of a trigger check is stored as a matrix.
-
-    It is larger for a fine accuracy, which the sums on a grid do not reach.
-    """
+    """Return the largest number of nodes for which the map of a trigger check is stored as a matrix."""
+    # it is larger for a fine accuracy, which the sums on a grid do not reach
     return DENSEST if dimensions < 3 and accuracy < 10 * INTERPOLATED else DENSE
 
 
 def first_density(accuracy: float) -> float:
     """Return the density of the quadrature nodes in the first attempt."""
-    return FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
+    return FIRST_DENSITY * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL_ACCURACY)))
 
 
 def climb(
@@ -503,7 +477,7 @@ def find_window(white: White, region: Region, covariance: Array, effort: Quadrat
     """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors."""
     window = ErrorRegion(covariance, np.full(len(covariance), REACH))
     accuracy, rough = min(effort.accuracy, LOOSEST), replace(effort, dense=DENSE)
-    for _ in range(PASSES):
+    for _ in range(WINDOW_PASSES):
         try:
             system = discretise_renewal(white, place(white, region, window, COARSE, 0, MOST_STORED_NODES // 2), rough)
         except TooManyNodes:
@@ -551,10 +525,8 @@ def solve_on_nodes(white: White, nodes: QuadratureNodes, effort: QuadratureEffor
 
 
 def _reach(system: System, visits: Array, window: ErrorRegion, share: float) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the reach of each axis that leaves out at most a share of checks and cost, and which axes are cut off.
-
-    An axis is cut off if more than this share lies at the edge of the window.
-    """
+    """Return the reach of each axis that leaves out at most a share of checks and cost, and which axes are cut off."""
+    # an axis is cut off if more than this share lies at the edge of the window
     weight = visits / visits.sum()
     if system.cost.any():
         weight = weight + visits * system.cost / (visits @ system.cost)
@@ -571,10 +543,8 @@ def _reach(system: System, visits: Array, window: ErrorRegion, share: float) -> 
 
 
 def gaussian_factors(means: Array, x: Array) -> Array:
-    """Return the Gaussian factors exp(−½|x_j − mean_i|²) for all means and points.
-
-    They are computed from differences, because squares of large coordinates would cancel.
-    """
+    """Return the Gaussian factors exp(−½|x_j − mean_i|²) for all means and points."""
+    # from differences, because squares of large coordinates would cancel
     power = np.zeros((len(means), len(x)))
     for axis in range(x.shape[1]):
         difference = means[:, axis, None] - x[:, axis]

@@ -23,7 +23,7 @@ from taciturn._rational import Limit, unmoved
 from taciturn.analyse.switched import drifting, outcomes
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
-from taciturn.lqg.riccati import states_with_cost
+from taciturn.lqg.quadratic import worth_of
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import Plant
 from taciturn.model.saturation import Saturation
@@ -240,7 +240,7 @@ def _fastest(loop: Loop, link: str | None = None) -> float:
         return 0.0
     own, source = problem.deviations, problem.exact and problem.exact.source
     given, W = (problem.quadratic, plant.W) if own is None else (own.problem, own.T @ plant.W @ own.T.T)
-    seen, limit, period = states_with_cost(*given), Limit(False), 1.0
+    seen, limit, period = worth_of(given).states, Limit(False), 1.0
     if own is None and source:  # the modes before sampling are known exactly
         given, W, limit, period = source.given, source.W, Limit(True), source.period
     given, W = given.among(seen), W[np.ix_(seen, seen)]

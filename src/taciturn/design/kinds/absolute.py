@@ -1,4 +1,11 @@
-"""Absolute threshold: the controller sends when the error of the input or state at the actuator is large."""
+"""Absolute threshold: the controller sends when the error of the input or state at the actuator is large.
+
+The rule is e'We > Y². In silence e'We ≤ Y², and silence costs e'He for an error e of the input, e'L'HLe for one of the
+state. With the least μ for which H ⪯ μW or L'HL ⪯ μW, it costs at most μY², so J ≤ J_all + μY²(1 − rate). There is no
+such μ if W does not see an error that has a cost. With W = H, this is the trigger of ``excess``.
+
+Source: astrom2002, lunze2010
+"""
 
 from __future__ import annotations
 
@@ -9,9 +16,8 @@ import numpy as np
 from taciturn._arrays import ArrayLike, choice, number, semidefinite
 from taciturn.base.certainty import Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.base.filter import DEVIATION, SEND
-from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence, largest_ratio
+from taciturn.design.bounds import LARGEST_PARAMETER, NO_BOUND, bound_by_silence, expect_some_weight, largest_ratio
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -67,10 +73,7 @@ def absolute(
         W = problem.weight(weight)
     else:
         W = np.eye(m) if weight is None else semidefinite("weight", weight, m, "(inputs, inputs)")
-    if not W.any():
-        raise ProblemError(
-            "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
-        )
+    expect_some_weight(W)
     rule = Trigger({
         "silent": Form(("error" if error == "input" else DEVIATION,), W),
         SEND: Form(constant=threshold**2),
@@ -85,7 +88,7 @@ def absolute(
         identity=certainty.completed_square(),
         guarantee=None if mu is None else bound_by_silence(certainty, mu * threshold**2, "astrom2002"),
         reset=certainty.reset(actuation),
-        notes=("no bound is known: the weight is zero for some errors that have a cost",) if mu is None else (),
+        notes=() if mu is not None else (NO_BOUND,),
     )
 
 

@@ -1,4 +1,14 @@
-"""Consistent periodic event-triggered control, which provably costs no more than periodic control at the same rate."""
+"""Consistent periodic event-triggered control, which provably costs no more than periodic control at the same rate.
+
+Every τ seconds, the error e of the prediction is compared with δ by its cost e'Γ(τ)e until the next check. The cost
+V_p(1/τ) + E[(1−σ)e'Γe]/τ is then on or below a line through the point of periodic control with the period τ:
+
+    V + δr ≤ V_p(1/τ) + δ/τ.
+
+V_p is convex in the rate, so this line is below it for all r ≤ 1/τ if δ is at most its slope there, −V_p'(1/τ).
+
+Source: khashooei2017
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""Downsampled threshold: the error is checked soon after a send, and less often after a check without a send."""
+"""Downsampled threshold: the error is checked soon after a send, and less often after a check without a send.
+
+The rule |e| > Y holds only in the steps of a check: ``fast`` steps after a send, and ``slow`` after a check without
+one. A counter of the steps to the next check is a location of the policy. It reads the weight of the trigger, zero
+between checks, from a table. The error may grow between checks, so no bound on the cost is known.
+
+Source: heemels2013
+"""
 
 from __future__ import annotations
 

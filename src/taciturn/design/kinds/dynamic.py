@@ -1,4 +1,11 @@
-"""Dynamic trigger: a relative threshold on the error that may be exceeded temporarily by using a stored credit."""
+"""Dynamic trigger: a relative threshold on the error that may be exceeded temporarily by using a stored credit.
+
+The rule is gain·(|e|² − σ²|x̂|²) > η with η⁺ = ρη + σ²|x̂|² − |e|². If gain·ρ ≥ 1, the credit η never becomes negative:
+after a silent step, η⁺ ≥ ρη − η/gain ≥ 0. Its mean is stationary, so (1 − ρ)E[η] = E[σ²|x̂|² − |e|²] ≥ 0. Hence the mean
+of |e|² is at most that of σ²|x̂|², as with the relative rule, whose bound follows from this alone.
+
+Source: girard2015
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Årzén's event-based PID controller: it computes when a measurement arrives.
-
-PID controllers that compute only when a measurement arrives, with gains that depend on the time since the last one.
+"""PID controllers that compute only when a measurement arrives, with gains that depend on the time since the last one.
 
 The sensor sends when the output has changed by more than Δ since the last packet, and in some variants after a longest
 interval. With the time t since the last packet, the controller then computes

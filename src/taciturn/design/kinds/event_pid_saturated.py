@@ -1,4 +1,12 @@
-"""The event-based PID controller of Durand and Marchand, whose integral grows less after a long silence."""
+"""The event-based PID controller of Durand and Marchand, whose integral grows less after a long silence.
+
+It is the controller of ``event_pid`` with another area under the error. In silence the output has changed by at most Δ,
+so of the time t since the last packet only the last step h counts with the present error, and the rest with at most Δ:
+
+    a = h y + (t − h) y',   y' = y limited to ±Δ.
+
+Source: durand2009
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,16 @@
-"""Excess trigger: the controller sends when the exact additional cost of silence would exceed a threshold."""
+"""Excess trigger: the controller sends when the exact additional cost of silence would exceed a threshold.
+
+By completion of squares J = J_all + E[(1−σ)e'He], e the error of the input and H = R + B'KB. The trigger sends iff this
+term would exceed δ, so silence costs at most δ per step and
+
+    J ≤ J_all + δ(1 − rate) ≤ (1 + θ)J_all   with δ = θ J_all.
+
+Two forms have this rule. Optimal gains over an ideal actuator link need no more than e'He (``_lqg``). For a given
+controller, for links that drop packets, and for a base with packets at every q-th step, silence is compared with a
+packet by the value function of the base (``design/silence``). The cost of silence then also has a linear part.
+
+Source: astrom2002, khashooei2017, antunes2014rollout, schenato2009
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,14 @@
-"""Event-triggered LQG control and tracking over links that drop packets, with and without acknowledgement."""
+"""Event-triggered LQG control and tracking over links that drop packets, with and without acknowledgement.
+
+The actuator applies zero if no packet arrives. So an attempt to send Lx̂ saves x̂'Γx̂ on average compared with silence,
+Γ = (1−α) A'KB M⁻¹ B'KA, whatever happened before, and J = J_all + E Σ (1−σ)x̂'Γx̂ with the cost J_all of an attempt in
+every step. The trigger sends iff x̂'Γx̂ exceeds the price λ of an attempt; hence J ≤ J_all + λN(1 − rate) over N steps.
+
+The gains are in ``lqg/lossy``. Without acknowledgement the estimator does not know whether the input was applied: it
+predicts with the mean, and the gains weigh the error of this.
+
+Source: khashooei2017, schenato2007
+"""
 
 from __future__ import annotations
 
@@ -9,17 +19,17 @@ from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
 from taciturn.design.kind import Kind, TradeoffParameter, placed
 from taciturn.errors import ProblemError
-from taciturn.lqg.critical_losses import Channel
+from taciturn.lqg.critical_losses import Channel, MeanSquare
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.lossy import (
     LossyRegulator,
     loss_sentence,
-    mean_square_rate,
     no_gain_survives,
     regulate_lossy,
     regulate_lossy_finite,
 )
-from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
+from taciturn.lqg.quadratic import Quadratic, worth_of
+from taciturn.lqg.riccati import refuse_uncertain
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Reference, Tracking
 from taciturn.model.network import Network
@@ -103,12 +113,12 @@ def lossy_lqg(
     )
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
-    seen = states_with_cost(plant.A, plant.B, cost.Q, cost.R, cost.N)
+    seen = worth_of(Quadratic(plant.A, plant.B, cost.Q, cost.R, cost.N)).states
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
         gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
         # the gain is proved to be stabilising, also if the computed rate is 1
-        rate = min(mean_square_rate(A, B, gains.L[:, seen], channel), CLOSEST)
+        rate = min(MeanSquare(A, B, gains.L[:, seen], channel).growth(), CLOSEST)
         settling = 1 / (1 - np.sqrt(rate))
         ticks = 1
     else:

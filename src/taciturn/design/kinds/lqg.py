@@ -1,4 +1,12 @@
-"""Output-feedback event-triggered LQG, which sends only if silence would cost more than θ times the stage cost."""
+"""Output-feedback event-triggered LQG, which sends only if silence would cost more than θ times the stage cost.
+
+With the joint trigger, silence requires (1 + θ)e'He ≤ θ·(the stage cost that is expected from x̂ and the held input û).
+So (1 + θ)E[(1−σ)e'He] ≤ θJ. By completion of squares, the left side is (1 + θ)(J − J_all), and hence J ≤ (1 + θ)J_all.
+The separate trigger has a form without products of x̂ and e that is above the joint one, with ε for the cross terms. So
+it sends whenever the joint one does.
+
+Source: khashooei2017
+"""
 
 from __future__ import annotations
 

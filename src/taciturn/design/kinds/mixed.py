@@ -1,4 +1,9 @@
-"""Mixed threshold: the controller sends when the error exceeds the sum of a relative and an absolute threshold."""
+"""Mixed threshold: the controller sends when the error exceeds the sum of a relative and an absolute threshold.
+
+The rule is |e|² > σ²|x̂|² + Y². ``bound_by_state`` of ``design/bounds`` proves its bound; with Y = 0 it is ``relative``.
+
+Source: donkers2012
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,12 @@
-"""Time-triggered LQG control that sends at every step, or at fixed steps."""
+"""Time-triggered LQG control that sends at every step, or at fixed steps.
+
+With a cycle of intervals, the input of each interval is held, or a model at the actuator predicts the state. The gains
+solve the periodic Riccati equation of the cycle, and the cost is exact (``design/at_fixed_steps``). With a model in
+continuous time, the sensor sends its samples, and the cost is tr((Q + N + N' + R)Σ) of the sampled problem whose input
+is the state of the model, Σ the covariance of the state at the samples.
+
+Source: astrom1997computer, bengaid2006
+"""
 
 from __future__ import annotations
 

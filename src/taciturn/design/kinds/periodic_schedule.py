@@ -1,4 +1,10 @@
-"""Optimal periodic schedule with a given number of sends within a given number of steps."""
+"""Optimal periodic schedule with a given number of sends within a given number of steps.
+
+All cycles of intervals with this number and sum are tried, one rotation of each (necklaces), with the optimal gains and
+the exact cost of each (``lqg/periodic``). A cycle in which no gain stabilises the plant is left out.
+
+Source: bengaid2006
+"""
 
 from __future__ import annotations
 

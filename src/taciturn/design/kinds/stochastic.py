@@ -1,4 +1,15 @@
-"""Stochastic trigger: a random threshold keeps the error Gaussian, so that cost and rate can be computed exactly."""
+"""Stochastic trigger: a random threshold keeps the error Gaussian, so that cost and rate can be computed exactly.
+
+An error e is not sent with the probability exp(−½ s e'We). This factor has the form of a Gaussian density, so silence
+only changes the covariance Σ of the error, to (Σ⁻¹ + sW)⁻¹. If the actuator has a model, a send resets the error. Then
+the mean interval is the sum of the probabilities of silence, products of det(I + sWΣ)^{-½}, and the excess is the sum
+of their products with tr(L'HL Σ), divided by the mean interval (``_renewed``).
+
+For any error, silence costs e'L'HLe ≤ μ e'We, and has the probability exp(−½ s e'We). As t exp(−t/2) ≤ 2/e, this is at
+most 2μ/(e s) on average, in every step.
+
+Source: han2015
+"""
 
 from __future__ import annotations
 
@@ -15,9 +26,9 @@ from taciturn.base.certainty import (
     design_certainty,
 )
 from taciturn.base.filter import DEVIATION, SEND
-from taciturn.design.bounds import LARGEST_PARAMETER, largest_ratio
+from taciturn.design.bounds import LARGEST_PARAMETER, NO_BOUND, expect_some_weight, largest_ratio
 from taciturn.design.kind import Kind, TradeoffParameter
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
@@ -79,10 +90,7 @@ def stochastic(
     problem = discretise(plant, cost, period)
     certainty = design_certainty("stochastic", problem)
     W = scale * problem.weight(weight)
-    if not W.any():
-        raise ProblemError(
-            "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
-        )
+    expect_some_weight(W)
     rule = Trigger({"silent": Form((DEVIATION,), W / 2), SEND: Form(plus={LUCK: 1.0})})
     steps, initial = control_steps(
         problem.plant,
@@ -109,14 +117,12 @@ def stochastic(
         guarantee=guarantee,
         closed_form=_renewed(certainty, W) if exact else None,
         reset=certainty.reset(actuation),
-        notes=("no bound is known: the weight is zero for some errors that have a cost",) if mu is None else (),
+        notes=() if mu is not None else (NO_BOUND,),
     )
 
 
 def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | None:
-    """Return the exact cost and rate, computed over one interval between sends, or None if silence may last too
-    long.
-    """
+    """Return the exact cost and rate from the sums of one interval between sends, or None if silence lasts too long."""
     problem, A, noise = certainty.problem, certainty.problem.plant.A, certainty.corrections
     half = root(W)
     Sigma, silent, length, excess, before = noise, 1.0, 1.0, 0.0, np.inf

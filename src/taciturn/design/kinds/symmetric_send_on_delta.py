@@ -1,4 +1,11 @@
-"""Symmetric send-on-delta: the sensor sends the level of the output, a multiple of Δ, when it has changed."""
+"""Symmetric send-on-delta: the sensor sends the level of the output, a multiple of Δ, when it has changed.
+
+The level changes when the output is Δ away from it, to the multiple of Δ that the output has crossed: a quantiser with
+hysteresis, symmetric about zero. It differs from the output by at most Δ, so the certificate of dead bands holds
+(``design/dead_bands``). Both ends know the first level, that of the expected output.
+
+Source: beschi2012
+"""
 
 from __future__ import annotations
 

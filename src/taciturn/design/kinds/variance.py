@@ -1,4 +1,12 @@
-"""Variance-based triggering: a sensor sends when the predicted variance of one of its outputs exceeds a threshold."""
+"""Variance-based triggering: a sensor sends when the predicted variance of one of its outputs exceeds a threshold.
+
+The error covariance Σ̃ of the prediction depends on which measurements were sent, and not on their values. So the rule
+(CΣ̃C')_ii > threshold is a recursion without data, whose covariances return to earlier ones: a schedule that repeats
+(``lqg/queries``). The controller is at the actuator and sends no inputs. The cost is exact, J = tr(KW) + the mean of
+tr(L'HL Σ) over the schedule, with Σ after the measurements of each step.
+
+Source: trimpe2014
+"""
 
 from __future__ import annotations
 
@@ -10,6 +18,7 @@ from taciturn._arrays import Array, number
 from taciturn.base.certainty import design_certainty, steps_at_the_actuator
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
 from taciturn.base.nominal import Nominal
+from taciturn.design.at_fixed_steps import innovation_at_queries
 from taciturn.design.kind import Kind, TradeoffParameter, check_place
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
@@ -20,11 +29,9 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
-from taciturn.model.steps import Assign, Decide, Received, Send, Step
+from taciturn.model.steps import Assign, Step
 from taciturn.model.theory import ClosedForm, Theory
-from taciturn.model.trigger import Form, Scheduled, Trigger
-
-QUERY = "query"
+from taciturn.model.trigger import Scheduled
 
 
 def variance(
@@ -125,10 +132,8 @@ def _measured(
     schedule: Schedule,
     corrections: Array,
 ) -> FilterSteps:
-    """Return the policy steps that send and filter the scheduled measurements.
-
-    With one sensor, the signals have the names ``y`` and ``innovation``; with several, these and that of its node.
-    """
+    """Return the policy steps that send and filter the scheduled measurements."""
+    # with one sensor, the signals have the names ``y`` and ``innovation``; with several, these and that of its node
     at, steps = network.controller, list[Step]()
     corrected: dict[str, Array | Scheduled] = {"prior": np.eye(plant.states)}
     for signal, (node, outputs) in measured.items():
@@ -137,13 +142,7 @@ def _measured(
             steps.append(Assign(node, sent, {signal: np.eye(plant.outputs)[:, [*outputs]]}))
         seen = {sent: np.eye(len(rows)), "prior": -plant.C[rows]}
         if node in network.links:
-            turn = Form(constant=Scheduled(CLOCK, np.where(schedule.by_link[node].queries, -1.0, 1.0)))
-            nothing = {"prior": np.zeros((len(rows), plant.states))}
-            steps += [
-                Decide(node, f"{QUERY}{of}", Trigger({"silent": Form(), QUERY: turn})),
-                Send(node, node, (sent,), f"{QUERY}{of}"),
-                Assign(at, f"innovation{of}", (nothing, seen), Received(node)),
-            ]
+            steps += innovation_at_queries(node, at, seen, schedule.by_link[node].queries, of)
         else:
             steps.append(Assign(at, f"innovation{of}", seen))
         corrected[f"innovation{of}"] = Scheduled(CLOCK, corrections[:, :, rows])
