@@ -26,10 +26,10 @@ from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant, about
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.signals import SampledChanges
-from taciturn.model.steps import ONE, Assign, assigned
+from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
-from taciturn.program.all_nodes import Begin, add_values, begin_time_step, deviation, gather_input, measure, replaced
+from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.lower import APPLIED, TimeStep, first_input, link_state
@@ -243,18 +243,14 @@ class Loop(Displayed):
         tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
         tick.signals[INNOVATION_DRAWS] = tick.supplied(NORMAL, spread.shape[1])
         tick.draw_losses(self.policy, self.network)
+        steps = self.policy.steps
         if innovations.signal is None:
             expected = tick.combine(innovations.predicted, len(spread))
             tick.signals["y"] = add_values(tick, expected, tick.combine({INNOVATION_DRAWS: spread}, len(spread)))
             measure(tick, self.policy, tick.signals["y"])
-        for step in self.policy.steps:
-            if innovations.signal is None:
-                tick.take(step)
-            elif isinstance(step, Assign) and step.signal == innovations.signal:
-                tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
-            else:
-                tick.take(replaced(step, innovations.signal, INNOVATION_DRAWS, spread))
-        tick.signals["applied"] = gather_input(tick, self.policy)
+        else:
+            steps = tuple(replaced(step, innovations.signal, INNOVATION_DRAWS, spread) for step in steps)
+        carry_out(tick, self.policy, steps, None)
         self._add_sums(tick)
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
@@ -342,9 +338,7 @@ class Loop(Displayed):
         measure(tick, self.policy, measured)
         tick.signals["y"] = measured[: self.problem.plant.sensed]
         tick.signals[REFERENCE] = measured[self.problem.plant.sensed :]
-        for step in self.policy.steps:
-            tick.take(step)
-        tick.limited(gather_input(tick, self.policy), self.problem.plant.saturation, APPLIED)
+        carry_out(tick, self.policy, self.policy.steps, self.problem.plant.saturation)
         self._add_sums(tick)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))

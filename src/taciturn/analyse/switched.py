@@ -65,7 +65,7 @@ from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Apply, Condition, Decide, Draw, Evaluate, Send, Step, read
-from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.lower import TimeStep
@@ -330,13 +330,9 @@ class FixedStep(TimeStep):
             self._option = self._case.taken[step.decision]
         super().take(step)
 
-    def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
-        """Return the option of the case instead of the least one."""
+    def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
+        """Return the option of the case instead of the one that the trigger selects."""
         return [i == self._option for i in range(len(values) - 1)]
-
-    def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
-        """Return the option of the case instead of the first one within a limit."""
-        return self.least(values, allowed)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
         """Return whether a packet is sent, on a link that does not drop it in this case."""

@@ -181,6 +181,10 @@ class Send(Displayed):
     on: str | None = None
     labels: tuple[str, ...] = ()
 
+    def sending(self, labels: Sequence[str]) -> Sequence[str]:
+        """Return those labels of its decision for which the packet is sent."""
+        return self.labels or labels[1:]
+
 
 Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 
@@ -188,6 +192,11 @@ Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 def site_of(node: str, sites: Sequence[frozenset[str]]) -> frozenset[str]:
     """Return the nodes at the same site as a node; a node that is in none of the given sites is alone."""
     return next((site for site in sites if node in site), frozenset({node}))
+
+
+def condition_of(step: Step) -> Condition | None:
+    """Return the condition that selects a branch of a policy step, or None if there is none."""
+    return step.on if isinstance(step, Assign | Evaluate) else None
 
 
 def assigned(step: Step) -> Mapping[str, int]:

@@ -29,8 +29,8 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn.errors import ProblemError
-from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS, choose
-from taciturn.program.ir import Builder, Coefficient
+from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS
+from taciturn.program.ir import Builder, Coefficient, equals
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
 _UNKNOWN = "but numbers are unknown while the function is traced"
@@ -206,7 +206,7 @@ class _Recorder:
         if isinstance(value, Number):
             return value.index
         if isinstance(value, SymbolicTruth):
-            return choose(self.builder, value.index, 1.0, 0.0)
+            return self.builder.choose(value.index, self.builder.constant(1.0), self.builder.constant(0.0))
         try:
             found = float(value)  # type: ignore[arg-type]
         except (TypeError, ValueError):
@@ -244,10 +244,13 @@ class _Recorder:
 
     def either(self, condition: object, yes: object, no: object) -> object:
         """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
-        truth = self.truth(condition)
+        truth, b = self.truth(condition), self.builder
         if isinstance(truth, bool):
             return yes if truth else no
-        return self.symbol(choose(self.builder, truth, self.number(yes), self.number(no)))
+        one, other = self.number(yes), self.number(no)
+        if isinstance(other, float) and equals(one, other):  # the constant stays known
+            return other
+        return self.symbol(b.choose(truth, b.value(one), b.value(other)))
 
     def product(self, matrix: Objects, column: Objects) -> list[object]:
         """Return the product of a matrix and a column; a large constant matrix becomes one operation."""
