@@ -1,6 +1,22 @@
-"""Closed loops of plant, policy and network, with a check that every node uses only signals available to it.
+"""Closed loops of plant, policy and network: their assumptions, and the program of one step.
 
-Assumptions of a policy's theory that a loop violates: the differences between the loop and the design.
+``close`` samples the plant, checks that every node uses only signals that are available to it, and compares the loop
+with the design. The theory of a policy, such as a bound on its cost, applies only to loops that violate none of its
+assumptions (``list_violations``).
+
+A step of the loop is a program (``taciturn.program``). In this order, it
+
+1. draws which packets are lost, and the measurement y = C x + v,
+2. carries out the policy steps of all nodes, and limits the input û that the actuators apply,
+3. adds up the stage cost x'Qx + 2x'Nû + û'Rû of deviations from the targets, the completed square if the theory has an
+   identity for the cost, and the packets sent; with a discount α, each is multiplied by the weight α^k of the step,
+4. moves the plant: x⁺ = A x + B û + w, or a function of x, û and w.
+
+If plant and network are those of the design and the filter is steady, the loop has the same distribution as a loop
+without the plant, driven by the innovations of the filter: white noise of covariance S. Its estimate x̂ takes the place
+of x, and its stage cost adds tr(QΣ) to that of the estimate, where Σ is the covariance of the estimation error.
+
+Source: khashooei2017
 """
 
 from __future__ import annotations

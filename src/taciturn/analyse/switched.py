@@ -238,7 +238,7 @@ def attempt_of(policy: Policy) -> Case | None:
     taken = dict[str, int]()
     for name, trigger in policy.decisions.items():
         sends = [step for step in policy.steps if isinstance(step, Send) and step.on == name]
-        sending = [step.labels or trigger.labels[1:] for step in sends]
+        sending = [step.sending(trigger.labels) for step in sends]
         options = [i for i, label in enumerate(trigger.labels) if all(label in labels for labels in sending)]
         if not options:
             return None

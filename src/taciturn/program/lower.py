@@ -319,7 +319,7 @@ class TimeStep:
     def _send(self, step: Send) -> None:
         sent: Truth = True
         if step.on is not None:
-            labels = [*self.options[step.on]]
+            labels = tuple(self.options[step.on])
             sending = step.sending(labels)
             truths = dict(zip(labels, self.outcomes[step.on], strict=False))
             # the last label has no truth value: it is chosen if no other label is. So "sent" is expressed without it,
