@@ -220,12 +220,9 @@ class Loop(Displayed):
         return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
-        """Return the program of one step of the plant alone.
-
-        Inputs: ``input``. Outputs: COST of the step, and state ``x`` and measurement ``y`` at the next step. A state
-        that affects neither cost nor measurement of a later step, such as a register that is measured, is an output
-        alone.
-        """
+        """Return the program of one step of the plant alone, from ``input`` to COST, and ``x`` and ``y`` after it."""
+        # a state that affects neither cost nor measurement of a later step, such as a register that is measured, is an
+        # output alone
         plant, targets = self.problem.plant, self.policy.targets.values()
         tick = self._tick({"x": plant.states})
         for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(targets)):
@@ -341,11 +338,8 @@ class Loop(Displayed):
         return begin_time_step(self.policy, self.network, sizes, initial, self.precision, begin)
 
     def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
-        """Return the program of one step of the loop with random numbers as an input.
-
-        The inputs are normal numbers, or with ``supplied`` the noise ``w`` and ``v``; ``begin`` is the class that
-        translates the steps.
-        """
+        """Return the program of one step of the loop with random numbers as an input."""
+        # These are normal numbers, or with ``supplied`` the noise ``w`` and ``v``. ``begin`` is the class of the step.
         tick = self._tick({"x": self.problem.plant.states}, begin)
         if supplied:
             tick.recall("x")  # so that x is the first state

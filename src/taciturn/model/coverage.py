@@ -164,11 +164,9 @@ def _collect(covered: frozenset[str], thing: object, found: dict[str, None]) -> 
 def _look(
     kind: type[object], covered: frozenset[str]
 ) -> tuple[frozenset[str] | None, tuple[str, ...], tuple[tuple[Field[Any], str | None], ...]] | None:
-    """Return the fields of a class whose values need a check, or None for a collection.
-
-    That is: the names of its fields (None if attributes are not looked at), what is not covered whatever a thing
-    contains, and the fields in order, each with its name if it is not covered.
-    """
+    """Return the fields of a class whose values need a check, or None for a collection."""
+    # That is: the names of its fields (None if attributes are not looked at), the names that are not covered whatever a
+    # thing contains, and the fields in order, each with its name if it is not covered.
     if issubclass(kind, (Mapping, tuple, list)):
         return None
     if issubclass(kind, _PLAIN):

@@ -150,7 +150,8 @@ def from_control(
         >>> from_control(control.ss([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
         0.1
     """
-    if not _is_linear(system):
+    control = _control()
+    if not isinstance(system, (control.StateSpace, control.TransferFunction)):
         raise ProblemError(
             f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
             "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
@@ -232,12 +233,6 @@ def _nonlinear_system(
     return _control().NonlinearIOSystem(
         update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
     )
-
-
-def _is_linear(system: object) -> bool:
-    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`."""
-    control = _control()
-    return isinstance(system, (control.StateSpace, control.TransferFunction))
 
 
 def _control() -> Any:

@@ -112,12 +112,9 @@ def signed(b: Builder, x: int, sign: int) -> int:
 
 
 def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
-    """Return the integer k nearest to factor·x as a floating-point number, and a word whose last bits are those of k.
-
-    |factor·x| must be below 2^51, or 2^22 in single precision.
-    """
-    # The fast build may round factor·x and the sum once instead of twice. The result then differs only for ties, where
-    # callers accept both neighbours.
+    """Return the integer k nearest to factor·x as a number, and a word whose last bits are those of k."""
+    # |factor·x| must be below 2^51, or 2^22 in single precision. The fast build may round factor·x and the sum once
+    # instead of twice. The result then differs only for ties, where callers accept both neighbours.
     shift = b.constant(LAYOUTS[b.precision].shift)
     shifted = b.emit("add", b.scale(factor, x), shift)
     return b.emit("sub", shifted, shift), b.emit("bits", shifted)

@@ -419,7 +419,9 @@ class Sampling:
 
     def _summary(self, means: Array, kept: Sequence[Window]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = controlled_mean(self._contrast(means), means[self.controls])
-        if cost.standard_error <= _DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
+        # if all paths agree, their spread hides the error of a cycle that the window cuts off: the change from all
+        # windows to the last one shows it
+        if cost.standard_error <= _DETERMINISTIC * abs(cost.value):
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
@@ -468,6 +470,7 @@ def _means(windows: Sequence[Window]) -> Array:
 
 def _missing(measured: int, error: float, wanted: float) -> int:
     """Return the number of further steps until a standard error reaches its target, with a margin of 5 %."""
+    # the squared standard error falls as 1/steps; a very small target is far away in any case
     if error <= wanted:
         return 0
     return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
@@ -518,7 +521,7 @@ class History:
     def drift(self) -> int:
         """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
         ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
-        for j in range(len(self.windows) - 1, 0, -1):
+        for j in range(len(self.windows) - 1, 0, -1):  # from the last one, as the latest difference decides
             later = _joined(self.windows[j:], rows)
             for i in range(j - 1, -1, -1):
                 begins = int(ends[i - 1]) if i else 0
