@@ -245,7 +245,8 @@ class Sampling:
             settled = bool(kept)
             kept = kept or history.windows[-1:]
             dropped = history.steps - sum(length for length, _ in kept)
-            means = _means(kept)
+            length, sums = _joined(kept)
+            means = sums / length
             cost, rates = self._summary(means, kept)
             measured, pace = history.steps - dropped, self._pace(means[self.counted].mean(axis=1))
             long_enough = forgotten and settled and measured >= pace and len(kept) > 1
@@ -463,11 +464,6 @@ def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
     return found
 
 
-def _means(windows: Sequence[Window]) -> Array:
-    """Return the means per step over windows, given the steps and sums of each window, (sums, paths)."""
-    return sum((sums for _, sums in windows), np.zeros_like(windows[0][1])) / sum(length for length, _ in windows)
-
-
 def _missing(measured: int, error: float, wanted: float) -> int:
     """Return the number of further steps until a standard error reaches its target, with a margin of 5 %."""
     # the squared standard error falls as 1/steps; a very small target is far away in any case
@@ -491,11 +487,11 @@ def _shared_end(windows: Sequence[Window]) -> float:
     return float(np.sqrt((1 - rate**2) / 12)) / steps
 
 
-def _joined(windows: Sequence[Window], rows: int) -> Window:
-    """Return the steps and the first sums of several windows, which are added in turn: a stack takes much memory."""
+def _joined(windows: Sequence[Window], rows: int | None = None) -> Window:
+    """Return the steps and the sums of several windows, all or the first ones."""
     (_, first), *later = windows
     total = first[:rows].copy()
-    for _, sums in later:
+    for _, sums in later:  # added in turn: a stack takes much memory
         total += sums[:rows]
     return sum(length for length, _ in windows), total
 
