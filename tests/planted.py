@@ -87,8 +87,10 @@ DEFECTS = {
     "a difference of the fast build is a sum": Planted(
         "program/llvm.py", 'if op.name == "sub" and first:', 'if op.name == "subtract" and first:'
     ),
-    "printed C adds for subtract": Planted("program/c.py", '"sub": ("-", REAL)', '"sub": ("+", REAL)'),
-    "a node rounds its products": Planted("program/python.py", '"mul": "*"', '"mul": "* (1 + 2**-52) *"'),
+    "printed C adds for subtract": Planted("program/c.py", '"sub": (REAL, "{0} - {1}")', '"sub": (REAL, "{0} + {1}")'),
+    "a node rounds its products": Planted(
+        "program/python.py", '"mul": "v{0} * v{1}"', '"mul": "v{0} * (1 + 2**-52) * v{1}"'
+    ),
     # of estimates and studies
     "a budget may be missed by 1 %": Planted(
         "study/goal.py", "return found.value - self.budget, ", "return found.value - 1.01 * self.budget, "

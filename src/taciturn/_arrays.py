@@ -1,4 +1,15 @@
-"""Checks of arguments: shape, finiteness, symmetry and definiteness of arrays; checked arrays are read-only."""
+"""Checks of arguments: shape, finiteness, symmetry and definiteness of arrays; checked arrays are read-only.
+
+All classes of the model check their arguments here, so that messages are alike: a name, its value, the expected one.
+
+An array must be finite together with the squares of its entries, because costs and covariances contain squares.
+
+Symmetry and definiteness must not depend on the units of the variables. So a symmetric matrix M is scaled to the
+diagonal 1, S = D^{-½} M D^{-½} with the diagonal D of M, and M counts as semidefinite if no eigenvalue of S is below
+−1e-10, which rounding can make of an exact zero. A Cholesky factorisation of S + 1e-10·I answers this for most matrices
+and is cheaper than eigenvalues. Entries m_ij and m_ji may differ by 1e-9 of the largest of |m_ij|, |m_ji| and
+√(m_ii m_jj), or by the rounding error of the largest entry.
+"""
 
 from __future__ import annotations
 

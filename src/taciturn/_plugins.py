@@ -36,16 +36,7 @@ def find_plugins(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
 
 
 def load_plugin(group: str, name: str, purpose: str) -> Any:
-    """Import what an entry point names.
-
-    Args:
-        group: group of the entry point.
-        name: name of the entry point.
-        purpose: the option or function that the user asked for, with which the message begins.
-
-    Raises:
-        ProblemError: no installed package has the entry point, or several have it, or its import fails.
-    """
+    """Import the object of an entry point that exactly one package has, for the option or function ``purpose``."""
     entries = find_plugins(group).get(name, ())
     if len(entries) != 1:
         got = f"is that of {' and of '.join(map(package_of, entries))}" if entries else "is missing"

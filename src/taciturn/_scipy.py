@@ -105,10 +105,8 @@ def gamma_quantile(shape: float, share: float) -> float:
 
 
 def fixed_point(apply: Callable[[Array], Array], added: Array) -> Array:
-    """Return x with x = apply(x) + added for a linear map of spectral radius below 1; the caller checks the residual.
-
-    Few unknowns are computed from the matrix of the map, many by the method of generalised minimal residuals.
-    """
+    """Return x = apply(x) + added for a linear map of spectral radius below 1; the caller checks the residual."""
+    # few unknowns are computed from the matrix of the map, many by the method of generalised minimal residuals
     size = len(added)
     if size <= _FEW_UNKNOWNS:
         matrix = np.eye(size) - np.stack([apply(row) for row in np.eye(size)], axis=1)

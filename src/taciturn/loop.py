@@ -1,6 +1,22 @@
-"""Closed loops of plant, policy and network, with a check that every node uses only signals available to it.
+"""Closed loops of plant, policy and network: their assumptions, and the program of one step.
 
-Assumptions of a policy's theory that a loop violates: the differences between the loop and the design.
+``close`` samples the plant, checks that every node uses only signals that are available to it, and compares the loop
+with the design. The theory of a policy, such as a bound on its cost, applies only to loops that violate none of its
+assumptions (``list_violations``).
+
+A step of the loop is a program (``taciturn.program``). In this order, it
+
+1. draws which packets are lost, and the measurement y = C x + v,
+2. carries out the policy steps of all nodes, and limits the input û that the actuators apply,
+3. adds up the stage cost x'Qx + 2x'Nû + û'Rû of deviations from the targets, the completed square if the theory has an
+   identity for the cost, and the packets sent; with a discount α, each is multiplied by the weight α^k of the step,
+4. moves the plant: x⁺ = A x + B û + w, or a function of x, û and w.
+
+If plant and network are those of the design and the filter is steady, the loop has the same distribution as a loop
+without the plant, driven by the innovations of the filter: white noise of covariance S. Its estimate x̂ takes the place
+of x, and its stage cost adds tr(QΣ) to that of the estimate, where Σ is the covariance of the estimation error.
+
+Source: khashooei2017
 """
 
 from __future__ import annotations
@@ -26,10 +42,10 @@ from taciturn.model.network import REFERENCE, Network
 from taciturn.model.plant import ContinuousPlant, Plant, about
 from taciturn.model.policy import Policy, with_intervals
 from taciturn.model.signals import SampledChanges
-from taciturn.model.steps import ONE, Assign, assigned
+from taciturn.model.steps import ONE, assigned
 from taciturn.model.theory import Identity
 from taciturn.model.trigger import Form, shape_of
-from taciturn.program.all_nodes import Begin, add_values, begin_time_step, deviation, gather_input, measure, replaced
+from taciturn.program.all_nodes import Begin, add_values, begin_time_step, carry_out, deviation, measure, replaced
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_controls, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.lower import APPLIED, TimeStep, first_input, link_state
@@ -204,12 +220,9 @@ class Loop(Displayed):
         return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
-        """Return the program of one step of the plant alone.
-
-        Inputs: ``input``. Outputs: COST of the step, and state ``x`` and measurement ``y`` at the next step. A state
-        that affects neither cost nor measurement of a later step, such as a register that is measured, is an output
-        alone.
-        """
+        """Return the program of one step of the plant alone, from ``input`` to COST, and ``x`` and ``y`` after it."""
+        # a state that affects neither cost nor measurement of a later step, such as a register that is measured, is an
+        # output alone
         plant, targets = self.problem.plant, self.policy.targets.values()
         tick = self._tick({"x": plant.states})
         for step in (step for step in self.policy.steps if not assigned(step).keys().isdisjoint(targets)):
@@ -243,18 +256,14 @@ class Loop(Displayed):
         tick = self._tick({INNOVATION_DRAWS: spread.shape[1]}, begin)
         tick.signals[INNOVATION_DRAWS] = tick.supplied(NORMAL, spread.shape[1])
         tick.draw_losses(self.policy, self.network)
+        steps = self.policy.steps
         if innovations.signal is None:
             expected = tick.combine(innovations.predicted, len(spread))
             tick.signals["y"] = add_values(tick, expected, tick.combine({INNOVATION_DRAWS: spread}, len(spread)))
             measure(tick, self.policy, tick.signals["y"])
-        for step in self.policy.steps:
-            if innovations.signal is None:
-                tick.take(step)
-            elif isinstance(step, Assign) and step.signal == innovations.signal:
-                tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
-            else:
-                tick.take(replaced(step, innovations.signal, INNOVATION_DRAWS, spread))
-        tick.signals["applied"] = gather_input(tick, self.policy)
+        else:
+            steps = tuple(replaced(step, innovations.signal, INNOVATION_DRAWS, spread) for step in steps)
+        carry_out(tick, self.policy, steps, None)
         self._add_sums(tick)
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
@@ -329,11 +338,8 @@ class Loop(Displayed):
         return begin_time_step(self.policy, self.network, sizes, initial, self.precision, begin)
 
     def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
-        """Return the program of one step of the loop with random numbers as an input.
-
-        The inputs are normal numbers, or with ``supplied`` the noise ``w`` and ``v``; ``begin`` is the class that
-        translates the steps.
-        """
+        """Return the program of one step of the loop with random numbers as an input."""
+        # These are normal numbers, or with ``supplied`` the noise ``w`` and ``v``. ``begin`` is the class of the step.
         tick = self._tick({"x": self.problem.plant.states}, begin)
         if supplied:
             tick.recall("x")  # so that x is the first state
@@ -342,9 +348,7 @@ class Loop(Displayed):
         measure(tick, self.policy, measured)
         tick.signals["y"] = measured[: self.problem.plant.sensed]
         tick.signals[REFERENCE] = measured[self.problem.plant.sensed :]
-        for step in self.policy.steps:
-            tick.take(step)
-        tick.limited(gather_input(tick, self.policy), self.problem.plant.saturation, APPLIED)
+        carry_out(tick, self.policy, self.policy.steps, self.problem.plant.saturation)
         self._add_sums(tick)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))

@@ -299,7 +299,7 @@ def _decide(tick: TimeStep, group: Group, sends: int) -> int:
     """Reset the error if it is sent, advance it by a step, and return the cost of the error that was not sent."""
     builder, spread = tick.builder, factor(group.noise)
     zero = builder.constant(0.0)
-    tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(RULE_ERROR)]
+    tick.signals[KEPT] = [tick.builder.choose(sends, zero, value) for value in tick.recall(RULE_ERROR)]
     excess = tick.form(Form((KEPT,), group.Gamma))
     tick.signals[NORMAL] = tick.supplied(NORMAL, spread.shape[1])
     tick.signals[RULE_ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))

@@ -87,9 +87,9 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
 
     def ahead(e: list[int]) -> int:
         square = b.quadratic([[float(entry) for entry in row] for row in process.Gamma], e)
-        return tick.value(b.add(square, b.constant(process.running)))
+        return tick.builder.value(b.add(square, b.constant(process.running)))
 
-    moved = [tick.value(b.combine([float(entry) for entry in row], error)) for row in process.F]
+    moved = [tick.builder.value(b.combine([float(entry) for entry in row], error)) for row in process.F]
     moved = [b.emit("add", x, w) for x, w in zip(moved, _noise(tick, process.noise), strict=True)]
     spent, time = b.emit("add", state[INTEGRAL], ahead(error)), b.emit("add", state[TIME], period)
     # the threshold c min(t + τ, ε) is that of the end of the next period, whose expected cost is ``ahead``
@@ -127,7 +127,7 @@ def _noise(tick: TimeStep, noise: Array | JumpNoise) -> list[int]:
         return add_jumps(tick, noise)
     spread = factor(noise)
     drawn = tick.supplied(NORMAL, spread.shape[1])
-    return [tick.value(tick.builder.combine([float(g) for g in row], drawn)) for row in spread]
+    return [tick.builder.value(tick.builder.combine([float(g) for g in row], drawn)) for row in spread]
 
 
 PATHS = 4096

@@ -283,7 +283,7 @@ def test_windows_that_differ_by_the_last_send_of_paths_in_phase_are_the_same() -
     history = History(np.array([True]))
     for begin, length in ((0, 128), (128, 128), (256, 256)):
         history.add(length, np.full((1, 64), float(sends[begin : begin + length].sum())))
-    assert history.settled()
+    assert history.kept(0)
 
 
 def test_a_window_before_its_last_send_is_no_excuse_where_paths_send_at_random() -> None:
@@ -291,4 +291,4 @@ def test_a_window_before_its_last_send_is_no_excuse_where_paths_send_at_random()
     draws, history = np.random.default_rng(1), History(np.array([True]))
     for length, rate in ((256, 0.0060), (256, 0.0060), (512, 0.00625)):
         history.add(length, draws.poisson(length * rate, (1, 1 << 16)).astype(float))
-    assert not history.settled()
+    assert not history.kept(0)

@@ -183,7 +183,7 @@ def test_what_arrived_is_remembered_until_the_next_packet() -> None:
     """Read before this step's sending, it is what the step before brought."""
     b = Builder()
     tick = TimeStep(b, {}, {}, ())
-    before = tick.as_number(tick.negated(tick.happened(Received("actuator"))[0]))
+    before = tick.as_number(tick.builder.negated(tick.happened(Received("actuator"))[0]))
     tick.signals["v"] = [b.input("in 0")]
     tick.take(Decide("controller", "send", Trigger({"silent": Form(plus={"v": 1.0}), "send": Form()})))
     tick.losses = {"actuator": 0.0}

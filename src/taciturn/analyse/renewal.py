@@ -1,4 +1,19 @@
-"""Send rate, cost and intervals of loops whose sends reset an error, computed without simulation."""
+"""Send rate, cost and intervals of loops whose sends reset an error, computed without simulation.
+
+Some policies decide by an error e alone that a send resets: it moves as e⁺ = A e + w while nothing is sent, and a
+packet is sent as soon as e'Ψe > δ. Steps between two sends are then independent of all others (a renewal process), and
+the cost exceeds that of sending every sample by the mean of e'Γe. With the set of silence E = {e: e'Ψe ≤ δ} and the
+density k of the next error, the expected steps T and the expected excess C until the next send satisfy
+
+    T(e) = 1 + ∫_E k T,  C(e) = e'Γe + ∫_E k C;  rate 1/T_0,  excess C_0/T_0,
+
+where T_0 and C_0 are the values directly after a reset. This module recognises such loops (``chain_of``), and chooses
+the method: quadrature under Gaussian noise or under jumps (``RenewalQuadrature``), simulated paths that are conditioned
+on no send, and weighted with its probability (``ConditionalSampling``), and certified bounds (``bound_rate``,
+``bound_sends``). ``taciturn.renewal`` solves the equations.
+
+Source: khashooei2017, royen2014
+"""
 
 from __future__ import annotations
 
@@ -102,10 +117,7 @@ class RenewalQuadrature:
 
 
 class ConditionalSampling:
-    """Estimates of a loop's send rate and excess cost from simulated paths that are conditioned on no send.
-
-    The paths are weighted with the probability of no send.
-    """
+    """Estimates of a loop's send rate and excess cost from simulated paths that are conditioned on no send."""
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
         """Set up the chain without a simulation."""
@@ -120,10 +132,8 @@ class ConditionalSampling:
         return self._solved(ROUGH)
 
     def predict(self, standard_error: float, others: float) -> float:
-        """Return approximately how many operations a given standard error of the excess cost needs, from a pilot run.
-
-        If the pilot alone would take more operations than other methods, it is not run, and its own number is returned.
-        """
+        """Return approximately how many operations a standard error of the excess cost needs, from a pilot run."""
+        # if the pilot alone would take more operations than other methods, it is not run, and its number is returned
         from taciturn.renewal.paths import predict_fewest, predict_paths
 
         try:

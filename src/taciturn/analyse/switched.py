@@ -1,20 +1,24 @@
 """Closed loops as switched linear maps z⁺ = F_i z + G w, with the action i that minimises z'Ψ_i z + c_i.
 
-A loop is converted by following its steps, and reduced to its reachable and observable states, scaled to about unit
-size. Two questions are then answered without simulation.
+The program of a step is interpreted with linear values ℓ'z and quadratic ones z'Hz (``program.quadratic``), once for
+each action: with the decision fixed, a step has no branches. So the matrices F_i, the stage cost z'M_i z and the forms
+of the trigger are those of the program that is simulated. The map is reduced to its reachable and observable states,
+scaled to about unit size, for certificates. In innovations form it has the same distribution if the plant is that of
+the design and the filter is steady. Two questions are answered without simulation.
 
-Over lossy links the map is z⁺ = F_o z + G w, where the outcome o lists the links that drop a packet. The probability of
-an outcome depends only on the state of the links. Therefore the second and the fourth moments of z satisfy linear
-recursions, and exist in the long run only if these are stable. Let X_s be the second moment while the links are in
-state s, T the transition probabilities of the links, and π_r the share of the steps in state r. Then
+**Moments over lossy links** (``outcomes``). Over lossy links the map is z⁺ = F_o z + G w, where the outcome o lists the
+links that drop a packet. The probability of an outcome depends only on the state of the links. Therefore the second and
+the fourth moments of z satisfy linear recursions, and exist in the long run only if these are stable. Let X_s be the
+second moment while the links are in state s, T the transition probabilities of the links, and π_r the share of the
+steps in state r. Then
 
     X_s⁺ = Σ_r T_rs Σ_o p(o | r) (F_o X_r F_o' + π_r G G').
 
 For the fourth moment F_o acts on all four indices.
 
-Disturbances and set-points may wander without limit, and then a link whose decisions depend on them has no average
-rate. Let d⁺ = Sd be these signals, and let every link send in every step. Then the loop is linear, and all its other
-states approach the response z = Πd that satisfies
+**Signals that wander** (``drifting``). Disturbances and set-points may wander without limit, and then a link whose
+decisions depend on them has no average rate. Let d⁺ = Sd be these signals, and let every link send in every step. Then
+the loop is linear, and all its other states approach the response z = Πd that satisfies
 
     F_zz Π + F_zd = Π S.
 
@@ -65,17 +69,33 @@ from taciturn.model.losses import stationary
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Apply, Condition, Decide, Draw, Evaluate, Send, Step, read
-from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.lower import TimeStep
 from taciturn.program.ops import Entry, Name, Named, Option, Sent, is_entry
 from taciturn.program.quadratic import as_form, read_polynomials
 
-PATHS, TICKS, DROPPED = 32, 600, 100  # paths, steps and discarded steps of the run that measures the coordinates
+# the properties of a loop that its step represents, or refuses where it meets them (FixedStep)
+CERTIFIED = (LINEAR_LOOP - EXOSYSTEM) | JUMPS | MEMORIES | BELLS | DRAWS
+SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
+
+# the run that measures the size of the coordinates
+PATHS, TICKS, DROPPED = 32, 600, 100  # paths, steps and discarded steps
 FORCED = 0.2  # share of its steps that take the last action, so that rarely sent signals are measured too
-HUGE = 1e100
+HUGE = 1e100  # beyond this size the run has diverged
 BLUR = 1e-9  # least eigenvalue of the correlation matrix that is used
+
+# the moments over lossy links
+MOST_MOMENTS = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
+SOLVED = 1e-9  # relative residual of the equation for the second moments
+NEARLY = 1e-9  # distance to a growth of 1 within which the second moments count as divergent
+MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
+WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
+
+# the response to signals that wander
+MOST_ENTRIES = 4000  # entries of Π for which the equations are solved
+RANK = 1e-12  # eigenvalue of a form, or entry of its rows, relative to the largest, that is a rounding error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,32 +146,26 @@ class Switched(Displayed):
 
 
 def reduce_states(raw: Switched, starts: Array) -> Switched:
-    """Return an equivalent switched linear map in the fewest coordinates, scaled to about unit variance.
-
-    The result contains the states that are reachable from the initial columns and the noise, and observable in the
-    rows, the cost and the trigger. A certificate does not depend on the scaling; unit size makes the solver more
-    accurate.
-    """
+    """Return an equivalent switched linear map in the fewest coordinates, scaled to about unit variance."""
+    # a certificate does not depend on the scaling; unit size makes the solver more accurate
     found = relevant(raw, starts)
     T = _sizes(found)
     return found.changed(np.asarray(np.linalg.inv(T), dtype=np.float64), T)
 
 
 def relevant(raw: Switched, starts: Array) -> Switched:
-    """Return a switched linear map restricted to reachable and observable states, without scaling to unit variance."""
+    """Return a switched linear map restricted to the states that matter, without scaling to unit variance."""
+    # these are the states that the initial columns or the noise reach, and that the rows, the cost or the trigger show
     sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
     found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
     reached = invariant(np.column_stack([unit_columns(found.G), unit_columns(starts / sizes[:, None])]), found.F)
     found = found.changed(reached.T, reached)
     differences = [Psi - found.Psi[0] for Psi in found.Psi[1:]]
-    rows = np.vstack([unit_columns(found.X.T).T, *(_normed(each) for each in (*found.M, *differences))])
+    sizes = [np.abs(each).max(initial=0.0) or 1.0 for each in (*found.M, *differences)]
+    shown = [each / size for each, size in zip((*found.M, *differences), sizes, strict=True)]
+    rows = np.vstack([unit_columns(found.X.T).T, *shown])
     seen = invariant(rows.T, [F.T for F in found.F])
     return found.changed(seen.T, seen)
-
-
-def _normed(matrix: Array) -> Array:
-    size = np.abs(matrix).max(initial=0.0)
-    return matrix / size if size > 0 else matrix
 
 
 def _sizes(found: Switched) -> Array:
@@ -173,16 +187,11 @@ def _sizes(found: Switched) -> Array:
         return np.eye(states)
     if not (np.diag(covariance) > 1e-12 * largest).all():  # noise that does not reach all coordinates
         covariance = covariance + 1e-4 * largest * np.eye(states)
+    # with the correlation matrix VΛV' and the deviations D, T = D V √Λ has T T' = the covariance
     size = np.sqrt(np.diag(covariance))
     correlation = symmetrised(covariance / size / size[:, None])
     values, vectors = np.linalg.eigh(correlation)
     return size[:, None] * vectors * np.sqrt(np.maximum(values, BLUR))
-
-
-SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
-
-# the properties of a loop that its step represents, or refuses where it meets them (FixedStep)
-CERTIFIED = (LINEAR_LOOP - EXOSYSTEM) | JUMPS | MEMORIES | BELLS | DRAWS
 
 
 class Case(NamedTuple):
@@ -194,23 +203,16 @@ class Case(NamedTuple):
 
 
 def switched(loop: Loop) -> Switched:
-    """Return the switched linear map of a closed loop, including its plant.
-
-    z contains the plant's state, the memories of the nodes, and the measurement noise of the step. The reduction
-    removes states that neither noise nor the initial state of the plant can reach. It also removes states that affect
-    neither the cost nor a decision, such as the controller's copy of the held input.
-    """
+    """Return the switched linear map of a closed loop, including its plant."""
+    # z contains the plant's state, the memories of the nodes, and the measurement noise of the step. The reduction
+    # removes states without effect, such as the controller's copy of the held input.
     instance("loop", loop, Loop)
     refuse_loops(loop)
     return reduce_states(*read_steps(loop, decisions_of(loop)))
 
 
 def switched_innovations(loop: Loop) -> Switched:
-    """Return the switched linear map of a closed loop in innovations form, where innovations drive the state estimate.
-
-    The result has the same distribution as that of :func:`switched` if the plant is that of the design and the filter
-    is in steady state. ``constant`` is tr(QΣ).
-    """
+    """Return the switched linear map of a closed loop in innovations form; ``constant`` is tr(QΣ)."""
     instance("loop", loop, Loop)
     refuse_loops(loop)
     innovations = loop.policy.theory.innovations
@@ -238,7 +240,7 @@ def attempt_of(policy: Policy) -> Case | None:
     taken = dict[str, int]()
     for name, trigger in policy.decisions.items():
         sends = [step for step in policy.steps if isinstance(step, Send) and step.on == name]
-        sending = [step.labels or trigger.labels[1:] for step in sends]
+        sending = [step.sending(trigger.labels) for step in sends]
         options = [i for i, label in enumerate(trigger.labels) if all(label in labels for labels in sending)]
         if not options:
             return None
@@ -247,11 +249,9 @@ def attempt_of(policy: Policy) -> Case | None:
 
 
 def read_steps(loop: Loop, cases: Sequence[Case], whole: bool = True) -> tuple[Switched, Array]:
-    """Return the step of a loop in each case, as maps of z = (states, noise that the step reads), and the initial z.
-
-    The initial values are a column for each state of the plant, and one with those of all memories. Without ``whole``,
-    the loop is in innovations form.
-    """
+    """Return the step of a loop in each case, as maps of z = (states, noise that the step reads), and the initial z."""
+    # The initial values are a column for each state of the plant, and one with those of all memories. Without
+    # ``whole``, the loop is in innovations form.
     plant, problem, innovations = loop.problem.plant, loop.problem, loop.policy.theory.innovations
     begins = [partial(FixedStep, loop.policy.kind, case) for case in cases]
     if whole or innovations is None:
@@ -330,13 +330,9 @@ class FixedStep(TimeStep):
             self._option = self._case.taken[step.decision]
         super().take(step)
 
-    def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
-        """Return the option of the case instead of the least one."""
+    def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
+        """Return the option of the case instead of the one that the trigger selects."""
         return [i == self._option for i in range(len(values) - 1)]
-
-    def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
-        """Return the option of the case instead of the first one within a limit."""
-        return self.least(values, allowed)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
         """Return whether a packet is sent, on a link that does not drop it in this case."""
@@ -384,10 +380,7 @@ def _beyond(step: Evaluate | Apply | Draw) -> str:
 
 
 def refuse_loops(loop: Loop, more: frozenset[str] = frozenset()) -> None:
-    """Raise an error if a loop is not a switched linear map over an infinite horizon.
-
-    ``more`` are further properties that the caller supports.
-    """
+    """Raise an error if a loop is not a switched linear map, apart from the properties ``more``."""
     policy = loop.policy
     missing = [name for name in uncovered(CERTIFIED, loop.parts) if name not in more]
     functions = [step for step in policy.steps if isinstance(step, Apply)]
@@ -416,13 +409,6 @@ def _unserved() -> str:
     return f"which certificates do not support; {SERVED}"
 
 
-MOST_MOMENTS = 100_000  # largest number of fourth moments, times the outcomes, for which their growth is computed
-SOLVED = 1e-9  # relative residual of the equation for the second moments
-NEARLY = 1e-9  # distance to a growth of 1 within which the second moments count as divergent
-MOST_LINKS = 6  # largest number of links that drop packets, which have 2^links outcomes
-WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(Displayed):
     """Jump linear map of a loop that sends at every step, over links that drop some packets."""
@@ -437,14 +423,12 @@ class Outcomes(Displayed):
     decides: bool  # whether the policy of the loop may skip a send
 
     def growth(self, power: int) -> float:
-        """Return the asymptotic growth factor per step of the second or fourth moments of the loop's state.
-
-        For order 4 the result is 0 if there are too many states.
-        """
+        """Return the growth factor per step of the moments of order 2 or 4 in the long run; 0 if they are too many."""
         r, states = self.F.shape[1], len(self.turns)
         if r == 0 or (power == 4 and states * r**4 * len(self.F) > MOST_MOMENTS):
             return 0.0
         if states * r**power <= WHOLE:
+            # the moments of F z are F⊗F, or F⊗F⊗F⊗F, times those of z
             powers = [reduce(np.kron, [F] * power) for F in self.F]
             each = [sum(p * F for p, F in zip(row, powers, strict=True)) for row in self.odds]
             blocks = [[self.turns[s, after] * each[s] for s in range(states)] for after in range(states)]
@@ -482,10 +466,7 @@ class Outcomes(Displayed):
 
 
 def outcomes(loop: Loop) -> Outcomes | None:
-    """Return the jump linear map of a loop that sends every packet over lossy links.
-
-    The result is None if no link drops packets, or if the loop is not a jump linear map.
-    """
+    """Return the jump linear map of a loop that sends every packet over lossy links, or None if it is no such map."""
     loop = loop.deviations
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     links = [link for link in loop.network.links if link in sent and loop.network.loss(link) > 0]
@@ -541,10 +522,6 @@ def _chance(network: Network, links: Sequence[str], cases: list[tuple[bool, ...]
     return turns, shares, np.array(odds)
 
 
-MOST_ENTRIES = 4000  # entries of Π for which the equations are solved
-RANK = 1e-12  # eigenvalue of a form, or entry of its rows, relative to the largest, that is a rounding error
-
-
 def drifting(loop: Loop, noise: Array) -> tuple[str, ...]:
     """Return the links whose decisions depend on disturbances or set-points that wander, even if everything is sent."""
     policy, needs = loop.policy, loop.problem.followed
@@ -585,6 +562,8 @@ def _response(F: Array, d: list[int]) -> Array | None:
     response[d] = np.eye(q)
     if len(rest) * q > MOST_ENTRIES:
         return None
+    # the columns of F_zz Π − Π S = −F_zd in turn: (I⊗F_zz − S'⊗I) vec Π = −vec F_zd. Least squares, as a mode that is
+    # common to F_zz and S makes the equations singular; then the residual decides whether there is a response.
     S, same = F[np.ix_(d, d)], np.eye(q)
     matrix = np.kron(same, F[np.ix_(rest, rest)]) - np.kron(S.T, np.eye(len(rest)))
     right = -F[np.ix_(rest, d)].T.ravel()

@@ -1,10 +1,19 @@
 """The properties of plants, costs, networks and policy steps that a theory or an interpreter takes into account.
 
-The properties are the fields of the classes in ``taciturn.model``, such as ``plant.function`` or ``Assign.on``. A
-property is given if it differs from its neutral value. A ``Coverage`` lists the names of properties that an interpreter
-carries out; any other property that is given is reported. Names are listed one by one and are never derived from the
-classes, so that a new field or a new class of policy steps is not covered until somebody adds its name. A new property
-gets a group of names of its own, which each theory and each interpreter adds to its coverage when it has learnt it.
+A theorem holds for the plants, networks and policies of its assumptions, and a back end or a format carries out only
+some steps. A new property of the model, such as a limit of inputs, must not be ignored silently by any of them. So each
+states what it covers, and everything else that is given is refused.
+
+The properties are the fields of the classes in ``taciturn.model``, such as ``plant.function`` or ``Assign.on``, and
+the classes themselves, such as ``Draw``. A property is *given* if it differs from its neutral value: the default of the
+field, or zero, ``None`` or nothing. ``uncovered`` walks through plants, policies and networks, field by field, and
+returns the names of the properties that are given but not covered. For each class and each coverage, the fields whose
+values need a comparison are found once (``_look``).
+
+A ``Coverage`` lists the names of properties that an interpreter carries out. Names are listed one by one and are never
+derived from the classes, so that a new field or a new class of policy steps is not covered until somebody adds its
+name. A new property gets a group of names of its own, which each theory and each interpreter adds to its coverage when
+it has learnt it.
 """
 
 from __future__ import annotations
@@ -155,11 +164,9 @@ def _collect(covered: frozenset[str], thing: object, found: dict[str, None]) -> 
 def _look(
     kind: type[object], covered: frozenset[str]
 ) -> tuple[frozenset[str] | None, tuple[str, ...], tuple[tuple[Field[Any], str | None], ...]] | None:
-    """Return the fields of a class whose values need a check, or None for a collection.
-
-    That is: the names of its fields (None if attributes are not looked at), what is not covered whatever a thing
-    contains, and the fields in order, each with its name if it is not covered.
-    """
+    """Return the fields of a class whose values need a check, or None for a collection."""
+    # That is: the names of its fields (None if attributes are not looked at), the names that are not covered whatever a
+    # thing contains, and the fields in order, each with its name if it is not covered.
     if issubclass(kind, (Mapping, tuple, list)):
         return None
     if issubclass(kind, _PLAIN):

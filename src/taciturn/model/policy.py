@@ -4,21 +4,16 @@ A policy lists the policy steps of all nodes within one sampling step, in order.
 assigned has its value of the previous sampling step. Memories and delays are expressed by this order. The signal
 ``ONE``, the number 1, is available at every node; its weights are constants.
 
-Limits on the intervals between sends of a link, as part of a policy's decisions.
+**Intervals between sends.** A link with the limits n = ``min_interval`` and N = ``max_interval`` adds to its sender a
+count c of the steps since the last send. While c < n, the labels that send are excluded from the decision, and while
+c ≥ N, those that do not. The count starts at n, as if the last send had been n steps before the first step. It counts
+sends: a packet that the link drops counts as sent. Identities of the theory hold for all times of sends. A bound that
+limits the cost of each silent step holds with further sends; no bound holds if a send is withheld.
 
-A link with the limits n = ``min_interval`` and N = ``max_interval`` adds to its sender a count c of the steps since
-the last send. While c < n, the labels that send are excluded from the decision, and while c ≥ N, those that do not.
-The count starts at n, as if the last send had been n steps before the first step. It counts sends: a packet that the
-link drops counts as sent.
-
-The plant, cost and network of a policy that is studied without a problem: those that it was designed for.
-
-Plants and policies in other coordinates: in deviations from another operating point, or in the units of the plant.
-
-A design counts states and inputs from the operating point of its plant. Nodes, packets and trajectories are in the
-units of the plant. ``in_units`` adds the point to the signals of a policy: measurements, inputs, estimates, and the
-signals that are copied from them. A sum of signals gets a constant term. Any other policy step that reads such a signal
-reads its deviation from the point.
+**Units.** A design counts states and inputs from the operating point of its plant. Nodes, packets and trajectories are
+in the units of the plant. ``in_units`` adds the point to the signals of a policy: measurements, inputs, estimates, and
+the signals that are copied from them. A sum of signals gets a constant term. Any other policy step that reads such a
+signal reads its deviation from the point, which a further step computes.
 """
 
 from __future__ import annotations
@@ -54,194 +49,28 @@ from taciturn.model.steps import (
     Draw,
     Evaluate,
     Location,
+    Received,
     Send,
     Step,
+    Terms,
     assigned,
+    condition_of,
     fixed_choices,
     joint_cycle,
+    option_at,
+    placed,
     read,
     site_of,
+    walk,
 )
-from taciturn.model.steps import Received as Received
-from taciturn.model.steps import Terms as Terms
 from taciturn.model.theory import Guarantee, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, shape_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ESTIMATE, HELD = "estimate", "held"  # names of signals of all designs
 HALF = 0.5  # between two counts of steps
-
-
-def steps_since(link: str) -> str:
-    """Return the name of the signal that counts the steps since the last send on a link."""
-    return f"steps since a packet on {link}"
-
-
-def longest_silence(network: Network, link: str) -> int | None:
-    """Return the number of steps after which a packet of a running sender must have arrived.
-
-    It is ``max_interval`` on a link without losses, and otherwise None, because a link that drops packets may drop this
-    one.
-    """
-    law = network.links[link]
-    return None if law.mean_loss else law.max_interval
-
-
-def keep_intervals(policy: Policy) -> Mapping[str, Any]:
-    """Return the fields of a policy that change so that its decisions keep the limits of its network; often none."""
-    steps, network = policy.steps, policy.network
-    sends = {step.link: step for step in steps if isinstance(step, Send)}
-    kept = {step.signal for step in steps if isinstance(step, Assign)}
-    limited = {link: network.links[link] for link in sends if network.links[link].intervals != IDEAL_LINK.intervals}
-    present = [link for link in sends if steps_since(link) in kept]
-    if not limited and not present:
-        return {}
-    deciding = {link: law for link, law in limited.items() if not _fixed(policy, sends[link], law)}
-    if present:
-        _expect_same(policy, present, deciding)
-        return {}
-    found = [one for step in steps for one in _kept(step, {link: sends[link] for link in deciding}, deciding)]
-    theory, withdrawn = _theory(policy, deciding)
-    return {
-        "steps": tuple(found),
-        "initial": {**policy.initial, **_starts(deciding)},
-        "theory": theory,
-        "notes": (*policy.notes, *withdrawn),
-    }
-
-
-def _starts(laws: Mapping[str, LinkLaw]) -> dict[str, Any]:
-    return {steps_since(link): np.array([float(law.min_interval)]) for link, law in laws.items()}
-
-
-def _kept(step: Step, sends: Mapping[str, Send], laws: Mapping[str, LinkLaw]) -> list[Step]:
-    """Return a step; for a decision on limited links, the decision with the labels that it excludes, and the counts."""
-    on = {link: send for link, send in sends.items() if isinstance(step, Decide) and send.on == step.decision}
-    if not on or not isinstance(step, Decide):
-        return [step]
-    labels = step.trigger.labels
-    sending = {link: send.labels or labels[1:] for link, send in on.items()}
-    _expect_sets(step, sending)
-    excluded = {
-        label: tuple(form for link in on for form in _forms(link, laws[link], label in sending[link]))
-        for label in labels
-    }
-    trigger = replace(step.trigger, excluded={label: forms for label, forms in excluded.items() if forms})
-    return [replace(step, trigger=trigger), *(_count(step, link, sending[link]) for link in on)]
-
-
-def _forms(link: str, law: LinkLaw, sends: bool) -> list[Form]:
-    """Return the forms that are positive while a label that sends, or one that does not, breaks the limits."""
-    count = steps_since(link)
-    if sends:
-        return [Form(constant=law.min_interval - HALF, plus={count: -1.0})] if law.min_interval > 1 else []
-    return [] if law.max_interval is None else [Form(constant=HALF - law.max_interval, plus={count: 1.0})]
-
-
-def _count(step: Decide, link: str, sending: Sequence[str]) -> Assign:
-    """Return the step that counts the steps since the last send, for the next step."""
-    count, one = steps_since(link), np.ones((1, 1))
-    return Assign(
-        step.at,
-        count,
-        tuple({ONE: one} if label in sending else {count: one, ONE: one} for label in step.trigger.labels),
-        step.decision,
-    )
-
-
-def _expect_sets(step: Decide, sending: Mapping[str, Sequence[str]]) -> None:
-    """Raise an error if a decision on several links has no label for a set of links that the limits may demand."""
-    labels = {tuple(label in labels for labels in sending.values()) for label in step.trigger.labels}
-    missing = [sets for sets in product((False, True), repeat=len(sending)) if sets not in labels]
-    if missing:
-        named = " and ".join(link for link, sends in zip(sending, missing[0], strict=True) if sends) or "no link"
-        raise ProblemError(
-            f"the decision {step.decision!r} has no label that sends on {named} only, which limits of the intervals "
-            "between sends may demand; expected a label for each set of links, or no min_interval and max_interval"
-        )
-
-
-def _fixed(policy: Policy, send: Send, law: LinkLaw) -> bool:
-    """Return whether packets of a link are sent at fixed steps, after a check that these keep the limits."""
-    triggers = policy.decisions
-    chosen = ["always"] * 2 if send.on is None else fixed_choices(send.on, policy.locations, triggers)
-    if chosen is None:
-        return False
-    horizon = None if policy.theory.cost is None else policy.theory.cost.horizon
-    silent = () if send.on is None else _silent(send, triggers[send.on])
-    ticks = [k for k, label in enumerate(chosen[:horizon]) if label not in silent]
-    gaps = [after - before for before, after in pairwise(ticks)]
-    rest = [] if ticks and horizon is None else [(horizon or LONGEST + 1) - (ticks[-1] if ticks else 0)]
-    found = {
-        "min_interval": min(gaps, default=law.min_interval),
-        "max_interval": max([*gaps, *rest, ticks[0] + 1 if ticks else 0]),
-    }
-    for name, gap in found.items():
-        limit = law.intervals[name]
-        if limit is not None and (gap < limit if name == "min_interval" else gap > limit):
-            every = f"with an interval of {gap} step{'s' * (gap > 1)}" if ticks else "or never"
-            raise ProblemError(
-                f"{policy.network.key(send.link, name)} is {limit}, but {policy.kind} sends at fixed steps on the "
-                f"{send.link} link, {every}; expected a limit that these steps keep, or other parameters of the policy"
-            )
-    return True
-
-
-def _silent(send: Send, trigger: Trigger) -> tuple[str, ...]:
-    sending = send.labels or trigger.labels[1:]
-    return tuple(label for label in trigger.labels if label not in sending)
-
-
-def _expect_same(policy: Policy, present: Sequence[str], laws: Mapping[str, LinkLaw]) -> None:
-    """Raise an error if the decisions of a policy keep other limits than those of its network."""
-    wanted = {link: [_numbers(form) for sends in (True, False) for form in _forms(link, law, sends)]
-              for link, law in laws.items()}  # fmt: skip
-    for link in dict.fromkeys((*present, *laws)):
-        count = steps_since(link)
-        forms = chain.from_iterable(trigger.excluded.values() for trigger in policy.decisions.values())
-        found = {_numbers(form) for form in chain.from_iterable(forms) if count in form.plus}
-        if found != set(wanted.get(link, ())):
-            raise ProblemError(
-                f"the decisions of this {policy.kind} keep other limits of the intervals between sends on the {link} "
-                f"link than the network, {policy.network.links[link].intervals}; expected the limits of the design: "
-                "design the policy again"
-            )
-
-
-def _numbers(form: Form) -> tuple[object, ...]:
-    return (form.constant, *form.plus.items())
-
-
-def _theory(policy: Policy, laws: Mapping[str, LinkLaw]) -> tuple[Theory, tuple[str, ...]]:
-    """Return the theory that holds with limits, and notes on the claims that do not.
-
-    Identities hold for all times of sends. A bound that limits the cost of each silent step holds with further sends;
-    no bound holds if a send is withheld.
-    """
-    theory = policy.theory
-    covers = theory.covers | INTERVALS
-    if not laws:
-        return replace(theory, covers=covers), ()
-    withheld = [policy.network.key(link, "min_interval") for link, law in laws.items() if law.min_interval > 1]
-    forced = [policy.network.key(link, "max_interval") for link, law in laws.items() if law.max_interval is not None]
-    guarantee, notes = theory.guarantee, tuple[str, ...]()
-    if guarantee is not None and (withheld or not guarantee.more_sends):
-        effect = f"{withheld[0]} withholds" if withheld else f"{forced[0]} forces"
-        notes = (f"{effect} packets against the decision of {policy.kind}, so no bound is claimed",)
-        guarantee = None
-    slower = max(law.min_interval for law in laws.values())
-    changed = replace(
-        theory,
-        guarantee=guarantee,
-        errors={} if withheld else theory.errors,
-        closed_form=None,
-        fixed_rates={link: rate for link, rate in theory.fixed_rates.items() if link not in laws},
-        settling=slower * theory.settling,
-        recovery=None if theory.recovery is None else slower * theory.recovery,
-        covers=covers,
-    )
-    return changed, notes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -421,8 +250,8 @@ class Policy(Displayed):
     def holds(self, link: str) -> bool:
         """Return whether the receiver of a link keeps the last received value in silence."""
         received = [step for step in self.steps if isinstance(step, Assign) and step.on == Received(link)]
-        kept = [(step.size, step.branches[0].get(step.signal)) for step in received if len(step.branches[0]) == 1]
-        return any(isinstance(own, np.ndarray) and np.array_equal(own, np.eye(size)) for size, own in kept)
+        kept = [step.branches[0].get(step.signal) for step in received if len(step.branches[0]) == 1]
+        return any(own is not None and _is_identity(own) for own in kept)
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:
@@ -441,7 +270,6 @@ class Policy(Displayed):
         The steps of a policy compute deviations from the operating point of its model. Here measurements, inputs,
         estimates and their copies, also in packets, include the point.
         """
-
         return in_units(self)
 
     def outcomes(self, condition: Condition) -> int:
@@ -465,7 +293,9 @@ class Policy(Displayed):
             ['command (1)', 'y (1)']
         """
         DRAWN.check(self.parts, self.designed_for)
-        return draw_diagram(self)
+        sites = dict.fromkeys(self.site(node) for node in self.network.nodes)
+        sends = [step for step in self.steps if isinstance(step, Send)]
+        return Diagram(tuple(_place(self, site) for site in sites), tuple(_link(self, step) for step in sends))
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of the nodes and of the packets that they exchange within a step."""
@@ -545,11 +375,8 @@ class Policy(Displayed):
             )
 
 
-def draw_diagram(policy: Policy) -> Diagram:
-    """Return the nodes of a policy and the links between them, derived from its policy steps."""
-    sends = [step for step in policy.steps if isinstance(step, Send)]
-    sites = dict.fromkeys(policy.site(node) for node in policy.network.nodes)
-    return Diagram(tuple(_place(policy, site) for site in sites), tuple(_link(policy, step) for step in sends))
+def _is_identity(matrix: Matrix) -> bool:
+    return isinstance(matrix, np.ndarray) and np.array_equal(matrix, np.eye(len(matrix)))
 
 
 def _place(policy: Policy, site: frozenset[str]) -> Place:
@@ -562,42 +389,24 @@ def _place(policy: Policy, site: frozenset[str]) -> Place:
 
 
 def _link(policy: Policy, step: Send) -> Link:
-    steps, locations = policy.steps, policy.locations
     payload = {name: policy.sizes[name] for name in step.payload}
-    conditions = [other.on for other in steps if isinstance(other, Assign | Evaluate)]
-    conditions += [location.on for location in locations]
-    told = any(isinstance(on, Acknowledged) and on.link == step.link for on in conditions)
+    conditions = [*map(condition_of, policy.steps), *(location.on for location in policy.locations)]
+    told = Acknowledged(step.link) in conditions
     ends = (step.link, step.at, policy.network.receiver(step.link), payload)
     if step.on is None:
         return Link(*ends, "always", acknowledged=told)
-    trigger = next(other.trigger for other in steps if isinstance(other, Decide) and other.decision == step.on)
-    labels = step.labels or trigger.labels[1:]
+    trigger = policy.decisions[step.on]
+    labels = step.sending(trigger.labels)
     decided = (step.on, labels, tuple(label for label in trigger.labels if label not in labels))
-    read_by = {by for form in trigger.forms for by in _tables(form)}
-    tables = [location for location in locations if location.name in read_by]
+    weights = [weight for form in trigger.forms for weight in (form.Psi, form.constant)]
+    read_by = {weight.by for weight in weights if isinstance(weight, Scheduled)}
+    tables = [location for location in policy.locations if location.name in read_by]
     turning = tuple(location.name for location in tables if len(location.table) > 1)
     if trigger.reads or any(location.on is not None for location in tables):
         return Link(*ends, "decision", *decided, (*trigger.reads, *turning), acknowledged=told)
-    return Link(*ends, "schedule", *decided, turning, *_pattern(trigger, tables, labels), told)
-
-
-def _tables(form: Form) -> list[str]:
-    """Return the names of the locations that select the weights of a form."""
-    return [value.by for value in (form.Psi, form.constant) if isinstance(value, Scheduled)]
-
-
-def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]) -> tuple[tuple[bool, ...], int]:
-    """Return whether a packet is sent at each step, and the step from which this pattern repeats."""
-    here = {clock.name: clock.initial for clock in clocks}
-    visited: dict[tuple[int, ...], int] = {}
-    pattern: list[bool] = []
-    while tuple(here.values()) not in visited:
-        visited[tuple(here.values())] = len(pattern)
-        constants = [form.constant for form in trigger.options.values()]
-        values = [float(c.values[here[c.by]]) if isinstance(c, Scheduled) else c for c in constants]
-        pattern.append(trigger.labels[int(np.argmin(values))] in labels)
-        here = {clock.name: int(clock.table[here[clock.name]]) for clock in clocks}
-    return tuple(pattern), visited[tuple(here.values())]
+    visited, start = walk(tables, policy.decisions) or ([], 0)
+    pattern = tuple(trigger.labels[option_at(trigger, placed(tables, here))] in labels for here in visited)
+    return Link(*ends, "schedule", *decided, turning, pattern, start, told)
 
 
 def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
@@ -612,9 +421,6 @@ def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
             "does not hold; expected a Problem with this plant and a policy kind"
         )
     return policy.model.alone or policy.model, policy.cost, policy.network
-
-
-ESTIMATE, HELD = "estimate", "held"  # names of signals of all designs
 
 
 def in_units(policy: Policy) -> Policy:
@@ -676,10 +482,6 @@ def _moves(policy: Policy, point: OperatingPoint) -> dict[str, Array]:
                 waiting.append(other)
     targets = policy.targets.values()  # deviations
     return {name: value for name, value in found.items() if value.any() and name not in targets}
-
-
-def _is_identity(matrix: Matrix) -> bool:
-    return isinstance(matrix, np.ndarray) and np.array_equal(matrix, np.eye(len(matrix)))
 
 
 def _moved(step: Step, moves: Mapping[str, Array]) -> tuple[Step, ...]:
@@ -768,3 +570,158 @@ def with_intervals(policy: Policy, network: Network) -> Policy:
     if network.nodes != designed.nodes or network.with_intervals(designed) is network:
         return policy
     return replace(policy, network=designed.with_intervals(network))
+
+
+def steps_since(link: str) -> str:
+    """Return the name of the signal that counts the steps since the last send on a link."""
+    return f"steps since a packet on {link}"
+
+
+def longest_silence(network: Network, link: str) -> int | None:
+    """Return the steps after which a packet of a running sender must have arrived; None, as a link may drop it."""
+    law = network.links[link]
+    return None if law.mean_loss else law.max_interval
+
+
+def keep_intervals(policy: Policy) -> Mapping[str, Any]:
+    """Return the fields of a policy that change so that its decisions keep the limits of its network; often none."""
+    steps, network = policy.steps, policy.network
+    sends = {step.link: step for step in steps if isinstance(step, Send)}
+    kept = {step.signal for step in steps if isinstance(step, Assign)}
+    limited = {link: network.links[link] for link in sends if network.links[link].intervals != IDEAL_LINK.intervals}
+    present = [link for link in sends if steps_since(link) in kept]
+    if not limited and not present:
+        return {}
+    deciding = {link: law for link, law in limited.items() if not _fixed(policy, sends[link], law)}
+    if present:
+        _expect_same(policy, present, deciding)
+        return {}
+    found = [one for step in steps for one in _kept(step, {link: sends[link] for link in deciding}, deciding)]
+    theory, withdrawn = _theory(policy, deciding)
+    starts = {steps_since(link): np.array([float(law.min_interval)]) for link, law in deciding.items()}
+    return {
+        "steps": tuple(found),
+        "initial": {**policy.initial, **starts},
+        "theory": theory,
+        "notes": (*policy.notes, *withdrawn),
+    }
+
+
+def _kept(step: Step, sends: Mapping[str, Send], laws: Mapping[str, LinkLaw]) -> list[Step]:
+    """Return a step; for a decision on limited links, the decision with the labels that it excludes, and the counts."""
+    on = {link: send for link, send in sends.items() if isinstance(step, Decide) and send.on == step.decision}
+    if not on or not isinstance(step, Decide):
+        return [step]
+    labels = step.trigger.labels
+    sending = {link: send.sending(labels) for link, send in on.items()}
+    _expect_sets(step, sending)
+    excluded = {
+        label: tuple(form for link in on for form in _forms(link, laws[link], label in sending[link]))
+        for label in labels
+    }
+    trigger = replace(step.trigger, excluded={label: forms for label, forms in excluded.items() if forms})
+    return [replace(step, trigger=trigger), *(_count(step, link, sending[link]) for link in on)]
+
+
+def _forms(link: str, law: LinkLaw, sends: bool) -> list[Form]:
+    """Return the forms that are positive while a label that sends, or one that does not, breaks the limits."""
+    count = steps_since(link)
+    if sends:
+        return [Form(constant=law.min_interval - HALF, plus={count: -1.0})] if law.min_interval > 1 else []
+    return [] if law.max_interval is None else [Form(constant=HALF - law.max_interval, plus={count: 1.0})]
+
+
+def _count(step: Decide, link: str, sending: Sequence[str]) -> Assign:
+    """Return the step that counts the steps since the last send, for the next step."""
+    count, one = steps_since(link), np.ones((1, 1))
+    return Assign(
+        step.at,
+        count,
+        tuple({ONE: one} if label in sending else {count: one, ONE: one} for label in step.trigger.labels),
+        step.decision,
+    )
+
+
+def _expect_sets(step: Decide, sending: Mapping[str, Sequence[str]]) -> None:
+    """Raise an error if a decision on several links has no label for a set of links that the limits may demand."""
+    labels = {tuple(label in labels for labels in sending.values()) for label in step.trigger.labels}
+    missing = [sets for sets in product((False, True), repeat=len(sending)) if sets not in labels]
+    if missing:
+        named = " and ".join(link for link, sends in zip(sending, missing[0], strict=True) if sends) or "no link"
+        raise ProblemError(
+            f"the decision {step.decision!r} has no label that sends on {named} only, which limits of the intervals "
+            "between sends may demand; expected a label for each set of links, or no min_interval and max_interval"
+        )
+
+
+def _fixed(policy: Policy, send: Send, law: LinkLaw) -> bool:
+    """Return whether packets of a link are sent at fixed steps, after a check that these keep the limits."""
+    triggers = policy.decisions
+    chosen = ["always"] * 2 if send.on is None else fixed_choices(send.on, policy.locations, triggers)
+    if chosen is None:
+        return False
+    horizon = None if policy.theory.cost is None else policy.theory.cost.horizon
+    sending = chosen if send.on is None else send.sending(triggers[send.on].labels)
+    ticks = [k for k, label in enumerate(chosen[:horizon]) if label in sending]
+    gaps = [after - before for before, after in pairwise(ticks)]
+    rest = [] if ticks and horizon is None else [(horizon or LONGEST + 1) - (ticks[-1] if ticks else 0)]
+    found = {
+        "min_interval": min(gaps, default=law.min_interval),
+        "max_interval": max([*gaps, *rest, ticks[0] + 1 if ticks else 0]),
+    }
+    for name, gap in found.items():
+        limit = law.intervals[name]
+        if limit is not None and (gap < limit if name == "min_interval" else gap > limit):
+            every = f"with an interval of {gap} step{'s' * (gap > 1)}" if ticks else "or never"
+            raise ProblemError(
+                f"{policy.network.key(send.link, name)} is {limit}, but {policy.kind} sends at fixed steps on the "
+                f"{send.link} link, {every}; expected a limit that these steps keep, or other parameters of the policy"
+            )
+    return True
+
+
+def _expect_same(policy: Policy, present: Sequence[str], laws: Mapping[str, LinkLaw]) -> None:
+    """Raise an error if the decisions of a policy keep other limits than those of its network."""
+    wanted = {link: [_numbers(form) for sends in (True, False) for form in _forms(link, law, sends)]
+              for link, law in laws.items()}  # fmt: skip
+    for link in dict.fromkeys((*present, *laws)):
+        count = steps_since(link)
+        forms = chain.from_iterable(trigger.excluded.values() for trigger in policy.decisions.values())
+        found = {_numbers(form) for form in chain.from_iterable(forms) if count in form.plus}
+        if found != set(wanted.get(link, ())):
+            raise ProblemError(
+                f"the decisions of this {policy.kind} keep other limits of the intervals between sends on the {link} "
+                f"link than the network, {policy.network.links[link].intervals}; expected the limits of the design: "
+                "design the policy again"
+            )
+
+
+def _numbers(form: Form) -> tuple[object, ...]:
+    return (form.constant, *form.plus.items())
+
+
+def _theory(policy: Policy, laws: Mapping[str, LinkLaw]) -> tuple[Theory, tuple[str, ...]]:
+    """Return the theory that holds with limits, and notes on the claims that do not."""
+    theory = policy.theory
+    covers = theory.covers | INTERVALS
+    if not laws:
+        return replace(theory, covers=covers), ()
+    withheld = [policy.network.key(link, "min_interval") for link, law in laws.items() if law.min_interval > 1]
+    forced = [policy.network.key(link, "max_interval") for link, law in laws.items() if law.max_interval is not None]
+    guarantee, notes = theory.guarantee, tuple[str, ...]()
+    if guarantee is not None and (withheld or not guarantee.more_sends):
+        effect = f"{withheld[0]} withholds" if withheld else f"{forced[0]} forces"
+        notes = (f"{effect} packets against the decision of {policy.kind}, so no bound is claimed",)
+        guarantee = None
+    slower = max(law.min_interval for law in laws.values())
+    changed = replace(
+        theory,
+        guarantee=guarantee,
+        errors={} if withheld else theory.errors,
+        closed_form=None,
+        fixed_rates={link: rate for link, rate in theory.fixed_rates.items() if link not in laws},
+        settling=slower * theory.settling,
+        recovery=None if theory.recovery is None else slower * theory.recovery,
+        covers=covers,
+    )
+    return changed, notes

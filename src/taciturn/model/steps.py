@@ -1,6 +1,15 @@
 """Policy steps as data: the computations, decisions and packets of the nodes within a sampling step.
 
-Finite discrete states ("locations") that evolve by tables, and the common period of data-independent ones.
+A policy is a list of these steps. A node assigns sums Σ matrix·signal (``Assign``), quadratic forms (``Evaluate``),
+results of functions (``Apply``) and random thresholds (``Draw``); it decides by a trigger (``Decide``), and sends
+packets (``Send``). A condition selects a branch of an assignment: the label of a decision, or whether a packet arrived
+(``Received``) or was acknowledged (``Acknowledged``).
+
+A ``Location`` is a finite discrete state that evolves by a table, such as the phase of a schedule. Matrices and numbers
+of the steps may depend on it. A location is independent of data if it has no condition, if all columns of its table
+agree where it passes, or if its decision compares constants that locations of this kind select. Then its places in all
+steps are known in advance (``walk``), and so are the choices of such decisions (``fixed_choices``) and the steps after
+which everything repeats (``joint_cycle``).
 """
 
 from __future__ import annotations
@@ -8,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
@@ -181,6 +191,10 @@ class Send(Displayed):
     on: str | None = None
     labels: tuple[str, ...] = ()
 
+    def sending(self, labels: tuple[str, ...]) -> tuple[str, ...]:
+        """Return those labels of its decision for which the packet is sent."""
+        return self.labels or labels[1:]
+
 
 Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 
@@ -188,6 +202,11 @@ Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 def site_of(node: str, sites: Sequence[frozenset[str]]) -> frozenset[str]:
     """Return the nodes at the same site as a node; a node that is in none of the given sites is alone."""
     return next((site for site in sites if node in site), frozenset({node}))
+
+
+def condition_of(step: Step) -> Condition | None:
+    """Return the condition that selects a branch of a policy step, or None if there is none."""
+    return step.on if isinstance(step, Assign | Evaluate) else None
 
 
 def assigned(step: Step) -> Mapping[str, int]:
@@ -274,16 +293,43 @@ def joint_cycle(locations: Iterable[Location], triggers: Mapping[str, Trigger]) 
 
 def _period(location: Location, named: Mapping[str, Location], triggers: Mapping[str, Trigger]) -> int:
     """Return the number of steps after which a location repeats, or 1 if it depends on data."""
-    deciding = _deciders(location, named, triggers)
-    places = {one.name: one.initial for one in deciding}
+    walked = walk(_deciders(location, named, triggers), triggers)
+    return 1 if walked is None else len(walked[0]) - walked[1]
+
+
+def walk(locations: Sequence[Location], triggers: Mapping[str, Trigger]) -> tuple[list[tuple[int, ...]], int] | None:
+    """Return the places of locations in each step until they repeat, and the step from which they do; None by data."""
+    here = tuple(one.initial for one in locations)
     visited: dict[tuple[int, ...], int] = {}
-    while (here := tuple(places.values())) not in visited:
+    while here not in visited:
         visited[here] = len(visited)
-        following = {one.name: _next(one, places, triggers) for one in deciding}
-        if None in following.values() or (len(deciding) > 1 and len(visited) > LONGEST):
-            return 1
-        places = {name: place for name, place in following.items() if place is not None}
-    return len(visited) - visited[here]
+        places = placed(locations, here)
+        following = [_next(one, places, triggers) for one in locations]
+        if None in following or (len(locations) > 1 and len(visited) > LONGEST):
+            return None
+        here = tuple(place for place in following if place is not None)
+    return list(visited), visited[here]
+
+
+def placed(locations: Iterable[Location], here: Iterable[int]) -> Mapping[str, int]:
+    """Return the places of locations by name."""
+    return {one.name: place for one, place in zip(locations, here, strict=True)}
+
+
+def _next(location: Location, places: Mapping[str, int], triggers: Mapping[str, Trigger]) -> int | None:
+    """Return the next index of a location, or None if it depends on data."""
+    row = np.atleast_1d(location.table[places[location.name]])
+    if (row == row[0]).all():
+        return int(row[0])
+    trigger = triggers.get(location.on) if isinstance(location.on, str) else None
+    return None if trigger is None or trigger.reads else int(row[option_at(trigger, places)])
+
+
+def option_at(trigger: Trigger, places: Mapping[str, int]) -> int:
+    """Return the index of the option that a trigger of constants selects, given the places of all locations."""
+    constants = [form.constant for form in trigger.options.values()]
+    values = [float(c.values[places[c.by]]) if isinstance(c, Scheduled) else c for c in constants]
+    return values.index(min(values))
 
 
 def _deciders(location: Location, named: Mapping[str, Location], triggers: Mapping[str, Trigger]) -> list[Location]:
@@ -291,8 +337,7 @@ def _deciders(location: Location, named: Mapping[str, Location], triggers: Mappi
     found = [location]
     for one in found:
         trigger = triggers.get(one.on) if isinstance(one.on, str) else None
-        constants = [] if trigger is None else [form.constant for form in trigger.options.values()]
-        by = {constant.by for constant in constants if isinstance(constant, Scheduled)}
+        by = set[str]() if trigger is None else trigger.selected_by
         found += [named[name] for name in sorted(by) if name in named and named[name] not in found]
     return found
 
@@ -302,35 +347,10 @@ def fixed_choices(decision: str, locations: Iterable[Location], triggers: Mappin
     trigger, named = triggers[decision], {location.name: location for location in locations}
     if trigger.reads or trigger.limit is not None:
         return None
-    by = {form.constant.by for form in trigger.options.values() if isinstance(form.constant, Scheduled)}
-    deciding = list(dict.fromkeys(one for name in sorted(by) for one in _deciders(named[name], named, triggers)))
-    places, found, start = {one.name: one.initial for one in deciding}, list[str](), -1
-    visited: dict[tuple[int, ...], int] = {}
-    while start < 0 or len(found) < 2 * len(visited) - start:
-        here = tuple(places.values())
-        start = visited[here] if start < 0 and here in visited else start
-        visited.setdefault(here, len(visited))
-        values = [_constant(form, places) for form in trigger.options.values()]
-        found.append(trigger.labels[values.index(min(values))])
-        following = {one.name: _next(one, places, triggers) for one in deciding}
-        if None in following.values() or len(visited) > LONGEST:
-            return None
-        places = {name: place for name, place in following.items() if place is not None}
-    return found
-
-
-def _next(location: Location, places: Mapping[str, int], triggers: Mapping[str, Trigger]) -> int | None:
-    """Return the next index of a location, or None if it depends on data."""
-    row = np.atleast_1d(location.table[places[location.name]])
-    if (row == row[0]).all():
-        return int(row[0])
-    trigger = triggers.get(location.on) if isinstance(location.on, str) else None
-    if trigger is None or trigger.reads:
+    found = (_deciders(named[name], named, triggers) for name in sorted(trigger.selected_by))
+    deciding = list(dict.fromkeys(chain.from_iterable(found)))
+    if (walked := walk(deciding, triggers)) is None:
         return None
-    values = [_constant(form, places) for form in trigger.options.values()]
-    return int(row[values.index(min(values))])
-
-
-def _constant(form: Form, places: Mapping[str, int]) -> float:
-    constant = form.constant
-    return float(constant.values[places[constant.by]]) if isinstance(constant, Scheduled) else constant
+    visited, start = walked
+    labels = [trigger.labels[option_at(trigger, placed(deciding, here))] for here in visited]
+    return labels + labels[start:]

@@ -203,6 +203,12 @@ class Trigger(Displayed):
         return tuple(dict.fromkeys(name for form in self.forms for name in form.reads))
 
     @property
+    def selected_by(self) -> set[str]:
+        """Names of the locations that select the constants of the options."""
+        constants = [form.constant for form in self.options.values()]
+        return {constant.by for constant in constants if isinstance(constant, Scheduled)}
+
+    @property
     def forms(self) -> tuple[Form, ...]:
         """All forms: those of the actions, and those that exclude actions."""
         return (*self.options.values(), *(form for forms in self.excluded.values() for form in forms))

@@ -1,6 +1,6 @@
 """All nodes of a policy and their links as one pure function, for a plant that is simulated or measured elsewhere.
 
-The program of all nodes (``program.controller``) is compiled to a Python function of the memory and the inputs: the
+The program of all nodes (``program.all_nodes``) is compiled to a Python function of the memory and the inputs: the
 measurement, set-points, and what becomes of each packet. The random draws of a step depend only on the seed and the
 number of the step, so that any step can be repeated. The results are those of separate nodes, bit for bit.
 

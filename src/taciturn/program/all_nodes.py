@@ -2,8 +2,8 @@
 
 ``lower_policy`` walks through the policy steps of all nodes in order. The program reads the measurement and uniform
 numbers, and gives the input of the plant, the nodes' copies of it, and whether a packet is sent and arrives on each
-link. ``taciturn.loop`` walks through the same steps between its own of the plant (``begin_time_step``, ``measure``,
-``gather_input``).
+link. ``taciturn.loop`` walks through the same steps (``begin_time_step``, ``measure``, ``carry_out``) between its own
+of the plant.
 
 A program for real plants is informed of more (``Informed``): which outputs are not measured and are to be predicted,
 which input was really applied, and what becomes of a packet. ``lower_command`` stops at the command of the controller.
@@ -21,6 +21,7 @@ from taciturn._arrays import Array
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import Policy
+from taciturn.model.saturation import Saturation
 from taciturn.model.steps import ONE, Assign, Step, Terms
 from taciturn.model.theory import INNOVATION
 from taciturn.model.trigger import Matrix, Scheduled
@@ -39,13 +40,23 @@ def lower_policy(policy: Policy, network: Network, begin: Begin = TimeStep) -> P
     """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input."""
     policy = policy.in_units
     tick = _measured(policy, network, begin)
-    for step in policy.steps:
-        tick.take(step)
-    applied = tick.limited(gather_input(tick, policy), policy.model.saturation, APPLIED)
+    carry_out(tick, policy, policy.steps, policy.model.saturation)
     copies = {
         name: i for copy in copies_of_inputs(policy) for name, i in named(copy.held, tick.read(copy.held)).items()
     }
-    return tick.finish({}, {**named(APPLIED, applied), **copies, **tick.packets()})
+    return tick.finish({}, {**named(APPLIED, tick.signals[APPLIED]), **copies, **tick.packets()})
+
+
+def carry_out(tick: TimeStep, policy: Policy, steps: Iterable[Step], limits: Saturation | None) -> None:
+    """Translate the steps of all nodes after the measurement, and set ``APPLIED`` to the input within its limits."""
+    for step in steps:
+        tick.take(step)
+    found = {
+        index: operand
+        for signal, (_, inputs) in policy.applied.items()
+        for index, operand in zip(inputs, tick.signals[signal], strict=True)
+    }
+    tick.limited([found[index] for index in range(policy.model.inputs)], limits, APPLIED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,22 +117,21 @@ class Informed(TimeStep):
         for signal in sorted(signals):
             held = self.read(signal)
             changes = self.supplied(change_of(signal), len(held))
-            told = self.builder.emit("greater", *self.supplied(TOLD, 1), self.builder.constant(0.0))
+            (told,) = self.supplied(TOLD, 1)
+            known = self.builder.greater(told, 0.0)
             moved = add_values(self, held, changes)
-            self.signals[signal] = [self.choose(told, *one) for one in zip(moved, held, strict=True)]
+            self.signals[signal] = [self.builder.choose(known, *one) for one in zip(moved, held, strict=True)]
 
     def arrives(self, link: str, sent: Truth) -> Truth:
         """Return whether a packet is sent and arrives, by its fate or else at random."""
-        (fate,), none = self.supplied(fate_of(link), 1), self.builder.constant(0.0)
-        told = self.builder.emit("greater", fate, none)
-        dropped = self.builder.emit("greater", none, fate)
-        return self.both(self.negated(dropped), self.either(super().arrives(link, sent), self.both(sent, told)))
+        b, (fate,) = self.builder, self.supplied(fate_of(link), 1)
+        told, dropped = b.greater(fate, 0.0), b.greater(0.0, fate)
+        return b.both(b.negated(dropped), b.either(super().arrives(link, sent), b.both(sent, told)))
 
     def completed(self, y: Operands, predicted: Operands) -> Operands:
         """Return the outputs, with the predicted ones in place of those that are not measured."""
-        flags, none = self.supplied(MEASURED, len(y)), self.builder.constant(0.0)
-        known = [self.builder.emit("greater", flag, none) for flag in flags]
-        return [self.choose(*one) for one in zip(known, y, predicted, strict=True)]
+        known = [self.builder.greater(flag, 0.0) for flag in self.supplied(MEASURED, len(y))]
+        return [self.builder.choose(*one) for one in zip(known, y, predicted, strict=True)]
 
 
 def change_of(signal: str) -> str:
@@ -183,16 +193,6 @@ def measure(tick: TimeStep, policy: Policy, y: Operands) -> None:
         tick.signals[signal] = [y[index] for index in outputs]
 
 
-def gather_input(tick: TimeStep, policy: Policy) -> Operands:
-    """Return the input of the plant, from the signals that the nodes apply."""
-    found = {
-        index: operand
-        for signal, (_, inputs) in policy.applied.items()
-        for index, operand in zip(inputs, tick.signals[signal], strict=True)
-    }
-    return [found[index] for index in range(policy.model.inputs)]
-
-
 def begin_time_step(
     policy: Policy,
     network: Network,
@@ -212,7 +212,9 @@ def begin_time_step(
 
 
 def replaced(step: Step, signal: str, by: str, factor: Array) -> Step:
-    """Return a policy step with a signal replaced by the product of a matrix and another signal."""
+    """Return a policy step in which a signal, where it is read or assigned, is a matrix times another signal."""
+    if isinstance(step, Assign) and step.signal == signal:
+        return replace(step, branches=({by: factor},))
     if not isinstance(step, Assign) or not any(signal in terms for terms in step.branches):
         return step
 

@@ -16,17 +16,40 @@ import numpy as np
 
 from taciturn.program.functions import LAYOUTS
 from taciturn.program.ir import Program
-from taciturn.program.ops import EIGHT, Op, Precision, needed, tiles
+from taciturn.program.ops import EIGHT, LITERAL, Op, Precision, needed, tiles
 
 REAL, ROOT, CONSTANTS = "tac_real", "tac_root", "constants"
-_INFIX: Mapping[str, tuple[str, str]] = {  # operator, and type of the result; an empty type is that of the operands
-    "add": ("+", REAL), "sub": ("-", REAL), "mul": ("*", REAL), "div": ("/", REAL),
-    "greater": (">", "bool"), "less_equal": ("<=", "bool"), "and": ("&&", "bool"),
-    "word_add": ("+", ""), "word_and": ("&", ""), "word_or": ("|", ""), "word_xor": ("^", ""),
-}  # fmt: skip
+# by operation: the type of its value, and its expression from its arguments; an empty type is that of the first one
+_EXPRESSIONS: Mapping[str, tuple[str, str]] = {
+    "add": (REAL, "{0} + {1}"),
+    "sub": (REAL, "{0} - {1}"),
+    "mul": (REAL, "{0} * {1}"),
+    "div": (REAL, "{0} / {1}"),
+    "sqrt": (REAL, f"{ROOT}({{0}})"),
+    "narrow": (REAL, f"({REAL})(float){{0}}"),
+    "select": (REAL, "{0} ? {1} : {2}"),
+    "lookup": (REAL, "{0}[(size_t){1}]"),
+    "pick": (REAL, f"{{0}}[{{1}} & {EIGHT - 1}u]"),
+    "entry": (REAL, "{0}[{1}]"),
+    "greater": ("bool", "{0} > {1}"),
+    "less_equal": ("bool", "{0} <= {1}"),
+    "and": ("bool", "{0} && {1}"),
+    "not": ("bool", "!{0}"),
+    "word": ("uint64_t", "UINT64_C(0x{0:x})"),
+    "half": ("uint32_t", "UINT32_C(0x{0:x})"),
+    "word_add": ("", "{0} + {1}"),
+    "word_and": ("", "{0} & {1}"),
+    "word_or": ("", "{0} | {1}"),
+    "word_xor": ("", "{0} ^ {1}"),
+    "shift_left": ("", "{0} << {1}"),
+    "shift_right": ("", "{0} >> {1}"),
+    "upper": ("uint32_t", "(uint32_t)({0} >> 32)"),
+    "lower": ("uint32_t", "(uint32_t)({0} & UINT64_C(0xffffffff))"),
+    "count": (REAL, f"({REAL}){{0}}"),
+    "any_bit": ("bool", "{0} != 0u"),
+}
 _WIDTHS = {"uint64_t": 64, "uint32_t": 32}
 _DIGITS: Mapping[Precision, int] = {"float64": 17, "float32": 9}
-_SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
 
 
 def print_c(program: Program, name: str, places: Sequence[int], constants: list[float]) -> str:
@@ -115,49 +138,21 @@ class _Printer:
     def _expression(self, op: Op) -> tuple[str, str]:
         """Return the type and the expression of an operation's value."""
         name, rest = op
-        if name in _INFIX:
-            sign, kind = _INFIX[name]
-            return kind or self.types[rest[0]], f"{self._name(rest[0])} {sign} {self._name(rest[1])}"
         if name == "const":
             return REAL, self._constant(self.program.constants[rest[0]])
         if name == "state":
-            word = self.program.states[rest[0]].word
-            return "uint64_t" if word else REAL, f"memory[{rest[0]}]"
+            return "uint64_t" if self.program.states[rest[0]].word else REAL, f"memory[{rest[0]}]"
         if name == "input":
             return REAL, f"inputs[{self.places[rest[0]]}]"
-        if name == "select":
-            return REAL, f"{self._name(rest[0])} ? {self._name(rest[1])} : {self._name(rest[2])}"
-        if name == "not":
-            return "bool", f"!{self._name(rest[0])}"
-        if name == "lookup":
-            return REAL, f"{self._stored(self.program.tables[rest[0]])}[(size_t){self._name(rest[1])}]"
-        if name == "pick":
-            return REAL, f"{self._stored(self.program.tables[rest[0]])}[{self._name(rest[1])} & {EIGHT - 1}u]"
-        if name == "entry":
-            return REAL, f"{self._name(rest[0])}[{rest[1]}]"
-        if name == "narrow":
-            return REAL, f"({REAL})(float){self._name(rest[0])}"
-        if name == "sqrt":
-            return REAL, f"{ROOT}({self._name(rest[0])})"
-        return self._on_bits(name, rest)
-
-    def _on_bits(self, name: str, rest: Sequence[int]) -> tuple[str, str]:
-        if name in ("word", "half"):
-            kind = "uint64_t" if name == "word" else "uint32_t"
-            return kind, f"{_SUFFIX[kind]}(0x{rest[0]:x})"
-        kind, x = self.types[rest[0]], f"{self._name(rest[0])}"
-        if name == "any_bit":
-            return "bool", f"{x} != 0u"
-        if name == "count":
-            return REAL, f"({REAL}){x}"
-        if name == "upper":
-            return "uint32_t", f"(uint32_t)({x} >> 32)"
-        if name == "lower":
-            return "uint32_t", f"(uint32_t)({x} & UINT64_C(0xffffffff))"
+        literal = LITERAL.get(name)
+        given: list[object] = [one if i == literal else self._name(one) for i, one in enumerate(rest)]
+        if name in ("lookup", "pick"):
+            given[0] = self._stored(self.program.tables[rest[0]])
         if name == "rotate_left":
-            return kind, f"({x} << {rest[1]}) | ({x} >> {_WIDTHS[kind] - rest[1]})"
-        assert name in ("shift_left", "shift_right"), f"the operation {name} has no translation to C"
-        return kind, f"{x} {'<<' if name == 'shift_left' else '>>'} {rest[1]}"
+            kind = self.types[rest[0]]
+            return kind, f"({given[0]} << {rest[1]}) | ({given[0]} >> {_WIDTHS[kind] - rest[1]})"
+        kind, expression = _EXPRESSIONS[name]
+        return kind or self.types[rest[0]], expression.format(*given)
 
     def _copied(self, index: int, op: Op, kind: str) -> list[str]:
         """Return lines that copy the bits of a value to a variable of another type."""

@@ -124,7 +124,12 @@ def _two_normals(b: Builder, word: int) -> tuple[int, int]:
     """Return two independent standard normal numbers √(−2 log u)·(cos φ, sin φ) by the Box–Muller method."""
     if b.precision == "float32":
         return single.two_normals(b, word)
-    radius = b.emit("sqrt", minus_two_log(b, _upper_half_as_fraction(b, word)))
+    # bits 32–63: k, and the radius with u = (k + ½)/2^32 in (0, 1). 2^52 + k as a double, times 2^-32, minus
+    # (2^52 − ½) 2^-32: both operations are exact, so that the result does not change if the fast build fuses them.
+    integer = b.emit("number", b.emit("word_or", b.emit("shift_right", word, 32), b.emit("word", _EXPONENT_MANTISSA)))
+    scaled = b.emit("mul", integer, b.constant(2.0**-32))
+    u = b.emit("sub", scaled, b.constant((2.0**52 - 0.5) * 2.0**-32))
+    radius = b.emit("sqrt", minus_two_log(b, u))
     # bits 0–29: the angle (π/2) t from the nearest axis, t in [−½, ½). As a mantissa they give 1 + (t + ½).
     field = b.emit("word_and", b.emit("shift_left", word, 22), b.emit("word", _MANTISSA))
     t = b.emit("sub", b.emit("number", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE))), b.constant(1.5))
@@ -137,15 +142,6 @@ def _two_normals(b: Builder, word: int) -> tuple[int, int]:
     along, across = b.emit("mul", signed, cosine), b.emit("mul", signed, sine)
     swap = b.emit("any_bit", b.emit("word_and", word, b.emit("word", 1 << 30)))
     return b.emit("select", swap, across, along), b.emit("select", swap, along, across)
-
-
-def _upper_half_as_fraction(b: Builder, word: int) -> int:
-    """Return (k + ½) / 2^32, a number in (0, 1), for the upper 32 bits k of a word."""
-    # 2^52 + k as a double, times 2^-32, minus (2^52 − ½) 2^-32. Both operations are exact, so that the result does not
-    # change if the fast build fuses them.
-    integer = b.emit("number", b.emit("word_or", b.emit("shift_right", word, 32), b.emit("word", _EXPONENT_MANTISSA)))
-    scaled = b.emit("mul", integer, b.constant(2.0**-32))
-    return b.emit("sub", scaled, b.constant((2.0**52 - 0.5) * 2.0**-32))
 
 
 def minus_two_log(b: Builder, u: int) -> int:

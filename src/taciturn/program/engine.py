@@ -1,8 +1,21 @@
 """Execution of programs on the fastest available back end: LLVM, or NumPy if llvmlite is missing.
 
-There are three drivers. ``prepare`` runs many steps of one program. ``Stepper`` runs many programs that differ only in
-their constants, one path each. ``StepwiseRunner`` runs programs that receive inputs at each step: consecutive programs
-with few paths run together, with constants per path, and a program with many paths runs alone.
+A program is a map (z, w) → (z⁺, sums, outputs) of one step, and runs on many paths at a time: the machine code computes
+each operation on vectors with one lane per path (``llvm``), the reference on arrays of all paths (``numpy``). Paths do
+not interact, so the result of a path depends neither on the other paths nor on the number of threads.
+
+A sum over n steps has the form factor·Σ x + offset·n (``ops.Total``), where Σ x is added up at each step and the rest
+is applied once. The factors are constants, so two programs that differ only in constants have the same machine code but
+other factors.
+
+There are three drivers:
+
+* ``prepare`` runs many steps of one program without inputs. Its constants are shared by all paths.
+* ``Stepper`` runs many programs of equal structure, one path each. Each lane has constants of its own, which are loaded
+  from memory, so a step takes longer than with shared constants.
+* ``StepwiseRunner`` runs programs that receive inputs at each step, for a plant that is computed elsewhere. Consecutive
+  programs with few paths run together, with constants per path: one call of the machine code serves them all. A
+  program with at least ``MANY`` paths runs alone, since the call then costs little compared with its work.
 """
 
 from __future__ import annotations

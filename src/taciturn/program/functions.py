@@ -112,12 +112,9 @@ def signed(b: Builder, x: int, sign: int) -> int:
 
 
 def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
-    """Return the integer k nearest to factor·x as a floating-point number, and a word whose last bits are those of k.
-
-    |factor·x| must be below 2^51, or 2^22 in single precision.
-    """
-    # The fast build may round factor·x and the sum once instead of twice. The result then differs only for ties, where
-    # callers accept both neighbours.
+    """Return the integer k nearest to factor·x as a number, and a word whose last bits are those of k."""
+    # |factor·x| must be below 2^51, or 2^22 in single precision. The fast build may round factor·x and the sum once
+    # instead of twice. The result then differs only for ties, where callers accept both neighbours.
     shift = b.constant(LAYOUTS[b.precision].shift)
     shifted = b.emit("add", b.scale(factor, x), shift)
     return b.emit("sub", shifted, shift), b.emit("bits", shifted)
@@ -160,25 +157,17 @@ def falling(b: Builder, x: int) -> int:
     # the exponent −max(x, 0), limited to at least ``least`` so that 2^k is a normal number
     zero, least = b.constant(0.0), b.constant(_EXPONENTIALS[b.precision].least)
     exponent = b.emit("sub", zero, b.emit("select", b.emit("greater", x, zero), x, zero))
-    exponent = b.emit("select", b.emit("greater", exponent, least), exponent, least)
-    r, whole = _reduced_exponent(b, exponent)
-    return b.emit("mul", b.polynomial(_series(b, 0), r), _power_of_two(b, whole))
+    return _exponential(b, b.emit("select", b.emit("greater", exponent, least), exponent, least))
 
 
 def exponential_of(b: Builder, x: int) -> int:
     """Return e^x, saturated at e^{−708} and e^{709}, or e^{−87} and e^{88} in single precision."""
-    low, high = (b.constant(end) for end in _EXPONENTIALS[b.precision].ends)
-    # comparisons with NaN are false, so that these selections return NaN for NaN
-    x = b.emit("select", b.emit("greater", low, x), low, x)
-    r, whole = _reduced_exponent(b, b.emit("select", b.emit("greater", x, high), high, x))
-    return b.emit("mul", b.polynomial(_series(b, 0), r), _power_of_two(b, whole))
+    return _exponential(b, _saturated(b, x))
 
 
 def exponential_less_one(b: Builder, x: int) -> int:
     """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential_of``."""
-    low, high = (b.constant(end) for end in _EXPONENTIALS[b.precision].ends)
-    x = b.emit("select", b.emit("greater", low, x), low, x)
-    return _less_one(b, b.emit("select", b.emit("greater", x, high), high, x))
+    return _less_one(b, _saturated(b, x))
 
 
 def hyperbolic_tangent(b: Builder, x: int) -> int:
@@ -226,6 +215,20 @@ def logarithm(b: Builder, x: int) -> int:
     found = b.emit("select", b.emit("less_equal", endless, x), x, found)
     pole = b.emit("sub", b.emit("sqrt", x), endless)
     return b.emit("select", b.emit("greater", x, zero), found, pole)
+
+
+def _saturated(b: Builder, x: int) -> int:
+    """Return an exponent limited so that its exponential is a normal number."""
+    low, high = (b.constant(end) for end in _EXPONENTIALS[b.precision].ends)
+    # comparisons with NaN are false, so that these selections return NaN for NaN
+    x = b.emit("select", b.emit("greater", low, x), low, x)
+    return b.emit("select", b.emit("greater", x, high), high, x)
+
+
+def _exponential(b: Builder, x: int) -> int:
+    """Return e^x = 2^k e^r for an exponent whose exponential is a normal number."""
+    r, whole = _reduced_exponent(b, x)
+    return b.emit("mul", b.polynomial(_series(b, 0), r), _power_of_two(b, whole))
 
 
 def _reduced_exponent(b: Builder, exponent: int) -> tuple[int, int]:
@@ -313,7 +316,8 @@ def direction(b: Builder, y: int, x: int) -> int:
     angle = _angle(b, _absolute_value(b, y), _absolute_value(b, x))
     # π − angle in the left half-plane; then the sign of y
     left = b.emit("any_bit", _sign_bit(b, x))
-    behind = _subtracted(b, _HALF_TURN, angle)
+    turn, rest = _pair(b, _HALF_TURN)
+    behind = b.emit("sub", turn, b.emit("sub", angle, rest))
     return signed(b, b.emit("select", left, behind, angle), _sign_bit(b, y))
 
 
@@ -408,12 +412,6 @@ def _difference(one: tuple[float, float], other: tuple[float, float]) -> tuple[f
     """Return the difference of a larger and a smaller number, each given as a double and a remainder."""
     high = one[0] - other[0]
     return high, (one[0] - high) - other[0] + (one[1] - other[1])
-
-
-def _subtracted(b: Builder, turn: tuple[float, float], angle: int) -> int:
-    """Return turn − angle."""
-    high, low = _pair(b, turn)
-    return b.emit("sub", high, b.emit("sub", angle, low))
 
 
 def _pair(b: Builder, value: tuple[float, float]) -> tuple[int, int]:
@@ -567,46 +565,9 @@ def _hyperbolic_cosine(b: Builder, x: Coefficient) -> Coefficient:
     return b.scale(0.5, b.emit("add", grown, b.emit("div", b.constant(1.0), grown)))
 
 
-def greater(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
-    """Return whether x > y."""
-    return b.emit("greater", b.value(x), b.value(y))
-
-
-def less_equal(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
-    """Return whether x ≤ y."""
-    return b.emit("less_equal", b.value(x), b.value(y))
-
-
-def equal(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
+def _equal(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
     """Return whether x = y."""
-    return both(b, less_equal(b, x, y), less_equal(b, y, x))
-
-
-def both(b: Builder, one: Truth, other: Truth) -> Truth:
-    """Return whether both truth values are true."""
-    if isinstance(one, bool) or isinstance(other, bool):
-        known, rest = (one, other) if isinstance(one, bool) else (other, one)
-        return rest if known else False
-    return b.emit("and", one, other)
-
-
-def opposite(b: Builder, one: Truth) -> Truth:
-    """Return the logical negation of a truth value."""
-    return not one if isinstance(one, bool) else b.emit("not", one)
-
-
-def either(b: Builder, one: Truth, other: Truth) -> Truth:
-    """Return whether at least one of two truth values is true."""
-    return opposite(b, both(b, opposite(b, one), opposite(b, other)))
-
-
-def choose(b: Builder, truth: Truth, yes: Coefficient, no: Coefficient) -> Coefficient:
-    """Return the number ``yes`` if the truth value is true, and ``no`` otherwise."""
-    if isinstance(truth, bool):
-        return yes if truth else no
-    if isinstance(yes, float) and isinstance(no, float) and yes == no:
-        return yes
-    return b.choose(truth, b.value(yes), b.value(no))
+    return b.both(b.less_equal(x, y), b.less_equal(y, x))
 
 
 def _extreme(b: Builder, x: Coefficient, y: Coefficient, less: bool) -> Coefficient:
@@ -645,18 +606,6 @@ def _swapped(rule: Callable[..., Any], one: Any, b: Builder, other: Any) -> Any:
     return rule(b, other, one)
 
 
-def _less(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
-    return greater(b, y, x)
-
-
-def _greater_equal(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
-    return less_equal(b, y, x)
-
-
-def _not_equal(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
-    return opposite(b, equal(b, x, y))
-
-
 def _itself(b: Builder, x: Coefficient) -> Coefficient:
     return x
 
@@ -674,11 +623,15 @@ NUMBERS: Mapping[str, Callable[..., Coefficient]] = {  # by the names of NumPy's
     "floor": floor, "ceil": ceil, "rint": _round_off, "remainder": remainder, "floor_divide": floor_divide,
     "deg2rad": _times(pi / 180), "radians": _times(pi / 180), "rad2deg": _times(180 / pi), "degrees": _times(180 / pi),
 }  # fmt: skip
-COMPARISONS: Mapping[str, Callable[..., Truth]] = {
-    "greater": greater, "less_equal": less_equal, "equal": equal, "less": _less, "greater_equal": _greater_equal,
-    "not_equal": _not_equal,
-}  # fmt: skip
+COMPARISONS: Mapping[str, Callable[[Builder, Coefficient, Coefficient], Truth]] = {
+    "greater": Builder.greater,
+    "less": lambda b, x, y: b.greater(y, x),
+    "less_equal": Builder.less_equal,
+    "greater_equal": lambda b, x, y: b.less_equal(y, x),
+    "equal": _equal,
+    "not_equal": lambda b, x, y: b.negated(_equal(b, x, y)),
+}
 LOGIC: Mapping[str, Callable[..., Truth]] = {
-    "logical_and": both, "bitwise_and": both, "logical_or": either, "bitwise_or": either,
-    "logical_not": opposite, "invert": opposite,
+    "logical_and": Builder.both, "bitwise_and": Builder.both, "logical_or": Builder.either,
+    "bitwise_or": Builder.either, "logical_not": Builder.negated, "invert": Builder.negated,
 }  # fmt: skip

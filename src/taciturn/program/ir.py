@@ -154,9 +154,11 @@ class Builder:
             self.tables.append(row)
         return self.tables.index(row)
 
-    def value(self, coefficient: Coefficient) -> int:
-        """Return the operation that gives the value of a coefficient."""
-        return self.constant(coefficient) if isinstance(coefficient, float) else coefficient
+    def value(self, coefficient: Coefficient | None) -> int:
+        """Return the operation that gives the value of a coefficient; an empty sum (None) is 0."""
+        if isinstance(coefficient, int):
+            return coefficient
+        return self.constant(0.0 if coefficient is None else coefficient)
 
     def scale(self, coefficient: Coefficient, x: int) -> int:
         """Return coefficient · x."""
@@ -221,7 +223,10 @@ class Builder:
         mixed: list[tuple[int, list[Coefficient]]] = []  # a list, since the same value may occur more than once
         total: int | None = None
         for i, value in enumerate(values):
-            row = [c if j == i else self._twice(c) for j, c in enumerate(Psi[i][i:], start=i)]
+            row = [
+                c if j == i else 2.0 * c if isinstance(c, float) else self.emit("add", c, c)
+                for j, c in enumerate(Psi[i][i:], start=i)
+            ]
             if all(equals(c, 0.0) for c in row):
                 continue
             if all(equals(c, 0.0) for c in row[1:]):
@@ -237,8 +242,10 @@ class Builder:
             total = self.add(total, square if weight == one else self.emit("mul", weight, square))
         return total
 
-    def choose(self, truth: int, yes: int, no: int) -> int:
+    def choose(self, truth: Truth, yes: int, no: int) -> int:
         """Return the number ``yes`` if the truth value ``truth`` is true, and ``no`` otherwise."""
+        if isinstance(truth, bool):
+            return yes if truth else no
         if yes == no:
             return yes
         # (t ? c·x : 0) = c·(t ? x : 0): a constant factor outside can be applied to a sum once (``Program.totals``)
@@ -247,8 +254,36 @@ class Builder:
             return self.emit("mul", op.arguments[0], self.emit("select", truth, op.arguments[1], zero))
         return self.emit("select", truth, yes, no)
 
-    def _twice(self, coefficient: Coefficient) -> Coefficient:
-        return 2.0 * coefficient if isinstance(coefficient, float) else self.emit("add", coefficient, coefficient)
+    def both(self, one: Truth, other: Truth) -> Truth:
+        """Return whether both truth values are true."""
+        if isinstance(one, bool):
+            return one and other
+        if isinstance(other, bool):
+            return other and one
+        return self.emit("and", one, other)
+
+    def either(self, one: Truth, other: Truth) -> Truth:
+        """Return whether at least one of two truth values is true."""
+        if isinstance(one, bool):
+            return one or other
+        if isinstance(other, bool):
+            return other or one
+        return self.negated(self.both(self.negated(one), self.negated(other)))
+
+    def negated(self, truth: Truth) -> Truth:
+        """Return whether a truth value is false."""
+        if isinstance(truth, bool):
+            return not truth
+        op = self.ops[truth]
+        return op.arguments[0] if op.name == "not" else self.emit("not", truth)
+
+    def less_equal(self, one: Coefficient, other: Coefficient) -> Truth:
+        """Return whether a number is at most another."""
+        return self.emit("less_equal", self.value(one), self.value(other))
+
+    def greater(self, one: Coefficient, other: Coefficient) -> Truth:
+        """Return whether a number is greater than another."""
+        return self.emit("greater", self.value(one), self.value(other))
 
     def finish(self, following: Sequence[int], sums: Named, outputs: Named | None = None) -> Program:
         """Return the collected program; equal states are merged, and unused operations are removed."""
@@ -344,13 +379,12 @@ def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -
 def _pruned(program: Program, leader: Sequence[int], wanted: Set[str] = frozenset()) -> Program:
     """Return a program that reads each state from its leader, without states that are neither needed nor wanted."""
     alive = _alive(program, leader, {leader[i] for i, state in enumerate(program.states) if state.name in wanted})
-    return rebuild(program, _led(leader, alive), alive)
+    places = {old: new for new, old in enumerate(alive)}
 
+    def led(builder: Builder, op: Op) -> int | None:
+        return builder.emit("state", places[leader[op.arguments[0]]]) if op.name == "state" else None
 
-def _led(leader: Sequence[int], kept: Sequence[int]) -> Callable[[Builder, Op], int | None]:
-    """Return the substitution (for ``rebuild``) that reads each state from its class leader, one of ``kept``."""
-    positions = {old: new for new, old in enumerate(kept)}
-    return lambda builder, op: builder.emit("state", positions[leader[op.arguments[0]]]) if op.name == "state" else None
+    return rebuild(program, led, alive)
 
 
 def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int]:

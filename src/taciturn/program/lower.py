@@ -16,7 +16,7 @@ the minimum. The last label is chosen if no other one is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -40,11 +40,12 @@ from taciturn.model.steps import (
     Send,
     Step,
     Terms,
+    condition_of,
 )
-from taciturn.model.trigger import Form, GaussianTerm, Matrix, Scheduled
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.model.wire import FULL_SCALE, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
-from taciturn.program.functions import both, falling
+from taciturn.program.functions import falling
 from taciturn.program.ir import Builder, Coefficient, Program, Truth
 from taciturn.program.ops import Entry, Name, Named, Option, Sent, State
 from taciturn.program.tracing import trace
@@ -55,71 +56,6 @@ Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
 LOWERED = Coverage(STEPS | TRACKING | NETWORKS | INTERVALS, "programs do not carry out")
 
 
-class _Truths:
-    """Operations on truth values; a truth value that is known before the program runs is a ``bool``."""
-
-    def __init__(self, builder: Builder) -> None:
-        """Store the builder."""
-        self.builder = builder
-
-    def choose(self, truth: Truth, yes: int, no: int) -> int:
-        """Return the number ``yes`` if the truth value is true, and ``no`` otherwise."""
-        if isinstance(truth, bool):
-            return yes if truth else no
-        return self.builder.choose(truth, yes, no)
-
-    def as_number(self, truth: Truth) -> int:
-        """Return a truth value as a number: 1 for true and 0 for false."""
-        return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
-
-    def least(self, values: Sequence[int], allowed: Sequence[Truth]) -> list[Truth]:
-        """Return for each value but the last whether it is the first of the least allowed values."""
-        truths: list[Truth] = []
-        for i, value in enumerate(values[:-1]):
-            truth = allowed[i]
-            for other, possible in zip(values[i + 1 :], allowed[i + 1 :], strict=True):
-                below = self.builder.emit("less_equal", value, other)
-                truth = self.both(truth, self.either(below, self.negated(possible)))
-            for earlier in truths:
-                truth = self.both(truth, self.negated(earlier))
-            truths.append(truth)
-        return truths
-
-    def first_within(self, values: Sequence[int], limit: float, allowed: Sequence[Truth]) -> list[Truth]:
-        """Return for each value but the last whether it is the first allowed value that is at most the limit."""
-        # If there is none, it is the last allowed value.
-        within = [self.builder.emit("less_equal", value, self.builder.constant(limit)) for value in values[:-1]]
-        truths: list[Truth] = []
-        for i, low in enumerate(within):
-            last: Truth = True  # no later label is allowed
-            for possible in allowed[i + 1 :]:
-                last = self.both(last, self.negated(possible))
-            truth = self.both(allowed[i], self.either(low, last))
-            for earlier in truths:
-                truth = self.both(truth, self.negated(earlier))
-            truths.append(truth)
-        return truths
-
-    def both(self, one: Truth, other: Truth) -> Truth:
-        """Return whether both are true."""
-        return both(self.builder, one, other)
-
-    def either(self, one: Truth, other: Truth) -> Truth:
-        """Return whether one of the two is true."""
-        if isinstance(one, bool):
-            return True if one else other
-        if isinstance(other, bool):
-            return True if other else one
-        return self.negated(self.both(self.negated(one), self.negated(other)))
-
-    def negated(self, truth: Truth) -> Truth:
-        """Return whether a truth value is false."""
-        if isinstance(truth, bool):
-            return not truth
-        op = self.builder.ops[truth]
-        return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
-
-
 def first_input(policy: Policy, plant: Plant) -> Array:
     """Return the input of a plant before the first step: that of the policy, or 0, within the limits."""
     found = np.zeros(plant.inputs)
@@ -128,7 +64,7 @@ def first_input(policy: Policy, plant: Plant) -> Array:
     return found if plant.saturation is None else plant.saturation.begun(found)
 
 
-class TimeStep(_Truths):
+class TimeStep:
     """Translation of one time step: the operations that give the value of each signal after each policy step."""
 
     def __init__(
@@ -140,10 +76,8 @@ class TimeStep(_Truths):
         payloads: Payloads | None = None,
     ) -> None:
         """Start before the first policy step."""
-        self.payloads = payloads or {}
+        self.builder, self.sizes, self.initial, self.payloads = builder, sizes, initial, payloads or {}
         self.listening: Mapping[str, Encoding] = {}  # encodings of the packet that the current policy step reads
-        super().__init__(builder)
-        self.sizes, self.initial = sizes, initial
         self.signals: dict[str, Operands] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Operands] = {}
         self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
@@ -172,10 +106,12 @@ class TimeStep(_Truths):
         return [self._whole(value, scale) for value, scale in zip(values, encoding.full_scale, strict=True)]
 
     def _whole(self, value: int, scale: float) -> int:
-        """Round to an integer multiple of the resolution, scale/LARGEST, ties to even."""
-        # a sum with 1.5·2^mantissa has no bits below 1, so that adding and subtracting this number rounds to an integer
+        """Return a number within ±scale, rounded to a multiple of the resolution scale/FULL_SCALE, ties to even."""
         b, most = self.builder, float(FULL_SCALE)
-        steps = self._clip(b.scale(most / scale, value), most)
+        steps, high, low = b.scale(most / scale, value), b.constant(most), b.constant(-most)
+        steps = b.choose(b.emit("greater", steps, high), high, steps)
+        steps = b.choose(b.emit("greater", low, steps), low, steps)
+        # a sum with 1.5·2^mantissa has no bits below 1, so that adding and subtracting this number rounds to an integer
         rounder = b.constant(ROUNDERS[b.precision])
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
@@ -186,12 +122,6 @@ class TimeStep(_Truths):
             values = trace(self.builder, limits, given, {memory: len(values)})[memory]
         self.signals[memory] = values
         return values
-
-    def _clip(self, value: int, limit: float) -> int:
-        """Return a number clipped to the range ±limit."""
-        high, low = self.builder.constant(limit), self.builder.constant(-limit)
-        below = self.choose(self.builder.emit("greater", value, high), high, value)
-        return self.choose(self.builder.emit("greater", low, below), low, below)
 
     def recall(self, name: str) -> Operands:
         """Return the current value of a signal, or the value from the previous time step if it is not assigned yet."""
@@ -211,12 +141,12 @@ class TimeStep(_Truths):
                 after, chance = state, self.uniform()
                 for limits, nexts in reversed(burst.branches()):
                     moved = b.emit("greater", b.value(b.lookup(limits, state)), chance)
-                    after = self.choose(moved, b.value(b.lookup(nexts, state)), after)
+                    after = b.choose(moved, b.value(b.lookup(nexts, state)), after)
                 self.signals[link_state(link)] = [after]
 
     def take(self, step: Step) -> None:
         """Translate one policy step to operations."""
-        on = step.on if isinstance(step, Assign | Evaluate) else None
+        on = condition_of(step)
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign):
             values = [self.combine(terms, step.size) for terms in step.branches]
@@ -241,23 +171,20 @@ class TimeStep(_Truths):
         values = [value for name in terms for value in self.read(name)]
         blocks = [self.coefficients(matrix) for matrix in terms.values()]
         joined = [[c for block in blocks for c in block[i]] for i in range(rows)]
-        return [self.value(index) for index in self.builder.transform(joined, values)]
+        return [self.builder.value(index) for index in self.builder.transform(joined, values)]
 
     def form(self, form: Form) -> int:
         """Return the value of a trigger's form: v'Ψv, a Gaussian term, weighted scalars and a constant."""
         b = self.builder
         values = [value for name in form.signals for value in self.read(name)]
-        square = None if form.Psi is None else b.quadratic(self.coefficients(form.Psi), values)
-        bell = None if form.bell is None else self._bell(form.bell, values)
+        square, bell = None if form.Psi is None else b.quadratic(self.coefficients(form.Psi), values), None
+        if form.bell is not None:
+            halved = b.value(b.quadratic(self.coefficients(form.bell.Pi / 2), values))
+            bell = b.scale(form.bell.height, falling(b, halved))
         added = b.combine(list(form.plus.values()), [self.read(name)[0] for name in form.plus])
         constant = self.number(form.constant)
         fixed = None if constant == 0.0 and isinstance(constant, float) else b.value(constant)
-        return self.value(b.add(square, bell, added, fixed))
-
-    def _bell(self, bell: GaussianTerm, values: Operands) -> int:
-        """Return height·exp(−½ v'Πv)."""
-        halved = self.value(self.builder.quadratic(self.coefficients(bell.Pi / 2), values))
-        return self.builder.scale(bell.height, falling(self.builder, halved))
+        return b.value(b.add(square, bell, added, fixed))
 
     def pick(self, condition: Condition | None, options: Sequence[int]) -> int:
         """Return the option that belongs to the outcome of a condition in this time step."""
@@ -265,14 +192,19 @@ class TimeStep(_Truths):
         chosen = options[-1]
         if condition is not None:
             for truth, option in zip(reversed(self.happened(condition)), reversed(options[:-1]), strict=True):
-                chosen = self.choose(truth, option, chosen)
+                chosen = self.builder.choose(truth, option, chosen)
         return chosen
 
     def happened(self, condition: Condition) -> list[Truth]:
         """Return truth values for all outcomes of a condition but the last; for a packet, whether it did not arrive."""
         if isinstance(condition, str):
             return self.outcomes[condition]
-        return [self.negated(self._arrived(condition.link))]
+        link = condition.link
+        if link not in self.arrived:  # before its Send, a condition refers to the packet of the previous step
+            name = _arrival(link)
+            self.memories[name] = self._remember(name, 1)
+            self.arrived[link] = self.builder.greater(self.memories[name][0], 0.0)
+        return [self.builder.negated(self.arrived[link])]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
         """Return the entries of a matrix; a scheduled matrix depends on a location (a finite-state variable)."""
@@ -296,6 +228,10 @@ class TimeStep(_Truths):
     def supplied(self, signal: str, size: int, first: int = 0, link: str | None = None) -> Operands:
         """Return the entries of a signal that is an input of the program, numbered from ``first``."""
         return [self.builder.input(Entry(signal, first + i, link)) for i in range(size)]
+
+    def as_number(self, truth: Truth) -> int:
+        """Return a truth value as a number: 1 for true and 0 for false."""
+        return self.builder.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
 
     def packets(self) -> dict[Name, int]:
         """Return, by name, whether a packet is sent and whether it arrives on each link."""
@@ -328,10 +264,6 @@ class TimeStep(_Truths):
         ]
         return [self.builder.state(State(name, i, key)) for i, key in enumerate(keys)]
 
-    def value(self, index: int | None) -> int:
-        """Return an operation, or the constant 0 for an empty sum (None)."""
-        return self.builder.constant(0.0) if index is None else index
-
     def place(self, name: str) -> int:
         """Return the current value of a location (a finite-state variable of the policy)."""
         if name not in self.memories:
@@ -352,35 +284,50 @@ class TimeStep(_Truths):
         trigger = step.trigger
         values = [self.form(form) for form in trigger.options.values()]
         self.options[step.decision] = dict(zip(trigger.labels, values, strict=True))
-        allowed = [self._allowed(trigger.excluded.get(label, ())) for label in trigger.labels]
-        self.outcomes[step.decision] = (
-            self.least(values, allowed) if trigger.limit is None else self.first_within(values, trigger.limit, allowed)
-        )
+        self.outcomes[step.decision] = self.chosen(trigger, values)
 
-    def _allowed(self, forms: Sequence[Form]) -> Truth:
-        """Return whether no form is positive."""
+    def chosen(self, trigger: Trigger, values: Sequence[int]) -> list[Truth]:
+        """Return for each label but the last whether the trigger selects it, given the values of the forms."""
+        b, limit, found = self.builder, trigger.limit, list[Truth]()
+        allowed = [self._none_positive(trigger.excluded.get(label, ())) for label in trigger.labels]
+        within = [] if limit is None else [b.less_equal(value, limit) for value in values[:-1]]
+        for i, value in enumerate(values[:-1]):
+            truth = allowed[i]
+            if limit is None:
+                for other, possible in zip(values[i + 1 :], allowed[i + 1 :], strict=True):
+                    truth = b.both(truth, b.either(b.less_equal(value, other), b.negated(possible)))
+            else:  # if no label is within the limit, the last one that is allowed is selected
+                truth = b.both(truth, b.either(within[i], self._none(allowed[i + 1 :])))
+            for earlier in found:
+                truth = b.both(truth, b.negated(earlier))
+            found.append(truth)
+        return found
+
+    def _none_positive(self, forms: Sequence[Form]) -> Truth:
         truth: Truth = True
         for form in forms:
-            truth = self.both(truth, self.builder.emit("less_equal", self.form(form), self.builder.constant(0.0)))
+            truth = self.builder.both(truth, self.builder.less_equal(self.form(form), 0.0))
         return truth
+
+    def _none(self, truths: Iterable[Truth]) -> Truth:
+        """Return whether none of some truth values is true."""
+        none: Truth = True
+        for truth in truths:
+            none = self.builder.both(none, self.builder.negated(truth))
+        return none
 
     def _send(self, step: Send) -> None:
         sent: Truth = True
         if step.on is not None:
-            labels = list(self.options[step.on])
-            silent = [label not in (step.labels or labels[1:]) for label in labels]
-            truths = self.outcomes[step.on]
-            flags = zip(truths, silent[:-1], strict=True)
+            labels = tuple(self.options[step.on])
+            sending = step.sending(labels)
+            truths = dict(zip(labels, self.outcomes[step.on], strict=False))
             # the last label has no truth value: it is chosen if no other label is. So "sent" is expressed without it,
             # either as "one of the sending labels", or as "none of the silent labels".
-            if silent[-1]:
-                none: Truth = True
-                for truth in (truth for truth, quiet in flags if not quiet):
-                    none = self.both(none, self.negated(truth))
-                sent = self.negated(none)
+            if labels[-1] in sending:
+                sent = self._none(truth for label, truth in truths.items() if label not in sending)
             else:
-                for truth in (truth for truth, quiet in flags if quiet):
-                    sent = self.both(sent, self.negated(truth))
+                sent = self.builder.negated(self._none(truths[label] for label in truths if label in sending))
         self.sent[step.link], self.arrived[step.link] = sent, self.arrives(step.link, sent)
 
     def arrives(self, link: str, sent: Truth) -> Truth:
@@ -388,15 +335,7 @@ class TimeStep(_Truths):
         loss = self.losses[link]
         if isinstance(loss, float) and loss == 0.0:
             return sent
-        return self.both(sent, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
-
-    def _arrived(self, link: str) -> Truth:
-        """Return whether the packet of this step has arrived, or before its Send, the packet of the previous step."""
-        if link not in self.arrived:
-            name = _arrival(link)
-            self.memories[name] = self._remember(name, 1)
-            self.arrived[link] = self.builder.emit("greater", self.memories[name][0], self.builder.constant(0.0))
-        return self.arrived[link]
+        return self.builder.both(sent, self.builder.greater(self.uniform(), loss))
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:

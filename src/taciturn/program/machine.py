@@ -80,11 +80,8 @@ class Kernel:
         threads: int | None = None,
         constants: Array | None = None,
     ) -> Run:
-        """Run a program for ``ticks`` steps on every path, as :func:`taciturn.program.numpy.run` does.
-
-        Paths do not interact, so results do not depend on the number of paths and threads. If each path has its own
-        ``constants`` (``pack``), the sums exclude the factors and offsets of ``Program.totals``.
-        """
+        """Run a program for ``ticks`` steps on every path, as :func:`taciturn.program.numpy.run` does."""
+        # if each path has its own ``constants`` (``pack``), the sums exclude the factors and offsets of the totals
         paths, lanes = states.shape[1], self.lanes
         blocks = -(-paths // lanes)
         assert _sizes(program) == self._sizes, "the structure of the program differs from that of the kernel"

@@ -26,7 +26,18 @@ from taciturn.model.coverage import LOOPS, Coverage
 from taciturn.model.network import REFERENCE, Network
 from taciturn.model.packets import is_acknowledged, told_by
 from taciturn.model.policy import Policy
-from taciturn.model.steps import Acknowledged, Assign, Condition, Evaluate, Location, Received, Send, Step, assigned
+from taciturn.model.steps import (
+    Acknowledged,
+    Assign,
+    Condition,
+    Evaluate,
+    Location,
+    Received,
+    Send,
+    Step,
+    assigned,
+    condition_of,
+)
 from taciturn.model.wire import SETPOINT
 from taciturn.program.draws import UNIFORM, draw_uniforms
 from taciturn.program.ir import Builder, Program, Truth, rebuild
@@ -63,113 +74,94 @@ def lower_node(policy: Policy, site: frozenset[str], network: Network, precision
     NODES.check(policy.parts, policy.designed_for, network)
     _check_separable(policy)
     _expect_order(policy)
-    return _Lowering(policy, site, network, precision).result()
+    own = [step for step in policy.steps if step.at in site]
+    payloads = encode_payloads(policy, network)
+    applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
+    walked = list[_Part]()
+    for part in _parts(policy, site, own, applied.keys()):
+        walked.append(_Part(policy, payloads, walked[0].drawn if walked else 0, precision))
+        for step in part:
+            walked[-1].take(step)
+    limits, first = policy.model.saturation, walked[0]
+    for signal, inputs in applied.items():
+        first.limited(first.recall(signal), None if limits is None else limits.of(inputs), _applied(signal))
+    # locations that depend on an outcome are states; step counters are inputs, set from the number of the step
+    places = [place for place in policy.locations if place.on is not None and place.at in site]
+    for place in places:
+        walked[-1].move(place)
+    states = list(dict.fromkeys(state for tick in walked for state in tick.builder.states))
+    outputs = dict[Name, int]()
+    for link, truth in first.sent.items():
+        outputs |= {Sent(link): first.as_number(truth), **named(link, first.payload[link])}
+    for signal in applied:
+        outputs |= named(signal, first.recall(_applied(signal)))
+    outputs |= first.option_values()
+    programs = tuple(
+        _with_states(tick, states, outputs if tick is first else {}, places if tick is walked[-1] else [])
+        for tick in walked
+    )
+    inputs_of = [set(program.inputs) for program in programs]
+    read = set[Name]().union(*inputs_of)
+    sends = {step.link: step.payload for step in policy.steps if isinstance(step, Send)}
+    hears = {link: payload for link, payload in sends.items() if Received(link) in read}
+    late = frozenset[str](link for link in hears if Received(link) not in inputs_of[0])
+    return NodeProgram(
+        site=site,
+        parts=programs,
+        draws=draw_uniforms(walked[-1].drawn, precision) if walked[-1].drawn else None,
+        clocks=tuple(place for place in policy.locations if StepCounter(place.name) in read),
+        hears=hears,
+        lag={link: _age(policy, link) + (link in late) for link in hears},
+        late=late,
+        acknowledged=tuple(link for link in sends if Acknowledged(link) in read),
+        sends={step.link: step.payload for step in own if isinstance(step, Send)},
+    )
 
 
-class _Lowering:
-    """The policy steps of one site, and their division into parts."""
-
-    def __init__(self, policy: Policy, site: frozenset[str], network: Network, precision: Precision) -> None:
-        self.policy, self.site = policy, site
-        self.precision: Precision = precision
-        self.applied = {signal: inputs for signal, (node, inputs) in policy.applied.items() if node in site}
-        self.payloads = encode_payloads(policy, network)
-        self.steps = [step for step in policy.steps if step.at in site]
-        if not self.steps:
-            raise ProblemError(
-                f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node"
-            )
-        # the cut: the first policy step after the last output that waits for a packet or an acknowledgement
-        leaves = [i for i, step in enumerate(self.steps) if _is_output(step, self.applied.keys())]
-        behind = range(leaves[-1] + 1 if leaves else len(self.steps), len(self.steps))
-        waits = [i for i in behind if isinstance(_condition(self.steps[i]), Received | Acknowledged)]
-        cut = waits[0] if waits else len(self.steps)
-        self.parts = [part for part in (self.steps[:cut], self.steps[cut:]) if part]
-        if any(isinstance(_condition(step), Acknowledged) for step in self.steps[:cut]):
-            raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: a node needs an acknowledgement before its last "
-                "output; expected policy steps that depend on an acknowledgement after the last Send of the node"
-            )
-        # locations that depend on an outcome are states; step counters are inputs, set from the number of the step
-        self.places = [place for place in policy.locations if place.on is not None and place.at in site]
-
-    def result(self) -> NodeProgram:
-        """Return the programs of the site, one for each part of its time step, with equal states."""
-        walked: list[_Part] = []
-        for part in self.parts:
-            walked.append(_Part(self.policy, self.payloads, walked[0].drawn if walked else 0, self.precision))
-            for step in part:
-                walked[-1].take(step)
-        limits, first = self.policy.model.saturation, walked[0]
-        for signal, inputs in self.applied.items():
-            own = None if limits is None else limits.of(inputs)
-            first.limited(first.recall(signal), own, _applied(signal))
-        for place in self.places:
-            walked[-1].move(place)
-        states = list(dict.fromkeys(state for tick in walked for state in tick.builder.states))
-        programs = tuple(self._program(i, tick, states) for i, tick in enumerate(walked))
-        inputs_of = [set(program.inputs) for program in programs]
-        read = {name for names in inputs_of for name in names}
-        hears: dict[str, tuple[str, ...]] = {
-            link: self._order(link) for link in self.payloads if Received(link) in read
-        }
-        late = frozenset[str](link for link in hears if Received(link) not in inputs_of[0])
-        return NodeProgram(
-            site=self.site,
-            parts=programs,
-            draws=draw_uniforms(walked[-1].drawn, self.precision) if walked[-1].drawn else None,
-            clocks=tuple(place for place in self.policy.locations if StepCounter(place.name) in read),
-            hears=hears,
-            lag={link: self._before(link) + (link in late) for link in hears},
-            late=late,
-            acknowledged=tuple(link for link in self.payloads if Acknowledged(link) in read),
-            sends={step.link: step.payload for step in self.steps if isinstance(step, Send)},
+def _parts(policy: Policy, site: frozenset[str], own: Sequence[Step], applied: Set[str]) -> list[Sequence[Step]]:
+    """Return the policy steps of a site, cut before the first one after its last output that waits for a packet."""
+    if not own:
+        raise ProblemError(f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node")
+    leaves = [i for i, step in enumerate(own) if _is_output(step, applied)]
+    behind = range(leaves[-1] + 1 if leaves else len(own), len(own))
+    waits = [i for i in behind if isinstance(condition_of(own[i]), Received | Acknowledged)]
+    cut = waits[0] if waits else len(own)
+    if any(isinstance(condition_of(step), Acknowledged) for step in own[:cut]):
+        raise ProblemError(
+            f"the nodes of {policy.kind} cannot be separated: a node needs an acknowledgement before its last "
+            "output; expected policy steps that depend on an acknowledgement after the last Send of the node"
         )
+    return [part for part in (own[:cut], own[cut:]) if part]
 
-    def _order(self, link: str) -> tuple[str, ...]:
-        return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
 
-    def _before(self, link: str) -> int:
-        """Return 1 if a step reads a packet before its Send, so that it is the packet of the previous step; else 0."""
-        steps = self.policy.steps
-        sent = next(i for i, step in enumerate(steps) if isinstance(step, Send) and step.link == link)
-        conditions = [_condition(step) for step in steps]
-        read = [i for i, on in enumerate(conditions) if isinstance(on, Received) and on.link == link]
-        if read[0] < sent < read[-1]:
-            raise ProblemError(
-                f"the nodes of {self.policy.kind} cannot be separated: the packet of the {link} link is read "
-                "both before and after it is sent; expected that all steps read it before the send, or all after it"
-            )
-        return int(read[0] < sent)
+def _age(policy: Policy, link: str) -> int:
+    """Return 1 if a step reads a packet before its Send, so that it is the packet of the previous step; else 0."""
+    sent = next(i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == link)
+    read = [i for i, step in enumerate(policy.steps) if condition_of(step) == Received(link)]
+    if read[0] < sent < read[-1]:
+        raise ProblemError(
+            f"the nodes of {policy.kind} cannot be separated: the packet of the {link} link is read "
+            "both before and after it is sent; expected that all steps read it before the send, or all after it"
+        )
+    return int(read[0] < sent)
 
-    def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
-        """Return a part as a program over the states of all parts."""
-        # a state that this part does not assign keeps its value, also the flags of decisions for the second part
-        builder, last = tick.builder, index == len(self.parts) - 1
-        outputs = self._outputs(tick) if index == 0 else {}
-        for state in states:
-            builder.state(state)
-        signals = dict(tick.signals)
-        signals |= {
-            _flags(name): [tick.as_number(t) for t in truths]
-            for name, truths in tick.outcomes.items()
-            if isinstance(name, str)
-        }
-        signals |= {place.name: [tick.move(place)] for place in self.places if last}
-        following = [
-            signals[state.name][state.index] if state.name in signals else builder.state(state) for state in states
-        ]
-        order = [builder.states.index(state) for state in states]
-        program = builder.collect([following[states.index(state)] for state in builder.states], {}, outputs)
-        return rebuild(program, lambda builder, op: None, order)
 
-    def _outputs(self, tick: _Part) -> dict[Name, int]:
-        outputs: dict[Name, int] = {}
-        for link, truth in tick.sent.items():
-            outputs |= {Sent(link): tick.as_number(truth), **named(link, tick.payload[link])}
-        for signal in self.applied:
-            outputs |= named(signal, tick.recall(_applied(signal)))
-        return outputs | tick.option_values()
+def _with_states(
+    tick: _Part, states: Sequence[State], outputs: Mapping[Name, int], places: Sequence[Location]
+) -> Program:
+    """Return a part as a program over the states of all parts; ``places`` are the locations that move at its end."""
+    # a state that this part does not assign keeps its value, also the flags of decisions for the second part
+    builder = tick.builder
+    for state in states:
+        builder.state(state)
+    decided = {name: truths for name, truths in tick.outcomes.items() if isinstance(name, str)}
+    flags = {_flags(name): [tick.as_number(truth) for truth in truths] for name, truths in decided.items()}
+    signals = tick.signals | flags | {place.name: [tick.move(place)] for place in places}
+    following = {
+        state: signals[state.name][state.index] if state.name in signals else builder.state(state) for state in states
+    }
+    program = builder.collect([following[state] for state in builder.states], {}, outputs)
+    return rebuild(program, lambda builder, op: None, [builder.states.index(state) for state in states])
 
 
 class _Part(TimeStep):
@@ -188,7 +180,7 @@ class _Part(TimeStep):
         self._link, self._measured = "", policy.measured
 
     def take(self, step: Step) -> None:
-        on = _condition(step)
+        on = condition_of(step)
         self._link = on.link if isinstance(on, Received) else ""
         super().take(step)
         if isinstance(step, Send):
@@ -208,14 +200,14 @@ class _Part(TimeStep):
             if condition not in self.outcomes:  # decided in the first part
                 self.outcomes[condition] = [self._true(flag) for flag in self.recall(_flags(condition))]
             return self.outcomes[condition]
-        return [self.builder.emit("not", self._true(self.builder.input(condition)))]
+        return [self.builder.negated(self._true(self.builder.input(condition)))]
 
     def place(self, name: str) -> int:
         own = self.locations[name].on is not None
         return super().place(name) if own else self.builder.input(StepCounter(name))
 
-    def _true(self, flag: int) -> int:
-        return self.builder.emit("greater", flag, self.builder.constant(0.0))
+    def _true(self, flag: int) -> Truth:
+        return self.builder.greater(flag, 0.0)
 
 
 def _check_separable(policy: Policy) -> None:
@@ -231,9 +223,8 @@ def _check_separable(policy: Policy) -> None:
             )
         places[step.link] = place
     for place, step in enumerate(policy.steps):
-        if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):
+        if not isinstance(step, Assign | Evaluate) or not isinstance(on := step.on, Received):
             continue
-        on = step.on
         if on.link not in places:
             raise ProblemError(
                 f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
@@ -253,7 +244,7 @@ def _expect_order(policy: Policy) -> None:
     sent = {step.link: i for i, step in enumerate(policy.steps) if isinstance(step, Send)}
     waits: dict[frozenset[str], set[frozenset[str]]] = {}
     for i, step in enumerate(policy.steps):
-        on, here = _condition(step), policy.site(step.at)
+        on, here = condition_of(step), policy.site(step.at)
         if isinstance(on, Received) and sent.get(on.link, i) < i and _needed_for_output(policy, here, i):
             waits.setdefault(here, set()).add(policy.site(policy.steps[sent[on.link]].at))
     left = dict(waits)
@@ -278,10 +269,6 @@ def _needed_for_output(policy: Policy, site: frozenset[str], place: int) -> bool
 def _is_output(step: Step, applied: Set[str]) -> bool:
     """Return whether a policy step sends a packet, or computes an input that the node applies."""
     return isinstance(step, Send) or not applied.isdisjoint(assigned(step))
-
-
-def _condition(step: Step) -> Condition | None:
-    return step.on if isinstance(step, Assign | Evaluate) else None
 
 
 def _applied(signal: str) -> str:
@@ -355,10 +342,8 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         names += [Received(SETPOINT), *given]
     drawn = slice(len(names), len(names) + (0 if program.draws is None else len(program.draws.outputs)))
     names += [Entry(UNIFORM, i) for i in range(drawn.stop - drawn.start)]
-    places, outputs = (
-        {name: i for i, name in enumerate(names)},
-        {name: i for i, name in enumerate(program.parts[0].outputs)},
-    )
+    places = {name: i for i, name in enumerate(names)}
+    outputs = {name: i for i, name in enumerate(program.parts[0].outputs)}
     applied = [signal for signal, (node, _) in policy.applied.items() if node in program.site]
     first, number = (outputs[Entry(applied[0], 0)], sum(sizes[name] for name in applied)) if applied else (0, 0)
     return Layout(

@@ -86,11 +86,11 @@ def _rule(op: Op, program: Program) -> Callable[..., Value]:
     if name == "product":
         matrix = program.matrices[rest[0]]
         return partial(_product, np.array(matrix, dtype=program.precision), tiles(matrix))
-    if name in ("lookup", "pick"):
-        return partial(_RULES[name], np.array(program.tables[rest[0]], dtype=program.precision))
-    if name in ("entry", "shift_left", "shift_right", "rotate_left"):
-        return partial(_RULES[name], k=rest[1])
-    return _RULES[name]
+    if name in _OF_TABLES:
+        return partial(_OF_TABLES[name], np.array(program.tables[rest[0]], dtype=program.precision))
+    if name in _WITH_LITERAL:
+        return partial(_WITH_LITERAL[name], k=rest[1])
+    return _OF_ONE[name] if name in _OF_ONE else _RULES[name]
 
 
 def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
@@ -102,18 +102,6 @@ def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
         for j in range(tile.begin, tile.end):
             result[rows] += matrix[rows, j, None] * values[j]
     return result
-
-
-def _lookup(table: Value, x: Value) -> Value:
-    return table[x.astype(np.int64)]
-
-
-def _pick(table: Value, word: Value) -> Value:
-    return table[word & np.uint64(EIGHT - 1)]
-
-
-def _entry(vector: Value, k: int) -> Value:
-    return vector[k]
 
 
 def _shift_left(x: Value, k: int) -> Value:
@@ -128,39 +116,28 @@ def _rotate_left(x: Value, k: int) -> Value:
     return _shift_left(x, k) | _shift_right(x, 8 * x.itemsize - k)
 
 
-def _bits(x: Value) -> Value:
-    return np.ascontiguousarray(x).view(f"u{x.itemsize}")
-
-
-def _number(x: Value) -> Value:
-    return np.ascontiguousarray(x).view(f"f{x.itemsize}")
-
-
-def _upper(x: Value) -> Value:
-    return (x >> np.uint64(32)).astype(np.uint32)
-
-
-def _lower(x: Value) -> Value:
-    return x.astype(np.uint32)
-
-
-def _count(x: Value) -> Value:
-    return x.astype(np.float32)
-
-
-def _any_bit(x: Value) -> Value:
-    return x != 0
-
-
-def _narrow(x: Value) -> Value:
-    return x.astype(np.float32).astype(x.dtype)
+def _entry(vector: Value, k: int) -> Value:
+    return vector[k]
 
 
 _RULES: Mapping[str, Callable[..., Value]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "sqrt": np.sqrt, "narrow": _narrow,
-    "select": np.where, "greater": np.greater, "less_equal": np.less_equal, "and": np.logical_and,
-    "not": np.logical_not, "word_add": np.add, "word_and": np.bitwise_and, "word_or": np.bitwise_or,
-    "word_xor": np.bitwise_xor, "lookup": _lookup, "pick": _pick, "entry": _entry, "shift_left": _shift_left,
-    "shift_right": _shift_right, "rotate_left": _rotate_left, "bits": _bits, "number": _number, "upper": _upper,
-    "lower": _lower, "count": _count, "any_bit": _any_bit,
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "sqrt": np.sqrt, "select": np.where,
+    "greater": np.greater, "less_equal": np.less_equal, "and": np.logical_and, "not": np.logical_not,
+    "word_add": np.add, "word_and": np.bitwise_and, "word_or": np.bitwise_or, "word_xor": np.bitwise_xor,
+}  # fmt: skip
+_OF_ONE: Mapping[str, Callable[[Value], Value]] = {
+    "narrow": lambda x: x.astype(np.float32).astype(x.dtype),
+    "bits": lambda x: np.ascontiguousarray(x).view(f"u{x.itemsize}"),
+    "number": lambda x: np.ascontiguousarray(x).view(f"f{x.itemsize}"),
+    "upper": lambda word: (word >> np.uint64(32)).astype(np.uint32),
+    "lower": lambda word: word.astype(np.uint32),
+    "count": lambda half: half.astype(np.float32),
+    "any_bit": lambda word: word != 0,
+}
+_OF_TABLES: Mapping[str, Callable[[Value, Value], Value]] = {
+    "lookup": lambda table, x: table[x.astype(np.int64)],
+    "pick": lambda table, word: table[word & np.uint64(EIGHT - 1)],
+}
+_WITH_LITERAL: Mapping[str, Callable[..., Value]] = {
+    "entry": _entry, "shift_left": _shift_left, "shift_right": _shift_right, "rotate_left": _rotate_left,
 }  # fmt: skip

@@ -19,10 +19,36 @@ CompiledStep: TypeAlias = Callable[[Sequence[Any], Sequence[float]], tuple[tuple
 """Function from states (words as integers) and inputs to next states and outputs, in the order of the program."""
 
 _WORD = (1 << 64) - 1
-_INFIX: Mapping[str, str] = {
-    "add": "+", "sub": "-", "mul": "*", "greater": ">", "less_equal": "<=",
-    "word_and": "&", "word_or": "|", "word_xor": "^",
-}  # fmt: skip
+# by operation: the expression of its value, from its arguments; half words occur only in single precision
+_EXPRESSIONS: Mapping[str, str] = {
+    "state": "s[{0}]",
+    "input": "u[{0}]",
+    "add": "v{0} + v{1}",
+    "sub": "v{0} - v{1}",
+    "mul": "v{0} * v{1}",
+    "div": "_divide(v{0}, v{1})",
+    "sqrt": "_sqrt(v{0})",
+    "narrow": "_narrow(v{0})",
+    "select": "v{1} if v{0} else v{2}",
+    "lookup": "table{0}[int(v{1})]",
+    "pick": f"table{{0}}[v{{1}} & {EIGHT - 1}]",
+    "entry": "v{0}[{1}]",
+    "greater": "v{0} > v{1}",
+    "less_equal": "v{0} <= v{1}",
+    "and": "v{0} and v{1}",
+    "not": "not v{0}",
+    "word": "{0}",
+    "word_add": f"(v{{0}} + v{{1}}) & {_WORD}",
+    "word_and": "v{0} & v{1}",
+    "word_or": "v{0} | v{1}",
+    "word_xor": "v{0} ^ v{1}",
+    "shift_left": f"(v{{0}} << {{1}}) & {_WORD}",
+    "shift_right": "v{0} >> {1}",
+    "rotate_left": "_rotate(v{0}, {1})",
+    "bits": "_bits(v{0})",
+    "number": "_number(v{0})",
+    "any_bit": "v{0} != 0",
+}
 
 
 def compile_python(program: Program) -> CompiledStep:
@@ -43,46 +69,9 @@ def compile_python(program: Program) -> CompiledStep:
 
 def _expression(program: Program, op: Op) -> str:
     name, rest = op
-    if name in _INFIX:
-        return f"v{rest[0]} {_INFIX[name]} v{rest[1]}"
     if name == "const":
         return repr(program.constants[rest[0]])
-    if name in ("state", "input"):
-        return f"{name[0] if name == 'state' else 'u'}[{rest[0]}]"
-    if name == "select":
-        return f"v{rest[1]} if v{rest[0]} else v{rest[2]}"
-    if name == "and":
-        return f"v{rest[0]} and v{rest[1]}"
-    if name == "not":
-        return f"not v{rest[0]}"
-    if name == "any_bit":
-        return f"v{rest[0]} != 0"
-    if name == "lookup":
-        return f"table{rest[0]}[int(v{rest[1]})]"
-    if name == "pick":
-        return f"table{rest[0]}[v{rest[1]} & {EIGHT - 1}]"
-    if name == "entry":
-        return f"v{rest[0]}[{rest[1]}]"
-    if name == "product":
-        return _product(program, rest)
-    return _on_bits(name, rest)
-
-
-def _on_bits(name: str, rest: Sequence[int]) -> str:
-    x = f"v{rest[0]}"
-    if name == "word":
-        return str(rest[0])
-    if name == "word_add":
-        return f"({x} + v{rest[1]}) & {_WORD}"
-    if name == "shift_left":
-        return f"({x} << {rest[1]}) & {_WORD}"
-    if name == "shift_right":
-        return f"{x} >> {rest[1]}"
-    if name == "rotate_left":
-        return f"_rotate({x}, {rest[1]})"
-    if name == "div":
-        return f"_divide({x}, v{rest[1]})"
-    return f"_{name}({x})"  # sqrt, bits, number, narrow; half words occur only in single precision
+    return _product(program, rest) if name == "product" else _EXPRESSIONS[name].format(*rest)
 
 
 def _product(program: Program, rest: Sequence[int]) -> str:

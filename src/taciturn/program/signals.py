@@ -47,11 +47,11 @@ def add_jumps(tick: TimeStep, noise: JumpNoise) -> Operands:
         time = b.emit("add", time, b.emit("mul", pause, minus_two_log(b, tick.uniform())))
         inside = b.emit("greater", end, time)
         size = [jump_size(b, law, _draw(tick, law)) for _ in range(spread.shape[1])]
-        jump = [tick.value(b.combine([float(g) for g in row], size)) for row in spread]
+        jump = [b.value(b.combine([float(g) for g in row], size)) for row in spread]
         moved = _flow(b, noise.A, half, jump, b.emit("sub", b.constant(half), time))
-        total = [b.emit("add", old, tick.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
+        total = [b.emit("add", old, b.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
     middle = _scipy.matrix_exponential(noise.A * half)
-    return [tick.value(b.combine([float(entry) for entry in row], total)) for row in middle]
+    return [b.value(b.combine([float(entry) for entry in row], total)) for row in middle]
 
 
 def _flow(b: Builder, A: Array, reach: float, start: Operands, time: int) -> Operands:
@@ -114,7 +114,7 @@ def _draw(tick: TimeStep, distribution: JumpDistribution) -> int:
 def draw_noise(tick: TimeStep, spread: Array) -> Operands:
     """Return the product of G and new normal draws."""
     drawn = tick.supplied(NORMAL, spread.shape[1], len(tick.builder.inputs))
-    return [tick.value(value) for value in tick.builder.transform(spread.tolist(), drawn)]
+    return [tick.builder.value(value) for value in tick.builder.transform(spread.tolist(), drawn)]
 
 
 def add_changes(tick: TimeStep, W: Array, changes: RandomSteps | SampledChanges) -> Operands:

@@ -29,8 +29,8 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn.errors import ProblemError
-from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS, choose
-from taciturn.program.ir import Builder, Coefficient
+from taciturn.program.functions import COMPARISONS, LOGIC, NUMBERS
+from taciturn.program.ir import Builder, Coefficient, equals
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
 _UNKNOWN = "but numbers are unknown while the function is traced"
@@ -61,7 +61,7 @@ def trace(
     vectors = [recorder.symbols(values) for values in arguments.values()]
     try:
         with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
-            returned = _rebind(function, _STAND_INS)(*vectors)
+            returned = _rebind(function)(*vectors)
     except ProblemError:
         raise
     except Exception as error:
@@ -88,15 +88,14 @@ def _result(recorder: _Recorder, name: str, size: int, value: object) -> list[in
         raise ProblemError(
             f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
         )
-    return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
-
-
-def _number(recorder: _Recorder, name: str, place: int, entry: object) -> Coefficient:
-    if isinstance(entry, float) and not math.isfinite(entry):
-        raise ProblemError(
-            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
-        )
-    return recorder.number(entry)
+    entries: list[object] = found.ravel().tolist()
+    for place, entry in enumerate(entries):
+        if isinstance(entry, float) and not math.isfinite(entry):
+            raise ProblemError(
+                f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; "
+                "expected a finite number"
+            )
+    return [recorder.builder.value(recorder.number(entry)) for entry in entries]
 
 
 class _Symbol(np.lib.mixins.NDArrayOperatorsMixin):
@@ -206,7 +205,7 @@ class _Recorder:
         if isinstance(value, Number):
             return value.index
         if isinstance(value, SymbolicTruth):
-            return choose(self.builder, value.index, 1.0, 0.0)
+            return self.builder.choose(value.index, self.builder.constant(1.0), self.builder.constant(0.0))
         try:
             found = float(value)  # type: ignore[arg-type]
         except (TypeError, ValueError):
@@ -244,10 +243,13 @@ class _Recorder:
 
     def either(self, condition: object, yes: object, no: object) -> object:
         """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
-        truth = self.truth(condition)
+        truth, b = self.truth(condition), self.builder
         if isinstance(truth, bool):
             return yes if truth else no
-        return self.symbol(choose(self.builder, truth, self.number(yes), self.number(no)))
+        one, other = self.number(yes), self.number(no)
+        if isinstance(other, float) and equals(one, other):  # the constant stays known
+            return other
+        return self.symbol(b.choose(truth, b.value(one), b.value(other)))
 
     def product(self, matrix: Objects, column: Objects) -> list[object]:
         """Return the product of a matrix and a column; a large constant matrix becomes one operation."""
@@ -542,21 +544,21 @@ _STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose res
 }  # fmt: skip
 
 
-def _rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a copy of a function in which given NumPy functions are replaced."""
+def _rebind(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a copy of a function in which constructors of arrays are replaced."""
     # Functions that it calls by name or from a list are copied in the same way.
     if not isinstance(function, FunctionType | MethodType | partial) and callable(type(function).__call__):
         method = type(function).__call__
         function = MethodType(method, function) if isinstance(method, FunctionType) else function
-    return _Copies(stand_ins).of(function)
+    return _Copies().of(function)
 
 
 class _Numpy(ModuleType):
-    """The module ``numpy`` with some functions replaced."""
+    """The module ``numpy`` with constructors of arrays replaced."""
 
-    def __init__(self, stand_ins: Mapping[Any, Callable[..., Any]]) -> None:
+    def __init__(self) -> None:
         super().__init__("numpy")
-        self.__dict__.update({function.__name__: other for function, other in stand_ins.items()})
+        self.__dict__.update({function.__name__: other for function, other in _STAND_INS.items()})
 
     def __getattr__(self, name: str) -> Any:
         return getattr(np, name)
@@ -565,16 +567,15 @@ class _Numpy(ModuleType):
 class _Copies:
     """Stores the copies of functions, so that a function that is called twice is copied once."""
 
-    def __init__(self, stand_ins: Mapping[Any, Callable[..., Any]]) -> None:
-        self.stand_ins, self.numpy = stand_ins, _Numpy(stand_ins)
-        self.copies: dict[int, FunctionType] = {}
+    def __init__(self) -> None:
+        self.numpy, self.copies = _Numpy(), dict[int, FunctionType]()
 
     def of(self, value: Any) -> Any:
         """Return the value to use in copied functions instead of a given one; most values are unchanged."""
         if value is np:
             return self.numpy
         if isinstance(value, FunctionType):
-            return self._copy(value) if _is_ours(value) else self.stand_ins.get(value, value)
+            return self._copy(value) if _is_ours(value) else _STAND_INS.get(value, value)
         if isinstance(value, MethodType):
             return MethodType(self.of(value.__func__), value.__self__)
         if isinstance(value, partial):
@@ -586,7 +587,7 @@ class _Copies:
             held = cast("dict[Any, Any]", value)
             return {name: self.of(one) for name, one in held.items()} if any(map(callable, held.values())) else held
         is_function = type(value) in (type(np.zeros), type(np.concatenate))
-        return self.stand_ins.get(value, value) if is_function else value
+        return _STAND_INS.get(value, value) if is_function else value
 
     def _copy(self, function: FunctionType) -> FunctionType:
         if id(function) in self.copies:

@@ -193,7 +193,8 @@ class Averaging:
             raise self.failed
         if self.first is None:
             return float("inf")
-        seen = self.first.steps / 2  # the other half is the burn-in
+        # the squared standard error falls as 1/steps; half of the steps seen so far are the burn-in
+        seen = self.first.steps / 2
         missing = seen * (self.first.cost.standard_error / standard_error) ** 2
         return _PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 

@@ -1,6 +1,12 @@
 """Simulation of many loops in parallel, one path each, for example for a network or for many values of a parameter.
 
-Loops whose programs differ only in their constants share machine code, in which each lane has constants of its own.
+Loops whose programs differ only in their constants share machine code, in which each lane has constants of its own. So
+a parameter of a policy is varied without compiling again: 1000 thresholds are 1000 paths of one program. Loops of
+another structure, such as one with another number of states, form a group of their own.
+
+Path i has the draws of path i of the seed in any bank, so the result of a loop does not depend on the other loops. The
+cost is the mean stage cost per unit of time, to which the cost of the noise between samples is added, which no control
+changes.
 """
 
 from __future__ import annotations

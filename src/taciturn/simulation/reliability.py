@@ -25,8 +25,6 @@ from taciturn.errors import UnstableError
 from taciturn.loop import Loop
 from taciturn.lqg.quadratic import worth_of
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import Plant
-from taciturn.model.saturation import Saturation
 from taciturn.model.signals import SampledChanges
 from taciturn.model.steps import Send
 
@@ -158,12 +156,9 @@ def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
 
 def escapes(loop: Loop) -> bool:
     """Return whether the noise eventually drives an unstable plant beyond the reach of its limited inputs."""
-    limits = loop.problem.plant.saturation
-    return limits is not None and _fastest(loop) > 1 + _NEARLY and _out_of_reach(loop.problem.plant, limits)
-
-
-def _out_of_reach(plant: Plant, limits: Saturation) -> bool:
-    """Return whether limits bound what the inputs can do against a growing mode that the noise excites."""
+    plant, limits = loop.problem.plant, loop.problem.plant.saturation
+    if limits is None or _fastest(loop) <= 1 + _NEARLY:
+        return False
     # A mode z⁺ = λ z + w'B u + noise with left eigenvector w grows without return from |z| > sup |w'B u|/(|λ| − 1). A
     # real mode needs inputs in both directions. A complex one turns, so one direction is enough. An input with a
     # limited change follows a mode that grows exponentially too late.
@@ -208,12 +203,10 @@ def wandering_noise(loop: Loop) -> Array:
 
 
 def _outages(loop: Loop) -> list[tuple[str, float, float]]:
-    """Return each required link, the probability that an outage lasts another step, and the growth of the error in it.
-
-    While no packet arrives, inputs do not depend on the noise since the last packet, so the fastest mode that the noise
-    excites, and that no other sensor shows or no other actuator moves, grows freely. This applies to linear plants in
-    which all modes that do not decay are visible in the cost.
-    """
+    """Return each required link, the probability that an outage lasts another step, and the growth of the error."""
+    # While no packet arrives, inputs do not depend on the noise since the last packet, so the fastest mode that the
+    # noise excites, and that no other sensor shows or no other actuator moves, grows freely. This applies to linear
+    # plants in which all modes that do not decay are visible in the cost.
     policy, network = loop.policy, loop.policy.network
     beside = any(
         policy.site(sensor) == policy.site(actuator) for sensor in network.sensors for actuator in network.actuators

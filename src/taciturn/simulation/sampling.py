@@ -45,35 +45,43 @@ from taciturn.program.ops import Control, Name, Sent
 from taciturn.simulation.reliability import comes_never_to_rest, drifts_of
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
-_RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
-_DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
-_REACH = 4  # the first step of a range is at least its last step divided by this number
-_AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
-_ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
-_FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
-_PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
-_GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
-_GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
-_IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
-Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
+# the run: paths, steps, and the precision that is asked for
 SIMULATED_PATHS = 4096
-USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
+_FEW_PATHS, _SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
 _FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
 _FEWEST_MISSIONS = 8
+MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
+_DRIFTING_STEPS = 20_000_000  # of a loop that has no average
+_CHUNK = 1 << 24  # steps between two reports of progress
+USUAL_RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
+_ROOM = 8  # least number of paths per control variate
+_PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
+
+# the burn-in, and the comparison of windows
 SHORTEST_BURN_IN = 512  # least number of steps of the burn-in
 SETTLING_CONSTANTS = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
 _KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
 _SILENT = 1e-3  # largest share of paths without a late send in the burn-in
-MOST_OPERATIONS = 4_000_000_000  # steps of all paths together
-_DRIFTING_STEPS = 20_000_000  # of a loop that has no average
-_DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
+_DIFFERENT = 3.5  # standard errors by which the mean over a range may differ from that over the later windows
+_REACH = 4  # the first step of a range is at least its last step divided by this number
+_AGAIN = 2  # windows are kept from this multiple of the last step at which a difference was seen
+_IN_PHASE = 0.5  # spread of a count over the paths below which all paths send at nearly the same steps
+
+# the comparison of distributions
+_FAR = 2.4  # limit of Smirnov's distance, in units of √(2/paths), exceeded by equal distributions in 1 of 50,000 cases
+_PROLONGED = 8  # the burn-in is prolonged by at most this factor while distributions change
+_GROWS = 1.2  # ratio of the deviations at two steps, one twice as late, above which a state may wander: √2 if it does
+_GONE = 1e-6  # spread of a state, relative to its largest one, below which it has decayed
+
+# divergence, and rounding
+_RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
 HUGE = 1e150  # a limit whose square is still finite
-_CHUNK = 1 << 24  # steps between two reports of progress
+_DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
+_ROUNDING_OF_MEANS = 1e-12  # relative rounding error of a mean
 _ROUNDING_OF_SINGLES = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
-_ROOM = 8  # least number of paths per control variate
-_PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
-Watch = Callable[[Array], Array]
-_FEW_PATHS, _SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
+
+Window = tuple[int, Array]  # steps, and sums over them, (sums, paths)
+Watch = Callable[[Array], Array]  # further numbers of each path that have to settle, from its states
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,11 +224,8 @@ class Sampling:
         drifts = any(drifts_of(part.loop) for part in self.parts)  # no average, so no precision is worth more steps
         budget = steps or (_DRIFTING_STEPS if drifts else MOST_OPERATIONS)
         operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
-        most = (
-            SIMULATED_PATHS
-            if steps
-            else min(SIMULATED_PATHS, max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8))
-        )
+        few = max(_FEW_PATHS, SIMULATED_PATHS * _SMALL // max(operations, 1) // 8 * 8)
+        most = SIMULATED_PATHS if steps else min(SIMULATED_PATHS, few)
         states, history, forgotten = self.settle(most, budget)
         paths, first = states[0].shape[1], history.steps
         if steps is not None and self._affordable(states, budget) > _PAYS * first:
@@ -240,7 +245,8 @@ class Sampling:
             settled = bool(kept)
             kept = kept or history.windows[-1:]
             dropped = history.steps - sum(length for length, _ in kept)
-            means = _means(kept)
+            length, sums = _joined(kept)
+            means = sums / length
             cost, rates = self._summary(means, kept)
             measured, pace = history.steps - dropped, self._pace(means[self.counted].mean(axis=1))
             long_enough = forgotten and settled and measured >= pace and len(kept) > 1
@@ -315,27 +321,24 @@ class Sampling:
 
     def settle(self, most: int, budget: int, watch: Watch | None = None) -> tuple[list[Array], History, bool]:
         """Return states of at most so many paths in stationary operation, their history, and whether they settled."""
+        # The initial transient has decayed after a few time constants, a few mean intervals between sends, a late send
+        # on nearly every path, and when sums no longer change (``History``). No send is required if nothing is sent and
+        # silence is safe. If the burn-in is long, fewer paths continue; half of the budget is reserved for the
+        # measurement.
         width = len(self.parts)
-        least = max(
-            SHORTEST_BURN_IN, int(max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts))
-        )
+        slowest = max((SETTLING_CONSTANTS + part.distance) * part.settling for part in self.parts)
+        least = max(SHORTEST_BURN_IN, int(slowest))
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
-        states = [part.loop.start(part.estimator.program, paths, self.seed, stationary=True) for part in self.parts]
-        return self._burn_in(states, min(least, budget // paths // width // 2), budget, watch)
-
-    def _burn_in(
-        self, states: list[Array], length: int, budget: int, watch: Watch | None
-    ) -> tuple[list[Array], History, bool]:
-        """Run until the initial transient has decayed; return the states, the history, and whether it has decayed."""
-        # This requires a few time constants, a few mean intervals between sends, a late send on nearly every path, and
-        # sums that no longer change (``History``). No send is required if nothing is sent and silence is safe. If the
-        # burn-in is long, fewer paths continue; half of the budget is reserved for the measurement.
-        least, counted = length, self.counted
+        least = min(least, budget // paths // width // 2)
+        states: list[Array] = [
+            part.loop.start(part.estimator.program, paths, self.seed, stationary=True) for part in self.parts
+        ]
+        counted = self.counted
         if watch is not None:
             counted = np.append(counted, np.zeros(len(watch(states[0])), dtype=np.bool_))
         history, snapshots, enough = History(counted), Snapshots(), 0
         own = [[i for i, state in enumerate(p.states) if state.name != GENERATOR] for p in self.programs]
-        pieces = [piece for piece in (length // 4, length // 2 - length // 4, length - length // 2) if piece]
+        pieces = [piece for piece in (least // 4, least // 2 - least // 4, least - least // 2) if piece]
         sums: Array = np.zeros((0, 0))
         changed = True
         while True:
@@ -348,13 +351,13 @@ class Sampling:
             sent = sums[self.counted]  # sends that are caused by the initial state are in an earlier window
             pace = self._pace(sent.mean(axis=1) / length)
             silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
-            settled = history.steps >= max(least, pace) and silent <= _SILENT and history.settled()
+            settled = history.steps >= max(least, pace) and silent <= _SILENT and bool(history.kept(0))
             enough = enough or (history.steps if settled else 0)
             if settled and (not changed or history.steps >= _PROLONGED * enough):
                 return states, history, True
             pieces = [max(history.steps, int(pace) - history.steps + 1)]
             now = states[0].shape[1]
-            paths = min(now, (budget - self.steps) // 2 // pieces[0] // len(self.parts) // 8 * 8)
+            paths = min(now, (budget - self.steps) // 2 // pieces[0] // width // 8 * 8)
             if paths < min(_FEWEST_PATHS, now):
                 return states, history, settled
             states = [state[:, :paths] for state in states]
@@ -415,9 +418,11 @@ class Sampling:
                 found[name.link] = found.get(name.link, 0.0) + part.sign * row
         return found
 
-    def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
+    def _summary(self, means: Array, kept: Sequence[Window]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = controlled_mean(self._contrast(means), means[self.controls])
-        if cost.standard_error <= _DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
+        # if all paths agree, their spread hides the error of a cycle that the window cuts off: the change from all
+        # windows to the last one shows it
+        if cost.standard_error <= _DETERMINISTIC * abs(cost.value):
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
@@ -459,13 +464,9 @@ def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
     return found
 
 
-def _means(windows: Sequence[tuple[int, Array]]) -> Array:
-    """Return the means per step over windows, given the steps and sums of each window, (sums, paths)."""
-    return sum((sums for _, sums in windows), np.zeros_like(windows[0][1])) / sum(length for length, _ in windows)
-
-
 def _missing(measured: int, error: float, wanted: float) -> int:
     """Return the number of further steps until a standard error reaches its target, with a margin of 5 %."""
+    # the squared standard error falls as 1/steps; a very small target is far away in any case
     if error <= wanted:
         return 0
     return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
@@ -486,11 +487,11 @@ def _shared_end(windows: Sequence[Window]) -> float:
     return float(np.sqrt((1 - rate**2) / 12)) / steps
 
 
-def _joined(windows: Sequence[Window], rows: int) -> Window:
-    """Return the steps and the first sums of several windows, which are added in turn: a stack takes much memory."""
+def _joined(windows: Sequence[Window], rows: int | None = None) -> Window:
+    """Return the steps and the sums of several windows, all or the first ones."""
     (_, first), *later = windows
     total = first[:rows].copy()
-    for _, sums in later:
+    for _, sums in later:  # added in turn: a stack takes much memory
         total += sums[:rows]
     return sum(length for length, _ in windows), total
 
@@ -516,7 +517,7 @@ class History:
     def drift(self) -> int:
         """Return the last step at which a range of windows ends that differs from the later ones, or 0."""
         ends, rows = np.cumsum([length for length, _ in self.windows]), len(self.counted)
-        for j in range(len(self.windows) - 1, 0, -1):
+        for j in range(len(self.windows) - 1, 0, -1):  # from the last one, as the latest difference decides
             later = _joined(self.windows[j:], rows)
             for i in range(j - 1, -1, -1):
                 begins = int(ends[i - 1]) if i else 0
@@ -525,10 +526,6 @@ class History:
                 if self._differ(_joined(self.windows[i:j], rows), later):
                     return int(ends[j - 1])
         return 0
-
-    def settled(self) -> bool:
-        """Return whether a window begins late enough after the last difference."""
-        return bool(self.kept(0))
 
     def kept(self, first: int) -> list[Window]:
         """Return the windows that begin at the given step or later, and late enough after the last difference."""

@@ -69,6 +69,7 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
 
 def tail_index(values: Array) -> float:
     """Return Hill's estimate of the power-law index of the largest values, relative to the median."""
+    # If P(X > x) falls as x^−α, log(X/x_0) of the values above x_0 is exponential with mean 1/α.
     largest = len(values) // _TAIL
     if largest < _TAIL:
         return float(np.inf)
@@ -157,6 +158,8 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
         )
 
     def found() -> Estimate:
+        # to first order, the error of the ratio r of the means of sums and lengths is the mean of sum − r·length over
+        # the mean length
         lengths, sums = np.diff(at), np.add.reduceat(values, at)[:-1]
         ratio = float(sums.sum() / lengths.sum())
         rest = sums - ratio * lengths

@@ -219,7 +219,7 @@ def _weighed(policy: Policy, records: Mapping[Name, Array]) -> tuple[Array, Arra
     for step in policy.steps:
         if isinstance(step, Send) and step.on is not None and policy.decisions[step.on].reads:
             labels = policy.decisions[step.on].labels
-            sending = step.labels or labels[1:]
+            sending = step.sending(labels)
             values = {label: records[Option(step.on, label)] for label in labels}
             silent = [value for label, value in values.items() if label not in sending]
             if silent:

@@ -239,12 +239,16 @@ class _Search:
         means = hits.mean(axis=1)
         if len(hits) == 1:
             return _mean(hits[0], least)
+        # Let p and q be the probabilities of a first violation in the two parts. No violation occurs in the first part
+        # with the probability 1 − p, and in each later one given none before with (1 − p − q)/(1 − p). So with r later
+        # parts (``late``) the logarithm of the survival is (1 − r) log(1 − p) + r log(1 − p − q).
         late = float(self.ticks - length) / length
         survive = 1 - np.cumsum(means)
         if not survive[1] > least:
             return Estimate(1.0, 1 / hits.shape[1], "simulation")
         logarithm = (1 - late) * float(np.log1p(-means[0])) + late * float(np.log1p(-means.sum()))
         kept = float(np.exp(logarithm))
+        # the standard error follows from the derivatives of this logarithm with respect to p and q
         slopes = np.array([(1 - late) / survive[0] + late / survive[1], late / survive[1]])
         spread = float(np.sqrt(max(slopes @ np.cov(hits) @ slopes, 0.0) / hits.shape[1]))
         return Estimate(0.0 - float(np.expm1(logarithm)), max(kept * spread, least), "simulation")
@@ -406,6 +410,7 @@ class Splitting:
     def _branch(self) -> None:
         """Copy the paths that have risen to another level, and end the copies that fell below their first level."""
         while True:
+            # a path that rises by l levels becomes 4^l paths with 4^−l of its weight; a copy ends below its first level
             new = np.searchsorted(self.thresholds, self.heights)
             powers = _COPIES ** np.arange(len(self.thresholds) + 1)
             many = np.where(new < self._first, 0, powers[np.maximum(new - self._level, 0)])
@@ -415,6 +420,7 @@ class Splitting:
         if (many == 1).all():
             self._level = new
             return
+        # of 4^l paths, one continues the path, three begin one level higher, twelve two levels higher, …
         at = np.repeat(np.arange(len(many)), many)
         number = np.arange(len(at)) - np.repeat(np.cumsum(many) - many, many)  # of a copy; 0 continues the path
         first = np.where(number == 0, self._first[at], self._level[at] + np.searchsorted(powers, number, "right"))
