@@ -24,9 +24,9 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_type_hints
 
 import numpy as np
 
@@ -212,18 +212,26 @@ class Kind(Displayed):
             raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
         return network if self.several_nodes else usual_nodes(network, self.name, self.joint_links)
 
-    def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:
+    def make(
+        self, plant: Plant | ContinuousPlant, cost: Cost, network: Network | None, given: Mapping[str, Any]
+    ) -> AnyPolicy:
         """Return the policy for a plant, a cost, a network and further arguments of the design function.
 
         Raises:
             ProblemError: the record does not list the class of the plant or of the cost or a property of the network,
                 or the design function of another package fails or returns no policy of this kind.
         """
-        links = self.network_for(network)
-        policy = self.call(plant, cost, {"network": links, **given} if "network" in self.tables else given)
+        known = "network" in self.tables
+        return self.on(network, lambda nodes: self.call(plant, cost, {"network": nodes, **given} if known else given))
+
+    def on(self, network: Network | None, design: Callable[[Network], AnyPolicy]) -> AnyPolicy:
+        """Return a policy on a network, from a function that designs it for the nodes that this kind knows."""
+        network = Network() if network is None else network
+        known = self.network_for(network)
+        policy = design(known)
         if isinstance(policy, Policy):
             return placed(policy, network)
-        if network.own_nodes:
+        if known.nodes != network.nodes:
             raise ProblemError(
                 f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
                 "[network], or no network"
@@ -299,6 +307,25 @@ class Kind(Displayed):
         return inspect.getdoc(self.design) or ""
 
 
+P = ParamSpec("P")
+
+
+def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
+    """Return a design function for the nodes of its kind as one that takes every network, as problems do."""
+
+    @wraps(design)
+    def made(*args: P.args, **named: P.kwargs) -> Policy:
+        kind, given = cast("Kind", vars(sys.modules[design.__module__])["KIND"]), cast("dict[str, Any]", named)
+
+        def for_nodes(network: Network) -> Policy:
+            given["network"] = network
+            return design(*args, **named)
+
+        return cast("Policy", kind.on(given.get("network"), for_nodes))
+
+    return made
+
+
 @cache
 def code_digest(module: str) -> str:
     """Return a digest of the Python files of the package that contains a module, or of its own file."""
@@ -316,9 +343,6 @@ Value = TypeVar("Value")
 
 def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
-    # without the limits on the intervals between sends, which ``placed`` adds to the policy
-    if not network.own_nodes:
-        return network.unlimited
     links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
@@ -332,6 +356,7 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         if at:
             links[name] = network.links[at[0]]
             stated |= {(name, one.name): network.key(at[0], one.name) for one in fields(LinkLaw)}
+    # without the limits on the intervals between sends, which ``placed`` adds to the policy
     return Network(delay=network.delay, links=links, stated=stated).unlimited
 
 
@@ -342,19 +367,24 @@ def placed(policy: Policy, network: Network) -> Policy:
     """
     instance("policy", policy, Policy)
     instance("network", network, Network)
-    if network.nodes == policy.network.nodes or policy.network.own_nodes:
+    designed = policy.network
+    if network.nodes == designed.nodes:
         return with_intervals(policy, network)
-    joint, names = decides_on_sets(network), {"controller": network.controller}
+    joint, names = decides_on_sets(network), {designed.controller: network.controller}
     usual_nodes(network, policy.kind, joint)
     sets = JointSets(policy, network) if joint else None
     if sets is not None:
         sets.check()
-    for role, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
-        names[role] = next((node for node in nodes if node in network.links), nodes[0])
-        check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
+    for role, former, nodes in (
+        ("sensor", designed.sensors, network.sensors),
+        ("actuator", designed.actuators, network.actuators),
+    ):
+        node = next((node for node in nodes if node in network.links), nodes[0])
+        check_place(policy.kind, network, role, node, designed.controller in policy.site(former[0]))
+        names |= dict.fromkeys(former, node)
     links = {
         names[link]: replace(network.links[names[link]], loss=law.loss, burst=law.burst, acknowledged=law.acknowledged)
-        for link, law in policy.network.links.items()
+        for link, law in designed.links.items()
         if names[link] in network.links
     }
     theory, closed, schedule = policy.theory, policy.theory.closed_form, policy.schedule
@@ -379,7 +409,7 @@ def placed(policy: Policy, network: Network) -> Policy:
         sites=network.sites,
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
-        network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
+        network=replace(network, links={**network.links, **links}, delay=designed.delay),
     )
 
 
