@@ -1,11 +1,11 @@
 """The record of a policy kind: its design function, and all that the library and its pages say about the kind.
 
 The record also says which networks a kind takes, and is the only place that decides this: whether links may drop or
-delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network,
-for problems and for design functions that are called in Python.
+delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network.
 
-Most design functions know the usual nodes only: a sensor, a controller and an actuator. On a network with nodes of
-one's own, such a kind is designed in two steps:
+Most design functions know the usual nodes only: a sensor, a controller and an actuator. Their policies are put on the
+nodes of a network in two steps, in the same way for problems (``Kind.make``) and for functions that are called in
+Python with a network (``on_any_network``):
 
 1. ``usual_nodes`` returns the usual nodes with the laws of the given links, and with their keys for messages. Several
    sensors at one place act as one sensor of all their outputs, and several actuators at one place as one actuator.
@@ -212,9 +212,7 @@ class Kind(Displayed):
             raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
         return network if self.several_nodes else usual_nodes(network, self.name, self.joint_links)
 
-    def make(
-        self, plant: Plant | ContinuousPlant, cost: Cost, network: Network | None, given: Mapping[str, Any]
-    ) -> AnyPolicy:
+    def make(self, plant: Plant | ContinuousPlant, cost: Cost, network: Network, given: Mapping[str, Any]) -> AnyPolicy:
         """Return the policy for a plant, a cost, a network and further arguments of the design function.
 
         Raises:
@@ -222,21 +220,7 @@ class Kind(Displayed):
                 or the design function of another package fails or returns no policy of this kind.
         """
         known = "network" in self.tables
-        return self.on(network, lambda nodes: self.call(plant, cost, {"network": nodes, **given} if known else given))
-
-    def on(self, network: Network | None, design: Callable[[Network], AnyPolicy]) -> AnyPolicy:
-        """Return a policy on a network, from a function that designs it for the nodes that this kind knows."""
-        network = Network() if network is None else network
-        known = self.network_for(network)
-        policy = design(known)
-        if isinstance(policy, Policy):
-            return placed(policy, network)
-        if known.nodes != network.nodes:
-            raise ProblemError(
-                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
-                "[network], or no network"
-            )
-        return policy
+        return _on(self, network, lambda nodes: self.call(plant, cost, {"network": nodes, **given} if known else given))
 
     def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
         """Return the policy of the design function for all its arguments, with a check of what it returns."""
@@ -321,9 +305,24 @@ def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
             given["network"] = network
             return design(*args, **named)
 
-        return cast("Policy", kind.on(given.get("network"), for_nodes))
+        return cast("Policy", _on(kind, given.get("network"), for_nodes))
 
     return made
+
+
+def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPolicy]) -> AnyPolicy:
+    """Return a policy on a network, from a function that designs it for the nodes that the kind knows."""
+    network = Network() if network is None else network
+    known = kind.network_for(network)
+    policy = design(known)
+    if isinstance(policy, Policy):
+        return placed(policy, network)
+    if known.nodes != network.nodes:
+        raise ProblemError(
+            f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
+            "[network], or no network"
+        )
+    return policy
 
 
 @cache

@@ -89,13 +89,15 @@ def send_on_delta(
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     network = network or IDEAL
-    own, shares, links = network.own_nodes, shares or {}, list(network.links)
+    chosen = network.beside("actuator" if link == "sensor" else "sensor")
+    own = chosen is network  # of the usual nodes, only the one that ``link`` names has a link
+    shares, links = shares or {}, list(chosen.links)
     if own and link != "sensor":
         raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")
     if controller is None and link == "sensor":
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
-    if own and len(links) > 1:
+    if len(links) > 1:
         kept = controller_from(controller)
         return keep_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
