@@ -205,8 +205,11 @@ class Kind(Displayed):
         network = Network() if network is None else network
         instance("network", network, Network)
         SIMULATED.check(network)
-        if not self.takes_losses:
-            expect_ideal_links(self.name, network)
+        if not self.takes_losses and network.losing is not None:
+            raise PlacementError(
+                f"{network.losing} is given, which {self.name} does not use; expected ideal links: remove it "
+                "(`taciturn network FILE --loss P` drops packets of policies of any kind)"
+            )
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))
             raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
@@ -410,15 +413,6 @@ def placed(policy: Policy, network: Network) -> Policy:
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=designed.delay),
     )
-
-
-def expect_ideal_links(kind: str, network: Network) -> None:
-    """Raise a ``PlacementError`` if links drop, acknowledge or delay packets, which a kind does not use."""
-    if network.losing is not None:
-        raise PlacementError(
-            f"{network.losing} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
-            "network FILE --loss P` drops packets of policies of any kind)"
-        )
 
 
 def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:
