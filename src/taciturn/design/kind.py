@@ -294,7 +294,20 @@ class Kind(Displayed):
         return inspect.getdoc(self.design) or ""
 
 
+@cache
+def code_digest(module: str) -> str:
+    """Return a digest of the Python files of the package that contains a module, or of its own file."""
+    top = sys.modules[module.partition(".")[0]]
+    paths = [Path(folder) for folder in getattr(top, "__path__", [])]
+    files = [file for path in paths for file in sorted(path.rglob("*.py"))] or [Path(top.__file__ or "")]
+    read = hashlib.sha256()
+    for file in files:
+        read.update(file.read_bytes() if file.is_file() else b"")
+    return read.hexdigest()
+
+
 P = ParamSpec("P")
+Value = TypeVar("Value")
 
 
 def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
@@ -302,7 +315,8 @@ def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
 
     @wraps(design)
     def made(*args: P.args, **named: P.kwargs) -> Policy:
-        kind, given = cast("Kind", vars(sys.modules[design.__module__])["KIND"]), cast("dict[str, Any]", named)
+        kind = cast("Kind", vars(sys.modules[design.__module__])["KIND"])  # the record that ends the design's file
+        given = cast("dict[str, Any]", named)
 
         def for_nodes(network: Network) -> Policy:
             given["network"] = network
@@ -326,21 +340,6 @@ def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPoli
             "[network], or no network"
         )
     return policy
-
-
-@cache
-def code_digest(module: str) -> str:
-    """Return a digest of the Python files of the package that contains a module, or of its own file."""
-    top = sys.modules[module.partition(".")[0]]
-    paths = [Path(folder) for folder in getattr(top, "__path__", [])]
-    files = [file for path in paths for file in sorted(path.rglob("*.py"))] or [Path(top.__file__ or "")]
-    read = hashlib.sha256()
-    for file in files:
-        read.update(file.read_bytes() if file.is_file() else b"")
-    return read.hexdigest()
-
-
-Value = TypeVar("Value")
 
 
 def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
@@ -369,24 +368,19 @@ def placed(policy: Policy, network: Network) -> Policy:
     """
     instance("policy", policy, Policy)
     instance("network", network, Network)
-    designed = policy.network
-    if network.nodes == designed.nodes:
+    if network.nodes == policy.network.nodes or policy.network.own_nodes:
         return with_intervals(policy, network)
-    joint, names = decides_on_sets(network), {designed.controller: network.controller}
+    joint, names = decides_on_sets(network), {"controller": network.controller}
     usual_nodes(network, policy.kind, joint)
     sets = JointSets(policy, network) if joint else None
     if sets is not None:
         sets.check()
-    for role, former, nodes in (
-        ("sensor", designed.sensors, network.sensors),
-        ("actuator", designed.actuators, network.actuators),
-    ):
-        node = next((node for node in nodes if node in network.links), nodes[0])
-        check_place(policy.kind, network, role, node, designed.controller in policy.site(former[0]))
-        names |= dict.fromkeys(former, node)
+    for role, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
+        names[role] = next((node for node in nodes if node in network.links), nodes[0])
+        check_place(policy.kind, network, role, names[role], "controller" in policy.site(role))
     links = {
         names[link]: replace(network.links[names[link]], loss=law.loss, burst=law.burst, acknowledged=law.acknowledged)
-        for link, law in designed.links.items()
+        for link, law in policy.network.links.items()
         if names[link] in network.links
     }
     theory, closed, schedule = policy.theory, policy.theory.closed_form, policy.schedule
@@ -411,7 +405,7 @@ def placed(policy: Policy, network: Network) -> Policy:
         sites=network.sites,
         locations=locations,
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
-        network=replace(network, links={**network.links, **links}, delay=designed.delay),
+        network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
     )
 
 
