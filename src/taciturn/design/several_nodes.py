@@ -391,7 +391,7 @@ class JointSets(Displayed):
 
     @cached_property
     def all(self) -> tuple[tuple[str, ...], ...]:
-        """The sets of links that send, the cheapest first."""
+        """The sets of links that send, the cheapest first, and that of all links last."""
         return sets_of(self.links, self.weights)
 
     @cached_property
@@ -456,10 +456,6 @@ class JointSets(Displayed):
                 "every = 1, or one actuator link"
             )
 
-    def whole(self, sent: Sequence[str]) -> bool:
-        """Return whether a set contains all links."""
-        return len(sent) == len(self.links)
-
     def named(self, signal: str, sent: Sequence[str]) -> str:
         """Return the name of a signal if a set sends; the value without any packet keeps its name."""
         differs = signal in self.partial and (sent or len(self.links) < len(self.actuators))
@@ -485,12 +481,11 @@ class JointSets(Displayed):
         if isinstance(step, Send):
             return tuple(found for node in self.actuators for found in self._send(step, node))
         if isinstance(step, Evaluate) and step.signal in self.partial:
-            others = [sent for sent in self.all if not self.whole(sent)]
             return tuple(
                 Evaluate(
                     step.at, self.named(step.signal, sent), tuple(self.form(one, sent) for one in step.forms), step.on
                 )
-                for sent in others
+                for sent in self.all[:-1]
             )
         if not isinstance(step, Assign):
             return (step,)
@@ -504,8 +499,8 @@ class JointSets(Displayed):
         """Return the theory of the policy that decides on sets of links."""
         identity, guarantee = theory.identity, theory.guarantee
         if identity is not None and identity.on is not None:
-            forms = [Form() if self.whole(sent) else self.form(identity.forms[0], sent) for sent in self.all]
-            identity = replace(identity, forms=tuple(forms))
+            forms = (*(self.form(identity.forms[0], sent) for sent in self.all[:-1]), Form())
+            identity = replace(identity, forms=forms)
         if guarantee is not None and guarantee.base is not None:
             statement = f"{guarantee.statement}; rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
             guarantee = replace(guarantee, statement=statement, weights=self.weights)
@@ -513,7 +508,7 @@ class JointSets(Displayed):
 
     def _trigger(self, trigger: Trigger) -> Trigger:
         silent, price = trigger.options.values()
-        options = {label(sent): self.form(silent, sent) for sent in self.all if not self.whole(sent)}
+        options = {label(sent): self.form(silent, sent) for sent in self.all[:-1]}
         last = label(self.all[-1])
         limit = price.constant
         if not self.greedy:
