@@ -29,7 +29,6 @@ from taciturn.model.packets import (
     receiver_of,
     roles,
     sender_of,
-    set_points_at,
     wire_links,
 )
 from taciturn.model.policy import Policy
@@ -116,8 +115,8 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
 
 def entries_of_nodes(policy: Policy) -> tuple[list[int], list[int]]:
     """Return the outputs and the inputs of the plant in the order in which the nodes measure and apply them."""
-    names = roles(policy)
-    return [i for role in names for i in (*outputs_at(policy, role), *set_points_at(policy, role))], [
+    names, links = roles(policy), plant_links(policy).values()
+    return [i for role in names for ends in links if ends.measures == role for i in ends.outputs], [
         i for role in names for i in inputs_at(policy, role)
     ]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.packets import plant_link
-from taciturn.model.wire import EITHER, LARGEST, SETPOINT
+from taciturn.model.wire import EITHER, LARGEST
 from taciturn.nodes.clock import JUMPED, LATE, Phase
 from taciturn.nodes.inbox import AHEAD, USABLE, Window
 from taciturn.nodes.node import Node, Values, check_seal, sealed
@@ -203,7 +203,7 @@ class NodeServer:
     def _sort(self, packet: Packet, now: float) -> None:
         """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
         loop, node = packet.loop, self.nodes[packet.loop]
-        if packet.link in self.wire.plant and packet.link != SETPOINT:
+        if packet.link in self.wire.physical:
             self._physical += 1
             news = self._measured[loop].admit(packet.epoch, packet.sequence)
             if packet.kind != "measurement" or packet.link != self._plant or not node.measures:

@@ -22,7 +22,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.packets import roles
 from taciturn.model.policy import Policy
-from taciturn.model.wire import OFFSETS, SETPOINT
+from taciturn.model.wire import OFFSETS
 from taciturn.nodes.inbox import Inbox
 from taciturn.nodes.keys import Keys
 from taciturn.nodes.node import Node, Safe, Stepped, Values
@@ -173,7 +173,7 @@ class DeviceNode(Node):
     def set_keys(self, keys: Keys) -> None:
         """Give the keys of the links between nodes and of set-points to the device, if they have changed."""
         for code, link in enumerate(self.wire.links):
-            found = () if link in self.wire.plant and link != SETPOINT else keys.of(link)
+            found = () if link in self.wire.physical else keys.of(link)
             if found and found != self._keys.get(link):
                 self._keys[link] = found
                 first, other = [Key(key, len(key)) for key in found] + [Key(None, 0)] * (2 - len(found))
@@ -324,8 +324,7 @@ class DeviceServer(NodeServer):
 
     def _is_physical(self, datagram: bytes) -> bool:
         """Return whether a datagram is exchanged with the plant; the device itself takes set-points."""
-        links = [link for link in self.wire.plant if link != SETPOINT]
-        return datagram[OFFSETS["link"]] in {self.wire.links.index(link) for link in links}
+        return datagram[OFFSETS["link"]] in {self.wire.links.index(link) for link in self.wire.physical}
 
 
 @lru_cache(maxsize=8)

@@ -215,7 +215,8 @@ class DeadBands:
 
     def __init__(self, network: Network, plant: Plant, delta: float, shares: Mapping[str, float]) -> None:
         """Find what each node measures and applies; of the usual nodes, the actuator is at the controller's place."""
-        self._suffixed, self._network, self._plant = network.own_nodes, network.beside("actuator"), plant
+        self._network, self._plant = network.beside("actuator"), plant
+        self._suffixed = self._network is network  # signals of the usual nodes have names without the node's
         links = [*self._network.links]
         self._bands = {link: delta * share for link, share in shares_of(shares, links).items()}
         self._measured = network.measurements(plant.outputs).items()

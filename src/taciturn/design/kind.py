@@ -1,11 +1,11 @@
 """The record of a policy kind: its design function, and all that the library and its pages say about the kind.
 
 The record also says which networks a kind takes, and is the only place that decides this: whether links may drop or
-delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network,
-for problems and for design functions that are called in Python.
+delay packets, and whether there may be several sensors or actuators. ``Kind.network_for`` refuses any other network.
 
-Most design functions know the usual nodes only: a sensor, a controller and an actuator. On a network with nodes of
-one's own, such a kind is designed in two steps:
+Most design functions know the usual nodes only: a sensor, a controller and an actuator. Their policies are put on the
+nodes of a network in two steps, in the same way for problems (``Kind.make``) and for functions that are called in
+Python with a network (``on_any_network``):
 
 1. ``usual_nodes`` returns the usual nodes with the laws of the given links, and with their keys for messages. Several
    sensors at one place act as one sensor of all their outputs, and several actuators at one place as one actuator.
@@ -24,9 +24,9 @@ import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_type_hints
 
 import numpy as np
 
@@ -205,8 +205,11 @@ class Kind(Displayed):
         network = Network() if network is None else network
         instance("network", network, Network)
         SIMULATED.check(network)
-        if not self.takes_losses:
-            expect_ideal_links(self.name, network)
+        if not self.takes_losses and network.losing is not None:
+            raise PlacementError(
+                f"{network.losing} is given, which {self.name} does not use; expected ideal links: remove it "
+                "(`taciturn network FILE --loss P` drops packets of policies of any kind)"
+            )
         if self.in_house and network.delay > self.delay:
             few = " or ".join(map(str, range(self.delay + 1)))
             raise ProblemError(f"network.delay is {network.delay}; expected {few} with {self.name}")
@@ -219,16 +222,8 @@ class Kind(Displayed):
             ProblemError: the record does not list the class of the plant or of the cost or a property of the network,
                 or the design function of another package fails or returns no policy of this kind.
         """
-        links = self.network_for(network)
-        policy = self.call(plant, cost, {"network": links, **given} if "network" in self.tables else given)
-        if isinstance(policy, Policy):
-            return placed(policy, network)
-        if network.own_nodes:
-            raise ProblemError(
-                f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
-                "[network], or no network"
-            )
-        return policy
+        known = "network" in self.tables
+        return _on(self, network, lambda nodes: self.call(plant, cost, {"network": nodes, **given} if known else given))
 
     def call(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
         """Return the policy of the design function for all its arguments, with a check of what it returns."""
@@ -311,14 +306,44 @@ def code_digest(module: str) -> str:
     return read.hexdigest()
 
 
+P = ParamSpec("P")
 Value = TypeVar("Value")
+
+
+def on_any_network(design: Callable[P, Policy]) -> Callable[P, Policy]:
+    """Return a design function for the nodes of its kind as one that takes every network, as problems do."""
+
+    @wraps(design)
+    def made(*args: P.args, **named: P.kwargs) -> Policy:
+        kind = cast("Kind", vars(sys.modules[design.__module__])["KIND"])  # the record that ends the design's file
+        given = cast("dict[str, Any]", named)
+
+        def for_nodes(network: Network) -> Policy:
+            given["network"] = network
+            return design(*args, **named)
+
+        return cast("Policy", _on(kind, given.get("network"), for_nodes))
+
+    return made
+
+
+def _on(kind: Kind, network: Network | None, design: Callable[[Network], AnyPolicy]) -> AnyPolicy:
+    """Return a policy on a network, from a function that designs it for the nodes that the kind knows."""
+    network = Network() if network is None else network
+    known = kind.network_for(network)
+    policy = design(known)
+    if isinstance(policy, Policy):
+        return placed(policy, network)
+    if known.nodes != network.nodes:
+        raise ProblemError(
+            f"{policy.kind} has no sampling steps that nodes run, but the network has nodes of its own; expected "
+            "[network], or no network"
+        )
+    return policy
 
 
 def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
     """Return the usual nodes with the laws of a given network's links, for the policy kind of messages."""
-    # without the limits on the intervals between sends, which ``placed`` adds to the policy
-    if not network.own_nodes:
-        return network.unlimited
     links, stated = dict[str, LinkLaw](), dict[tuple[str, str], str]()
     for name, nodes in (("sensor", network.sensors), ("actuator", network.actuators)):
         at = [node for node in nodes if node in network.links]
@@ -332,6 +357,7 @@ def usual_nodes(network: Network, kind: str, joint: bool = False) -> Network:
         if at:
             links[name] = network.links[at[0]]
             stated |= {(name, one.name): network.key(at[0], one.name) for one in fields(LinkLaw)}
+    # without the limits on the intervals between sends, which ``placed`` adds to the policy
     return Network(delay=network.delay, links=links, stated=stated).unlimited
 
 
@@ -381,15 +407,6 @@ def placed(policy: Policy, network: Network) -> Policy:
         schedule=None if schedule is None else replace(schedule, links=tuple(names[link] for link in schedule.links)),
         network=replace(network, links={**network.links, **links}, delay=policy.network.delay),
     )
-
-
-def expect_ideal_links(kind: str, network: Network) -> None:
-    """Raise a ``PlacementError`` if links drop, acknowledge or delay packets, which a kind does not use."""
-    if network.losing is not None:
-        raise PlacementError(
-            f"{network.losing} is given, which {kind} does not use; expected ideal links: remove it (`taciturn "
-            "network FILE --loss P` drops packets of policies of any kind)"
-        )
 
 
 def check_place(kind: str, network: Network, role: str, node: str, together: bool) -> None:

@@ -257,9 +257,7 @@ class InputSteps(Displayed):
 
     @cached_property
     def _actuators(self) -> Mapping[str, tuple[str, list[int]]]:
-        """The signal and the indices of the inputs that an actuator applies, by node."""
-        found = self.network.applications(self.certainty.problem.plant.inputs)
-        return {node: (signal, [*inputs]) for signal, (node, inputs) in found.items()}
+        return actuators_of(self.network, self.certainty.problem.plant)
 
     @cached_property
     def _linked(self) -> set[str]:
@@ -293,9 +291,7 @@ class InputSteps(Displayed):
         limit, at = self.thresholds[group], self.network.controller
         if len(group) == 1:
             return Decide(at, decision(group), Trigger({SILENT: self._error(group), SEND: Form(constant=limit)}))
-        options = {
-            _label(sent): self._error([node for node in group if node not in sent]) for sent in self._sets(group)
-        }
+        options = {label(sent): self._error([node for node in group if node not in sent]) for sent in self._sets(group)}
         return Decide(at, decision(group), Trigger(options, limit))
 
     def _error(self, silent: Sequence[str]) -> Form:
@@ -304,16 +300,14 @@ class InputSteps(Displayed):
         H = self.certainty.regulator.H[np.ix_(rows, rows)]
         return Form(tuple(f"error_{node}" for node in silent), H) if rows else Form()
 
-    def _sets(self, group: tuple[str, ...]) -> list[tuple[str, ...]]:
-        """Return the sets of packets in the order of the trigger's labels: the cheapest first."""
-        sets = chain.from_iterable(combinations(group, size) for size in range(len(group) + 1))
-        return sorted(sets, key=lambda sent: sum(self.network.links[link].price for link in sent))
+    def _sets(self, group: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
+        return sets_of(group, {link: self.network.links[link].price for link in group})
 
     def _send(self, node: str, group: tuple[str, ...]) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """Return the steps that send to an actuator and apply its input, and those that copy it at the controller."""
         at, (signal, rows), on = self.network.controller, self._actuators[node], decision(group)
         sends = [node in sent for sent in self._sets(group)]
-        labels = tuple(_label(sent) for sent in self._sets(group) if node in sent) if len(group) > 1 else ()
+        labels = tuple(label(sent) for sent in self._sets(group) if node in sent) if len(group) > 1 else ()
         told = known(self.network, node, on)
         sends = [False, True] if isinstance(told, Acknowledged) else sends
         unit, n, L = np.eye(len(rows)), np.eye(len(closed_loop(self.certainty))), self.certainty.regulator.L[rows]
@@ -334,9 +328,21 @@ class InputSteps(Displayed):
         )
 
 
-def _label(sent: tuple[str, ...]) -> str:
-    """Return the label of a set of packets."""
+def sets_of(links: tuple[str, ...], worth: Mapping[str, float]) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of links that send, the cheapest first: the order of a trigger's labels."""
+    sets = chain.from_iterable(combinations(links, size) for size in range(len(links) + 1))
+    return tuple(sorted(sets, key=lambda sent: sum(worth[link] for link in sent)))
+
+
+def label(sent: Sequence[str]) -> str:
+    """Return the label of a set of links."""
     return " and ".join(sent) or SILENT
+
+
+def actuators_of(network: Network, plant: Plant) -> dict[str, tuple[str, list[int]]]:
+    """Return the signal and the indices of the inputs that each actuator applies, by node."""
+    found = network.applications(plant.inputs)
+    return {node: (signal, [*rows]) for signal, (node, rows) in found.items()}
 
 
 MOST_LINKS = 4  # whose sets are compared
@@ -370,8 +376,7 @@ class JointSets(Displayed):
     @cached_property
     def actuators(self) -> Mapping[str, tuple[str, list[int]]]:
         """The signal and the indices of the inputs that an actuator applies, by node."""
-        found = self.network.applications(self.policy.model.inputs)
-        return {node: (signal, [*rows]) for signal, (node, rows) in found.items()}
+        return actuators_of(self.network, self.policy.model)
 
     @cached_property
     def links(self) -> tuple[str, ...]:
@@ -386,9 +391,8 @@ class JointSets(Displayed):
 
     @cached_property
     def all(self) -> tuple[tuple[str, ...], ...]:
-        """The sets of links that send, the cheapest first."""
-        sets = chain.from_iterable(combinations(self.links, size) for size in range(len(self.links) + 1))
-        return tuple(sorted(sets, key=lambda sent: sum(self.weights[link] for link in sent)))
+        """The sets of links that send, the cheapest first, and that of all links last."""
+        return sets_of(self.links, self.weights)
 
     @cached_property
     def decision(self) -> str:
@@ -452,18 +456,10 @@ class JointSets(Displayed):
                 "every = 1, or one actuator link"
             )
 
-    def whole(self, sent: Sequence[str]) -> bool:
-        """Return whether a set contains all links."""
-        return len(sent) == len(self.links)
-
-    def label(self, sent: Sequence[str]) -> str:
-        """Return the label of a set."""
-        return " and ".join(sent) or "silent"
-
     def named(self, signal: str, sent: Sequence[str]) -> str:
         """Return the name of a signal if a set sends; the value without any packet keeps its name."""
         differs = signal in self.partial and (sent or len(self.links) < len(self.actuators))
-        return f"{signal} if {self.label(sent)}" if differs else signal
+        return f"{signal} if {label(sent)}" if differs else signal
 
     def form(self, form: Form, sent: Sequence[str]) -> Form:
         """Return the form of the error that remains if a set sends."""
@@ -485,12 +481,11 @@ class JointSets(Displayed):
         if isinstance(step, Send):
             return tuple(found for node in self.actuators for found in self._send(step, node))
         if isinstance(step, Evaluate) and step.signal in self.partial:
-            others = [sent for sent in self.all if not self.whole(sent)]
             return tuple(
                 Evaluate(
                     step.at, self.named(step.signal, sent), tuple(self.form(one, sent) for one in step.forms), step.on
                 )
-                for sent in others
+                for sent in self.all[:-1]
             )
         if not isinstance(step, Assign):
             return (step,)
@@ -504,8 +499,8 @@ class JointSets(Displayed):
         """Return the theory of the policy that decides on sets of links."""
         identity, guarantee = theory.identity, theory.guarantee
         if identity is not None and identity.on is not None:
-            forms = [Form() if self.whole(sent) else self.form(identity.forms[0], sent) for sent in self.all]
-            identity = replace(identity, forms=tuple(forms))
+            forms = (*(self.form(identity.forms[0], sent) for sent in self.all[:-1]), Form())
+            identity = replace(identity, forms=forms)
         if guarantee is not None and guarantee.base is not None:
             statement = f"{guarantee.statement}; rate: Σ π_l r_l / Σ π_l with the price π_l of a packet on link l"
             guarantee = replace(guarantee, statement=statement, weights=self.weights)
@@ -513,8 +508,8 @@ class JointSets(Displayed):
 
     def _trigger(self, trigger: Trigger) -> Trigger:
         silent, price = trigger.options.values()
-        options = {self.label(sent): self.form(silent, sent) for sent in self.all if not self.whole(sent)}
-        last = self.label(self.all[-1])
+        options = {label(sent): self.form(silent, sent) for sent in self.all[:-1]}
+        last = label(self.all[-1])
         limit = price.constant
         if not self.greedy:
             if isinstance(limit, Scheduled):
@@ -523,9 +518,9 @@ class JointSets(Displayed):
         for sent in self.all[1:-1]:
             share = sum(self.weights[link] for link in sent)
             part = Scheduled(limit.by, share * limit.values) if isinstance(limit, Scheduled) else share * limit
-            form = options[self.label(sent)]
+            form = options[label(sent)]
             added = part if isinstance(part, Scheduled) else part + _number(form.constant)
-            options[self.label(sent)] = Form(form.signals, form.Psi, added, form.plus, form.bell)
+            options[label(sent)] = Form(form.signals, form.Psi, added, form.plus, form.bell)
         return Trigger({**options, last: price})
 
     def _errors(self, step: Assign) -> tuple[Step, ...]:
@@ -545,7 +540,7 @@ class JointSets(Displayed):
         part = Assign(step.at, f"{COMMAND}_{node}", {COMMAND: np.eye(self.policy.model.inputs)[rows]})
         if node not in self.links:
             return (part,)
-        labels = tuple(self.label(sent) for sent in self.all if node in sent)
+        labels = tuple(label(sent) for sent in self.all if node in sent)
         return (part, Send(step.at, node, (f"{COMMAND}_{node}",), step.on, labels))
 
     def _receive(self, step: Assign, node: str) -> Step:

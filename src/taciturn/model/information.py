@@ -1,4 +1,18 @@
-"""Checks that a policy can run over a network and that every node reads only signals that are available to it."""
+"""Checks that a policy can run over a network, and that every node reads only what is available to it.
+
+A policy is a list of steps, each at a node. Nodes at one site share all signals. A node can read
+
+* the signals that are assigned at its site, and the measurements of the nodes there;
+* in the branch for a received packet, the signals in this packet;
+* the outcome of a decision of its site, of a reception on a link to its site, and of an acknowledgement of a packet
+  that its site has sent, if the network sends acknowledgements;
+* a step counter that all nodes share, or a location of its own site.
+
+Anything else is an ``InformationError``: such a policy could be simulated, but no nodes could run it.
+
+A network must also have the nodes, the delay and the limits of intervals of the design. Properties of a link on which
+no packet is received are refused, and so is a rounding without effect, since the policy would ignore them.
+"""
 
 from __future__ import annotations
 
@@ -93,11 +107,7 @@ def _conditions(policy: Policy) -> list[Condition | None]:
 
 
 def check_information(policy: Policy, network: Network) -> None:
-    """Reject a policy in which a node reads a signal that is not available to it.
-
-    A node can read the signals assigned at its site, the measurement if the sensor is at its site, and, in the branch
-    for a received packet, the signals in the packet.
-    """
+    """Reject a policy in which a node reads a signal that is not available to it."""
     INFORMED.check(policy.parts)
     knowledge = _Knowledge(policy, network)
     for step in policy.steps:

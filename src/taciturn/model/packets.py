@@ -27,13 +27,20 @@ from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Acknowledged, Apply, Assign, Evaluate, Send, assigned
 from taciturn.model.wire import PERSON, PLANT, SETPOINT, Encoding, PacketKind
 
+POINTS = 3  # number of points at which a function is evaluated for the fingerprint
+LATER: Mapping[str, object] = {
+    "Trigger.limit": None,
+    "Trigger.excluded": {},
+}  # fields of later versions, which fingerprints omit if so
+DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which designs on different machines agree
+
 
 class PlantLink(NamedTuple):
     """The packets between the plant and a process: the outputs in a measurement, and the inputs in an input."""
 
     measures: str | None  # role of the process that receives the measurements, if any
     applies: str | None  # role of the process that sends the inputs, if any
-    outputs: tuple[int, ...]  # outputs of the plant in a measurement, in their order
+    outputs: tuple[int, ...]  # outputs of the plant in a measurement, in their order; the set-points follow them
     inputs: tuple[int, ...]  # inputs of the plant in an input, in their order
 
 
@@ -64,14 +71,8 @@ def roles(policy: Policy) -> tuple[str, ...]:
 
 def outputs_at(policy: Policy, role: str) -> list[int]:
     """Return the outputs of the plant that a process measures, in the order of its measurement."""
-    measured = [ends for signal, ends in policy.measured.items() if signal != REFERENCE]
-    return [i for node, outputs in measured if node in policy.site(role) for i in outputs]
-
-
-def set_points_at(policy: Policy, role: str) -> list[int]:
-    """Return the set-points that a process is given while the loop runs, as numbers of outputs of the plant."""
-    node, given = policy.measured.get(REFERENCE, ("", ()))
-    return [*given] if node in policy.site(role) else []
+    site, measured = policy.site(role), policy.measured.items()
+    return [i for signal, (node, outputs) in measured if signal != REFERENCE and node in site for i in outputs]
 
 
 def inputs_at(policy: Policy, role: str) -> list[int]:
@@ -86,24 +87,23 @@ def plant_links(policy: Policy) -> dict[str, PlantLink]:
     processes has its own link, ``plant/ROLE``. The link ``setpoint`` gives the controller set-points that change.
     """
     names = roles(policy)
-    measure = [role for role in names if outputs_at(policy, role)]
-    apply = [role for role in names if inputs_at(policy, role)]
+    outputs = {role: tuple(outputs_at(policy, role)) for role in names}
+    inputs = {role: tuple(inputs_at(policy, role)) for role in names}
+    measure, apply = ([role for role in names if held[role]] for held in (outputs, inputs))
     if len(measure) == len(apply) == 1:
-        ends = {PLANT: (measure[0], apply[0])}
+        found = {PLANT: PlantLink(measure[0], apply[0], outputs[measure[0]], inputs[apply[0]])}
     else:
-        ends = {
-            f"{PLANT}/{role}": (role if role in measure else None, role if role in apply else None)
+        found = {
+            f"{PLANT}/{role}": PlantLink(
+                role if role in measure else None, role if role in apply else None, outputs[role], inputs[role]
+            )
             for role in names
             if role in measure or role in apply
         }
-    found = {
-        link: PlantLink(
-            one, other, tuple(outputs_at(policy, one) if one else ()), tuple(inputs_at(policy, other) if other else ())
-        )
-        for link, (one, other) in ends.items()
-    }
-    given = [PlantLink(role, None, tuple(points), ()) for role in names if (points := set_points_at(policy, role))]
-    return {**found, **({SETPOINT: given[0]} if given else {})}
+    if REFERENCE in policy.measured:
+        node, given = policy.measured[REFERENCE]
+        found[SETPOINT] = PlantLink(role_at(policy, node), None, given, ())
+    return found
 
 
 def plant_link(policy: Policy, role: str) -> str | None:
@@ -156,14 +156,6 @@ def is_acknowledged(policy: Policy, link: str) -> bool:
     conditions = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
     conditions += [place.on for place in policy.locations]
     return any(isinstance(on, Acknowledged) and on.link == link for on in conditions)
-
-
-POINTS = 3  # number of points at which a function is evaluated for the fingerprint
-LATER: Mapping[str, object] = {
-    "Trigger.limit": None,
-    "Trigger.excluded": {},
-}  # fields of later versions, which fingerprints omit if so
-DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which designs on different machines agree
 
 
 def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:

@@ -36,6 +36,7 @@ from taciturn.model.wire import (
     LARGEST,
     PERSON,
     PROOFS,
+    SETPOINT,
     TAG_SIZE,
     VERSION,
     Encoding,
@@ -118,6 +119,7 @@ class Wire:
         self.fingerprint = fingerprint(policy, network)
         self.links: tuple[str, ...] = wire_links(policy)
         self.plant = plant_links(policy)
+        self.physical = frozenset(self.plant) - {SETPOINT}  # without the set-points, which nodes take in by themselves
         self.keys = Keys.same(key) if isinstance(key, bytes) else key
         if self.keys is not None:
             self.keys.expect(self.links)

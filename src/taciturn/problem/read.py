@@ -478,27 +478,24 @@ def _usual_of(table: NetworkTable, kind: Kind) -> Network:
 
 def _graph_of(file: File) -> Network:
     """Return the network of the tables [nodes] and [links]; [network] may still state the delay of computations."""
-    stated = (
-        [] if file.network is None else [key for key, value in vars(file.network).items() if value != _DEFAULTS[key]]
-    )
-    for key in (key for key in stated if key != "delay"):
+    table, usual = file.network or NetworkTable(), vars(NetworkTable())
+    for key in (key for key, value in vars(table).items() if key != "delay" and value != usual[key]):
         raise ProblemError(
             f"network.{key} is given with [nodes] or [links]; expected the properties of each link in [links.NAME]"
         )
     nodes, links = dict[str, NodeRole](), dict[str, LinkLaw]()
-    for name, table in (file.nodes or {}).items():
+    for name, role in (file.nodes or {}).items():
         try:
-            nodes[name] = NodeRole(**table)
+            nodes[name] = NodeRole(**role)
         except ProblemError as error:
             raise ProblemError(f"nodes.{name}: {error}") from None
-    for name, table in (file.links or {}).items():
-        law: dict[str, Any] = {**table, "burst": _burst(f"links.{name}.burst", table.get("burst"))}
+    for name, keys in (file.links or {}).items():
+        law: dict[str, Any] = {**keys, "burst": _burst(f"links.{name}.burst", keys.get("burst"))}
         try:
             links[name] = LinkLaw(**law)
         except ProblemError as error:
             raise ProblemError(f"links.{name}.{error}") from None
-    delay = 0 if file.network is None else file.network.delay
-    return Network(delay=delay, nodes=nodes or None, links=links)
+    return Network(delay=table.delay, nodes=nodes or None, links=links)
 
 
 def _burst(key: str, table: Mapping[str, Any] | None) -> LossLaw | None:
@@ -518,6 +515,3 @@ def _burst(key: str, table: Mapping[str, Any] | None) -> LossLaw | None:
     except ProblemError as error:
         text = f"{key}.{error}"
     raise ProblemError(text)
-
-
-_DEFAULTS = vars(NetworkTable())

@@ -29,7 +29,7 @@ from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import Lines, magnitude, negligible, per_unit, percent
 from taciturn.base.filter import SEND
-from taciturn.design.kind import placed
+from taciturn.design.kind import usual_nodes
 from taciturn.design.silence import send_every_sample
 from taciturn.loop import Loop, close
 from taciturn.lqg.discrete import has_average
@@ -249,7 +249,7 @@ def _with_every_sample(problem: Problem, policy: Policy) -> Policy:
     sensed = len(links) == 1 and bool(network.nodes[links[0]].measures)
     link = "sensor" if sensed else "actuator"
     always = send_every_sample(policy.kind, problem.plant, problem.cost, period, problem.controller, link)
-    return placed(always, network.unlimited) if len(links) == 1 else always
+    return replace(always, network=usual_nodes(network, policy.kind)) if len(links) == 1 else always
 
 
 def sends_every_sample(policy: Policy) -> Policy:

@@ -68,24 +68,22 @@ def digest(text: str) -> str:
 
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
-    network = problem.network if problem.network.own_nodes else _short(problem.network)
+    network, paid = (problem.network, []) if problem.network.own_nodes else _short(problem.network)
     stated = (problem.plant, problem.cost, network, problem.actual, problem.reference)
     own: list[object] = [] if problem.record.in_house else [problem.record.identity]
     own += [one for one in (problem.controller, problem.limits) if one is not None]
-    if not problem.network.own_nodes:  # the short form has no prices, energies and limits of intervals
-        laws = problem.network.links.items()
-        paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
-        limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
-        own += [found for found in (paid, limits) if found]
-    return digest(encode([stated, problem.kind, problem.parameters, *own]))
+    return digest(encode([stated, problem.kind, problem.parameters, *own, *paid]))
 
 
-def _short(network: Network) -> dict[str, object]:
-    """Return the links of the usual nodes as the arguments that describe them."""
+def _short(network: Network) -> tuple[dict[str, object], list[object]]:
+    """Return the links of the usual nodes as the arguments that describe them, and what has no argument, if given."""
+    laws = network.links.items()
+    paid = {link: [law.price, law.energy, law.battery] for link, law in laws if law.price != 1.0 or law.energy}
+    limits = {link: law.intervals for link, law in laws if law.intervals != IDEAL_LINK.intervals}
     found: dict[str, object] = {"protocol": network.protocol, "delay": network.delay, "payload": network.payload}
-    for link, law in network.links.items():
+    for link, law in laws:
         found |= {f"{link}_loss": law.loss, f"{link}_burst": law.burst, f"{link}_range": law.range}
-    return found | {KIND: "Network"}
+    return found | {KIND: "Network"}, [one for one in (paid, limits) if one]
 
 
 def origin(

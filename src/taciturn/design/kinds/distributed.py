@@ -24,7 +24,7 @@ from taciturn.base.certainty import AT_INSTANTS, Actuation, CertaintyEquivalentD
 from taciturn.base.filter import ESTIMATE
 from taciturn.base.nominal import Nominal
 from taciturn.design.bounds import PULLED, shares_of, threshold_of
-from taciturn.design.kind import Kind, TradeoffParameter
+from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.several_nodes import ContributionSteps, InputSteps
 from taciturn.errors import ProblemError
 from taciturn.loop import close
@@ -32,7 +32,7 @@ from taciturn.lqg.discrete import discretise
 from taciturn.lqg.stored import Allowance
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import BURSTS, GAUSSIAN_THEORY
-from taciturn.model.network import Network
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee, Identity, Theory, rounded_up, with_silence
@@ -50,6 +50,7 @@ ATTEMPTS = "J_all is the cost of an attempt on every link in every step"
 TOO_MANY = f"J_all is the cost without losses, because more than {MOST_LINKS} links drop packets"
 
 
+@on_any_network
 def distributed(
     plant: Plant | ContinuousPlant,
     cost: Cost,
@@ -104,7 +105,7 @@ def distributed(
         >>> policy.scheduled, round(policy.guarantee.cost / policy.cost_all_time, 9)
         (('sensor', 'actuator'), 1.2)
     """
-    network = KIND.network_for(network)
+    network = network or IDEAL
     given = network, choice("prediction", prediction, MODES), choice("actuation", actuation, MODES)
     certainty = design_certainty("distributed", discretise(plant, cost, period))
     all_time, lossy = certainty.cost_all_time, _lossy(network)

@@ -25,13 +25,13 @@ from taciturn.base.gains import gains_for_losses
 from taciturn.base.given_controller import lqg_observer
 from taciturn.base.receiver import Actuation
 from taciturn.design.bounds import bound_by_silence, expect_one_threshold, threshold_of
-from taciturn.design.kind import Kind, TradeoffParameter, placed
+from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.design.silence import drops, keep_controller, total_excess
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
-from taciturn.model.network import Network
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Trigger
@@ -39,6 +39,7 @@ from taciturn.model.trigger import Form, Trigger
 LONGEST = 100_000  # steps between packets of the base: their value is computed step by step
 
 
+@on_any_network
 def excess(
     plant: Plant | ContinuousPlant,
     cost: Cost,
@@ -110,8 +111,7 @@ def excess(
         1.1
     """
     expect_one_threshold(delta, theta)
-    network = Network() if network is None else network
-    links, every = KIND.network_for(network), count("every", every)
+    links, every = network or IDEAL, count("every", every)
     choice("link", link, ("actuator", "sensor"))
     if every > LONGEST:
         raise ProblemError(f"every is {every}; expected at most {LONGEST} steps between packets of the base")
@@ -121,7 +121,7 @@ def excess(
 
     ideal = link == "actuator" and every == 1 and gains == "lqg" and not (retry or drops(links, link))
     if controller is None and ideal and actuation != "zero":
-        return placed(_lqg(discretise(plant, cost, period), actuation, price_at), network)
+        return _lqg(discretise(plant, cost, period), actuation, price_at)
     L = None
     if choice("gains", gains, ("lqg", "loss-optimal")) == "loss-optimal":
         if controller is not None or not drops(links, link) or actuation == "model" or link == "sensor" or every > 1:
@@ -140,8 +140,7 @@ def excess(
         )
     else:
         kept, lqg = controller_from(controller), None
-    policy = keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
-    return placed(policy, network)
+    return keep_controller("excess", plant, cost, period, kept, price_at, actuation, link, links, every, retry, lqg)
 
 
 def _lqg(problem: Discrete, actuation: LQGActuation, price_at: Callable[[float], float]) -> Policy:

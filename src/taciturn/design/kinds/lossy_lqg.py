@@ -17,7 +17,7 @@ import numpy as np
 from taciturn._arrays import instance, number
 from taciturn.base.anti_windup import within_limits
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, SEND, by_clock, count_ticks
-from taciturn.design.kind import Kind, TradeoffParameter, placed
+from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.errors import ProblemError
 from taciturn.lqg.critical_losses import Channel, MeanSquare
 from taciturn.lqg.discrete import discretise
@@ -32,7 +32,7 @@ from taciturn.lqg.quadratic import Quadratic, worth_of
 from taciturn.lqg.riccati import refuse_uncertain
 from taciturn.model.cost import Cost
 from taciturn.model.disturbance import Reference, Tracking
-from taciturn.model.network import Network
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import ONE, Acknowledged, Assign, Condition, Decide, Received, Send, Step, Terms
@@ -43,6 +43,7 @@ CLOSEST = 1 - 1e-9  # largest growth of the mean square of a stabilising gain
 REFERENCE, FEEDFORWARD, OFF_REFERENCE = "reference", "feedforward", "deviation"
 
 
+@on_any_network
 def lossy_lqg(
     plant: Plant | ContinuousPlant,
     cost: Cost,
@@ -93,8 +94,6 @@ def lossy_lqg(
     """
     price = number("price", price, 0.0, closed=True)
     instance("plant", plant, Plant, ContinuousPlant)
-    given = Network() if network is None else network
-    links = KIND.network_for(given)
     if reference is not None:
         instance("reference", reference, Reference)
     plant = refuse_what_is_not_covered(plant, cost)
@@ -103,6 +102,7 @@ def lossy_lqg(
         raise ProblemError(
             "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
         )
+    links = network or IDEAL
     network = links.without_bursts()
     channel = Channel(
         network.loss("actuator"),
@@ -157,7 +157,7 @@ def lossy_lqg(
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )
-    return placed(within_limits(policy), given)
+    return within_limits(policy)
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:

@@ -26,17 +26,18 @@ from taciturn.base.certainty import (
     silence_form,
 )
 from taciturn.design.bounds import less_noise
-from taciturn.design.kind import Kind, TradeoffParameter, placed
+from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
-from taciturn.model.network import Network
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 
+@on_any_network
 def lqg(
     plant: Plant | ContinuousPlant,
     cost: Cost,
@@ -92,8 +93,6 @@ def lqg(
             "epsilon is given with the joint trigger, which does not use it; expected trigger = 'separate', or no "
             "epsilon: use separate runs to compare both triggers"
         )
-    network = Network() if network is None else network
-    KIND.network_for(network)
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
     threshold = theta * certainty.estimation_cost
@@ -121,7 +120,7 @@ def lqg(
         ),
         reset=certainty.reset(actuation),
     )
-    return replace(placed(policy, network), network=network)
+    return replace(policy, network=network or IDEAL)
 
 
 def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float | None) -> Form:

@@ -27,14 +27,14 @@ from taciturn.base.receiver import actuator_base, route_over
 from taciturn.base.value import least_value
 from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_errors
 from taciturn.design.dead_bands import DeadBands, Filtered, errors_of_one, keep_at_nodes, policy_of_loop
-from taciturn.design.kind import Kind, TradeoffParameter, placed, usual_nodes
+from taciturn.design.kind import Kind, TradeoffParameter, on_any_network
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.controller import controller_from
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
-from taciturn.model.network import Network
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.steps import Decide, Evaluate
@@ -44,6 +44,7 @@ from taciturn.model.trigger import Form, Trigger
 WHICH = "changed"
 
 
+@on_any_network
 def send_on_delta(
     plant: Plant | ContinuousPlant,
     cost: Cost,
@@ -93,14 +94,16 @@ def send_on_delta(
         ('sensor',)
     """
     delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
-    network = KIND.network_for(network)
-    own, shares, links = network.own_nodes, shares or {}, list(network.links)
+    network = network or IDEAL
+    chosen = network.beside("actuator" if link == "sensor" else "sensor")
+    own = chosen is network  # of the usual nodes, only the one that ``link`` names has a link
+    shares, links = shares or {}, list(chosen.links)
     if own and link != "sensor":
         raise ProblemError(f"link is {link!r} with nodes of one's own; expected no link: each link has a dead band")
     if controller is None and link == "sensor":
         return _filter(plant, cost, period, delta, shares, network)
     expect_average("send-on-delta", cost)
-    if own and len(links) > 1:
+    if len(links) > 1:
         kept = controller_from(controller)
         return keep_at_nodes("send-on-delta", plant, cost, period, kept, delta, shares, network)
     if shares:
@@ -110,9 +113,8 @@ def send_on_delta(
             else "shares is given with a controller or a link; expected shares with LQG, or with nodes"
         )
     if own:
-        usual_nodes(network, "send-on-delta")
         link = "actuator" if any(network.nodes[one].applies for one in links) else "sensor"
-    return placed(_keep(plant, cost, period, controller, delta, link), network)
+    return _keep(plant, cost, period, controller, delta, link)
 
 
 def _filter(

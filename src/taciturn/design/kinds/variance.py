@@ -19,13 +19,13 @@ from taciturn.base.certainty import design_certainty, steps_at_the_actuator
 from taciturn.base.filter import CLOCK, ESTIMATE, HELD, FilterSteps, count_ticks
 from taciturn.base.nominal import Nominal
 from taciturn.design.at_fixed_steps import innovation_at_queries
-from taciturn.design.kind import Kind, TradeoffParameter, check_place
+from taciturn.design.kind import Kind, TradeoffParameter, check_place, on_any_network
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import corrections_of, schedule_by_variance
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import THEORY
-from taciturn.model.network import Network
+from taciturn.model.network import IDEAL, Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
@@ -34,6 +34,7 @@ from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Scheduled
 
 
+@on_any_network
 def variance(
     plant: Plant | ContinuousPlant,
     cost: Cost,
@@ -77,7 +78,7 @@ def variance(
         {'sensor': 0.3333333333333333}
     """
     threshold = number("threshold", threshold, 0.0, closed=True)
-    network = KIND.network_for(network)
+    network = network or IDEAL
     wired = _wired(network)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("variance", problem), problem.plant
