@@ -49,7 +49,7 @@ OWN = {  # files that the library itself wrote or contains, or of the operating 
     "service.py": "logs, which it writes",
     "workers.py": "Python files of this package",
     "steps.py": "logs of processes that it started",
-    "files.py": "after check_regular, by the libraries of these formats",
+    "matlab_and_numpy.py": "after check_regular, by the libraries of these formats",
 }
 
 

@@ -21,7 +21,7 @@ from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unma
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
-from taciturn.model.key import NO_KEY
+from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.state_space import refuse_descriptor, state_space_of, vars_of
 
@@ -56,16 +56,21 @@ class Controller(Displayed):
         True
     """
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    E: Array
-    dt: float | None
-    disturbance: Disturbance | None
-    setpoint: Array
-    rest: Array
-    start_input: Array | None
+    A: Array = field(metadata=stated_as(Rows | None))
+    B: Array = field(metadata=stated_as(Rows | None))
+    C: Array = field(metadata=stated_as(Rows | None))
+    D: Array = field(metadata=stated_as(Rows | None))
+    E: Array = field(metadata=stated_as(Rows | None))
+    dt: float | None = field(metadata=NO_KEY)
+    disturbance: Disturbance | None = field(
+        metadata=stated_as(
+            table_of(Disturbance) | Literal["none"] | None,
+            note="slow disturbance at each input, which an integral compensates",
+        )
+    )
+    setpoint: Array = field(metadata=stated_as(list[float] | None))
+    rest: Array = field(metadata=NO_KEY)
+    start_input: Array | None = field(metadata=NO_KEY)
 
     def __init__(
         self,
@@ -154,13 +159,13 @@ class ContinuousController(Displayed):
         [[-2.05]]
     """
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    method: Method = "tustin"
-    disturbance: Disturbance | None = None
-    setpoint: ArrayLike | None = None
+    A: Array = field(metadata=NO_KEY)  # all keys as for ``Controller``, but for the method
+    B: Array = field(metadata=NO_KEY)
+    C: Array = field(metadata=NO_KEY)
+    D: Array = field(metadata=NO_KEY)
+    method: Method = field(default="tustin", metadata=stated_as(Method | None))
+    disturbance: Disturbance | None = field(default=None, metadata=NO_KEY)
+    setpoint: ArrayLike | None = field(default=None, metadata=NO_KEY)
 
     def __post_init__(self) -> None:
         """Validate the matrices and the method."""

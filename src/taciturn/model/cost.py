@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, cast
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.key import Rows, stated_as
 
 LONGEST = 100_000  # largest number of steps of a finite horizon
 
@@ -36,12 +37,14 @@ class Cost(Displayed):
         array([[0.]])
     """
 
-    Q: Array
-    R: Array
-    N: Array
-    horizon: int | None
-    terminal: Array | None
-    discount: float
+    Q: Array = field(metadata=stated_as(Rows | None, note="weight of the state"))
+    R: Array = field(metadata=stated_as(Rows | None, note="weight of the input"))
+    N: Array = field(metadata=stated_as(Rows | None, note="cross weight"))
+    horizon: int | None = field(
+        metadata=stated_as(int | None, note="steps of a finite-horizon run; without this key the cost is an average")
+    )
+    terminal: Array | None = field(metadata=stated_as(Rows | None))
+    discount: float = field(metadata=stated_as(float | None))
 
     def __init__(
         self,

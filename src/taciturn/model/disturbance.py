@@ -29,7 +29,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.key import stated_as
+from taciturn.model.key import Rows, stated_as
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from
 from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
@@ -207,8 +207,8 @@ class Reference(Displayed):
         ProblemError: if the lengths of states and inputs do not match.
     """
 
-    states: Array
-    inputs: Array
+    states: Array = field(metadata=stated_as(Rows | None))
+    inputs: Array = field(metadata=stated_as(Rows | None))
 
     def __init__(self, states: ArrayLike, inputs: ArrayLike) -> None:
         """Validate and store the arguments."""

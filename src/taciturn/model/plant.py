@@ -42,7 +42,7 @@ from taciturn._rational import FEWEST, Limit, is_semidefinite, nearest, rational
 from taciturn._text import Lines
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
-from taciturn.model.key import Rows, stated_as
+from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
@@ -122,31 +122,40 @@ def _within_range(name: str, whole: fmpz_mat, factor: fmpq) -> Array:
 BLUR = 1e-6  # relative difference below which poles are considered equal
 WIDEST = 12  # largest number of columns of a matrix that is printed in full
 NARROW = 6  # most columns of four digits that fit a line
+BEFORE = "direct feedthrough of the input of the step before, as each sample is taken before the input changes"
 FED = "y = C x + D u + v, with the input u of the step before, as each sample is taken before the input changes"
 NamedRows = dict[str, str | Array | None]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class DisplayedPlant(Displayed):
-    """Base class of plants that print a summary before their matrices.
+    """The attributes and the keys that plants in discrete and in continuous time share, and their summary."""
 
-    A plant in continuous time replaces the description of its noise, a plant in discrete time that of its time base.
-    ``stated_limit`` are the limits of the inputs in the units of the plant, (m, 2), from which ``input_limit`` is
-    computed for each operating point, so that it does not depend on the points between.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    W: Array
-    V: Array
-    mean: Array
-    covariance: Array
-    input_limit: Array | None
-    stated_limit: Array | None
-    input_rate: Array | None
-    full_state: bool
-    operating_point: OperatingPoint | None
-    D: Array | None
+    A: Array = field(metadata=stated_as(Rows, note="dynamics, {per}"))
+    B: Array = field(metadata=stated_as(Rows, note="effect of the inputs, {per}"))
+    C: Array = field(metadata=stated_as(Rows | None, note="output matrix"))
+    D: Array | None = field(metadata=stated_as(Rows | None, note=BEFORE))
+    W: Array = field(metadata=stated_as(Rows | None, note="noise w: {noise}, in the units of the states squared"))
+    V: Array = field(
+        metadata=stated_as(
+            Rows | None, note="measurement noise v: covariance per sample, in the units of the outputs squared"
+        )
+    )
+    mean: Array = field(metadata=NO_KEY)  # in [plant.initial]
+    covariance: Array = field(metadata=NO_KEY)
+    input_limit: Array | None = field(
+        metadata=stated_as(
+            list[float | list[float]] | None,
+            note="largest size of each input, or [low, high]; with a limit, no guarantee is shown",
+        )
+    )
+    # in the units of the plant, (m, 2); ``input_limit`` is computed from it for each operating point, so that it does
+    # not depend on the points between
+    stated_limit: Array | None = field(compare=False, metadata=NO_KEY)
+    input_rate: Array | None = field(metadata=stated_as(list[float] | None))
+    full_state: bool = field(metadata=NO_KEY)
+    exosystem: Exosystem | None = field(metadata=NO_KEY)
+    operating_point: OperatingPoint | None = field(metadata=stated_as(table_of(OperatingPoint) | None))
     continuous: ClassVar[bool] = True
 
     @property
@@ -382,25 +391,18 @@ class Plant(DisplayedPlant):
         array([[0.01]])
     """
 
-    A: Array
-    B: Array
-    W: Array
-    C: Array
-    V: Array
-    dt: float | None
-    mean: Array
-    covariance: Array
-    input_limit: Array | None
-    input_rate: Array | None
-    function: Dynamics | None
-    full_state: bool
-    exosystem: Exosystem | None
-    operating_point: OperatingPoint | None
-    D: Array | None
-    alone: Plant | None = None  # the plant without its disturbances, set-points and registers, if these are states here
-    registers: tuple[int, ...] = ()  # inputs whose values in the step before are states, after those of the plant
-    changes: RandomSteps | SampledChanges | None = None  # of set-points, the last states, which are also outputs
-    drift: Array | None = None  # what the state moves by at the point that states and inputs are relative to
+    dt: float | None = field(
+        metadata=stated_as(float | None, note="seconds per step; without this key the plant is continuous in time")
+    )
+    function: Dynamics | None = field(metadata=stated_as(str | None))
+    # the plant without its disturbances, set-points and registers, if these are states here
+    alone: Plant | None = field(default=None, metadata=NO_KEY)
+    # inputs whose values in the step before are states, after those of the plant
+    registers: tuple[int, ...] = field(default=(), metadata=NO_KEY)
+    # of set-points, the last states, which are also outputs
+    changes: RandomSteps | SampledChanges | None = field(default=None, metadata=NO_KEY)
+    # what the state moves by at the point that states and inputs are relative to
+    drift: Array | None = field(default=None, metadata=NO_KEY)
     continuous: ClassVar[bool] = False
 
     def __init__(
@@ -465,7 +467,7 @@ class Plant(DisplayedPlant):
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
         start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers"}
-        apart = start | added | {"dt", "function", "full_state", "operating_point"}
+        apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -571,20 +573,7 @@ class ContinuousPlant(DisplayedPlant):
         2
     """
 
-    A: Array
-    B: Array
-    W: Array
-    jumps: Jumps | None
-    C: Array
-    V: Array
-    mean: Array
-    covariance: Array
-    input_limit: Array | None
-    input_rate: Array | None
-    full_state: bool
-    exosystem: Exosystem | None
-    operating_point: OperatingPoint | None
-    D: Array | None
+    jumps: Jumps | None = field(metadata=stated_as(table_of(Jumps) | None))
 
     def __init__(
         self,

@@ -31,7 +31,7 @@ from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, 
 from taciturn._display import Displayed
 from taciturn._rational import Limit, free_modes
 from taciturn.errors import ProblemError
-from taciturn.model.key import Rows, stated_as
+from taciturn.model.key import NO_KEY, Rows, stated_as
 from taciturn.model.operating_point import OperatingPoint
 
 LONGEST = 100_000  # sampling steps of a timetable
@@ -249,12 +249,14 @@ class SampledChanges(Displayed):
 class SetPoint(Displayed):
     """The values that some combinations of the states are to have."""
 
-    outputs: Array  # C_z of the combinations z = C_z x, (z, n)
-    value: (
-        Array | None
-    )  # their set-points at the start, (z,), in the units of the plant; None: those at its point, or 0
-    changes: Changes | None  # how they change while the loop runs; None for constant set-points
-    D: Array | None  # D_z of the combinations z = C_z x + D_z u
+    # C_z of the combinations z = C_z x, (z, n)
+    outputs: Array = field(metadata=stated_as(Rows | None))
+    # their set-points at the start, (z,), in the units of the plant; None: those at its point, or 0
+    value: Array | None = field(metadata=stated_as(list[float] | None))
+    # how they change while the loop runs; None for constant set-points
+    changes: Changes | None = field(metadata=NO_KEY)
+    # D_z of the combinations z = C_z x + D_z u
+    D: Array | None = field(metadata=NO_KEY)
 
     def __init__(
         self,
