@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeAlias, cast
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unmasked, number, quoted
+from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unmasked, number, quoted, set_fields
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
@@ -95,18 +95,21 @@ class Controller(Displayed):
         m, p = len(C), B.shape[1]
         D = np.zeros((m, p)) if D is None else D
         E = np.zeros((k, m)) if E is None else E
-        for name, value in (("A", A), ("B", B), ("C", C)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "D", array("controller.D", D, (m, p), "(inputs, outputs)"))
-        object.__setattr__(self, "E", array("controller.E", E, (k, m), "(controller states, inputs)"))
-        object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
-        object.__setattr__(self, "disturbance", checked_disturbance("controller.disturbance", disturbance))
+        found: dict[str, object] = {
+            "A": A,
+            "B": B,
+            "C": C,
+            "D": array("controller.D", D, (m, p), "(inputs, outputs)"),
+            "E": array("controller.E", E, (k, m), "(controller states, inputs)"),
+            "dt": None if dt is None else number("controller.dt", dt, 0.0),
+            "disturbance": checked_disturbance("controller.disturbance", disturbance),
+        }
         for name, value, size in (("setpoint", setpoint, p), ("rest", rest, k)):
             expect_unmasked(f"controller.{name}", value)
-            found = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
-            object.__setattr__(self, name, array(f"controller.{name}", found, (size,), f"({size},)"))
-        found = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")
-        object.__setattr__(self, "start_input", found)
+            each = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
+            found[name] = array(f"controller.{name}", each, (size,), f"({size},)")
+        start = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")
+        set_fields(self, {**found, "start_input": start})
 
     @property
     def integrates(self) -> bool:
@@ -172,8 +175,7 @@ class ContinuousController(Displayed):
         choice("controller.method", self.method, ("tustin", "zoh"))
         checked_disturbance("controller.disturbance", self.disturbance)
         stated = Controller(self.A, self.B, self.C, self.D)
-        for name in ("A", "B", "C", "D"):
-            object.__setattr__(self, name, getattr(stated, name))
+        set_fields(self, {name: getattr(stated, name) for name in "ABCD"})
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
         """Return the controller at a step of ``dt`` seconds.

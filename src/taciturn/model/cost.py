@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite, set_fields
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.key import Rows, stated_as
@@ -78,10 +78,7 @@ class Cost(Displayed):
                     "an average or a discount for longer runs"
                 )
             terminal = Q if terminal is None else semidefinite("terminal", terminal, n, "(states, states)")
-        for key, value in zip(
-            ("Q", "R", "N", "horizon", "terminal", "discount"), (Q, R, N, horizon, terminal, discount), strict=True
-        ):
-            object.__setattr__(self, key, value)
+        set_fields(self, {"Q": Q, "R": R, "N": N, "horizon": horizon, "terminal": terminal, "discount": discount})
 
     @classmethod
     def of_variances(

@@ -34,6 +34,7 @@ from taciturn._arrays import (
     number,
     quoted,
     semidefinite,
+    set_fields,
     square,
 )
 from taciturn._display import Displayed
@@ -286,11 +287,9 @@ def matrix_lines(name: str, value: Matrix) -> Lines:
 
 def vector_text(values: Array, digits: int = 4) -> str:
     """Return the entries of a vector in columns of equal width."""
-    return (
-        f"[{' '.join(f'{value:{digits + 6}.{digits}g}' for value in values)}]"
-        if len(values) > 1
-        else f"[{values[0]:.6g}]"
-    )
+    if len(values) == 1:
+        return f"[{values[0]:.6g}]"
+    return f"[{' '.join(f'{value:{digits + 6}.{digits}g}' for value in values)}]"
 
 
 AnyPlant = TypeVar("AnyPlant", bound=DisplayedPlant)
@@ -299,8 +298,7 @@ AnyPlant = TypeVar("AnyPlant", bound=DisplayedPlant)
 def altered(plant: AnyPlant, attributes: Mapping[str, object]) -> AnyPlant:
     """Return a copy of a plant with other attributes, which are not checked."""
     found = copy(plant)
-    for name, value in attributes.items():
-        object.__setattr__(found, name, value)
+    set_fields(found, attributes)
     return found
 
 
@@ -505,7 +503,7 @@ class Jumps(Displayed):
         """Validate and store the arguments."""
         number("jumps.rate", self.rate, 0.0)
         size = array("jumps.covariance", self.covariance, (None, None), "(states, states)").shape[0]
-        object.__setattr__(self, "covariance", semidefinite("jumps.covariance", self.covariance, size))
+        set_fields(self, {"covariance": semidefinite("jumps.covariance", self.covariance, size)})
         if self.distribution not in ("normal", "uniform", "two-point"):
             raise ProblemError(
                 f"jumps.distribution is {self.distribution!r}; expected 'normal', 'uniform' or 'two-point'"
@@ -607,8 +605,8 @@ class ContinuousPlant(DisplayedPlant):
             instance("jumps", jumps, Jumps)
             covariance = semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
             W = jumps.rate * covariance
-        object.__setattr__(self, "W", semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)"))
-        object.__setattr__(self, "jumps", jumps)
+        noise = semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)")
+        set_fields(self, {"W": noise, "jumps": jumps})
         _refuse_lost_modes(self, continuous=True)
 
     @property
@@ -652,13 +650,18 @@ def _set_step(
 ) -> None:
     """Check and set the attributes of a discrete plant alone; ``starts``: whether the initial mean is given."""
     locate(plant, point, starts)
-    object.__setattr__(plant, "W", semidefinite("W", W, plant.states, "(states, states)"))
-    object.__setattr__(plant, "dt", None if dt is None else number("dt", dt, 0.0))
+    noise, step = semidefinite("W", W, plant.states, "(states, states)"), None if dt is None else number("dt", dt, 0.0)
+    set_fields(plant, {"W": noise, "dt": step})
     if function is not None:
         if not callable(function):
             raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
-        function = dynamics_at(function, plant, point)
-    object.__setattr__(plant, "function", function)
+        found = function if isinstance(function, Dynamics) else Dynamics(function)
+        found.check(plant.A, plant.B, plant.W, None if point is None else (point.x, point.u))
+        if point is not None:
+            rest = found(point.x, point.u, np.zeros(len(point.x)))
+            found = MovedDynamics.of(found, point.x, point.u, rest)
+        function = found
+    set_fields(plant, {"function": function})
 
 
 def _set_linear(
@@ -709,9 +712,8 @@ def _set_linear(
     if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):
         got = f"{exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs"
         raise ProblemError(f"the exosystem is for {got}; expected {n} and {p}, as in the plant")
-    for key, value in values.items():
-        object.__setattr__(plant, key, value)
-    object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None)
+    set_fields(plant, values)
+    set_fields(plant, {"full_state": np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None})
 
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
@@ -732,15 +734,9 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
             )
 
 
-def stated_function(plant: Plant) -> Dynamics | None:
-    """Return the function of a plant in the units of the plant, or None."""
-    function = plant.function
-    return function.function.dynamics if function and isinstance(function.function, MovedDynamics) else function
-
-
 def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: bool) -> None:
     """Set the operating point of a new plant, and count its initial mean and its limits from there."""
-    object.__setattr__(plant, "operating_point", point)
+    set_fields(plant, {"operating_point": point})
     if point is None:
         return
     instance("operating_point", point, OperatingPoint)
@@ -748,7 +744,7 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
     array("operating_point.x", point.x, (n,), "(states,)")
     array("operating_point.u", point.u, (m,), "(inputs,)")
     if mean:
-        object.__setattr__(plant, "mean", frozen(plant.mean - point.x))
+        set_fields(plant, {"mean": frozen(plant.mean - point.x)})
     limit = plant.input_limit
     if limit is not None:
         for i in np.flatnonzero((point.u < limit[:, 0]) | (point.u > limit[:, 1])):
@@ -756,7 +752,7 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
                 f"operating_point.u is {point.u[i]:g} for input {i + 1}, beyond its input_limit "
                 f"[{limit[i, 0]:g}, {limit[i, 1]:g}]; expected an input within the limits"
             )
-        object.__setattr__(plant, "input_limit", limits_at(plant, point))
+        set_fields(plant, {"input_limit": limits_at(plant, point)})
 
 
 def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> Array | None:
@@ -766,14 +762,3 @@ def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> A
     """
     limit = plant.stated_limit
     return limit if limit is None or point is None else frozen(limit - point.u[:, None])
-
-
-def dynamics_at(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:
-    """Return the function of a plant in deviations from its operating point, which A and B must linearise there."""
-    found = function if isinstance(function, Dynamics) else Dynamics(function)
-    if point is None:
-        found.check(plant.A, plant.B, plant.W)
-        return found
-    found.check(plant.A, plant.B, plant.W, (point.x, point.u))
-    rest = found(point.x, point.u, np.zeros(len(point.x)))
-    return MovedDynamics.of(found, point.x, point.u, rest)

@@ -43,8 +43,8 @@ from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw, usual_links
 from taciturn.model.losses import USUAL, LossLaw, find_law
 from taciturn.model.network import SHORT, Network, NodeRole
-from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant, stated_function
+from taciturn.model.operating_point import MovedDynamics, OperatingPoint
+from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
 from taciturn.problem.matlab_and_numpy import read_controller
 from taciturn.problem.schema import (
@@ -261,8 +261,9 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
     """Return the functions of plants that were read from files, by their specification ``file.py:name``."""
-    found = [stated_function(plant) for plant in plants if isinstance(plant, Plant)]
-    return {f"{one.path}:{one.name}": one for one in found if one is not None and one.text is not None}
+    found = [plant.function for plant in plants if isinstance(plant, Plant) and plant.function is not None]
+    units = [one.function.dynamics if isinstance(one.function, MovedDynamics) else one for one in found]
+    return {f"{one.path}:{one.name}": one for one in units if one.text is not None}
 
 
 GAINS = ("kp", "ki", "kd")

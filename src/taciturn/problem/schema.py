@@ -113,10 +113,12 @@ def keys_of(table: Any) -> dict[str, Key]:
     """Return the keys of a table by name: the fields of its classes, except those that state no key."""
     found, first = dict[str, Key](), tuple[str, ...]()
     for model in get_args(table)[1:] if get_origin(table) is Annotated else (table,):
-        hints, arguments = get_type_hints(model, include_extras=True), signature(model).parameters
+        arguments, hints = signature(model).parameters, dict[str, Any]()
+        if any("kind" not in one.metadata for one in fields(model)):  # its evaluation takes most of the time
+            hints = get_type_hints(model, include_extras=True)
         first = getattr(model, "ORDER", first)
         for one in fields(model):
-            kind = one.metadata.get("kind", hints[one.name])
+            kind = one.metadata["kind"] if "kind" in one.metadata else hints[one.name]
             if kind is not None:
                 needed = arguments[one.name].default is Parameter.empty and NoneType not in get_args(kind)
                 name = one.metadata.get("name") or one.name
