@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -168,6 +168,12 @@ def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
     if value not in allowed:
         raise ProblemError(f"{name} is {quoted(value)}; expected one of {', '.join(repr(word) for word in allowed)}")
     return value
+
+
+def set_fields(made: object, values: Mapping[str, object]) -> None:
+    """Set checked values of an instance of a frozen class."""
+    for name, value in values.items():
+        object.__setattr__(made, name, value)
 
 
 def flag(name: str, value: object) -> bool:

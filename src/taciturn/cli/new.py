@@ -14,10 +14,10 @@ import typer
 
 from taciturn._process import remark
 from taciturn.cli.frame import EXAMPLE, Kind, app
+from taciturn.errors import ProblemError, TaciturnError
 
 if TYPE_CHECKING:
     from taciturn.design.kind import Kind as PolicyKind
-    from taciturn.errors import TaciturnError
     from taciturn.problem.matlab_and_numpy import Given
 
 Answer = TypeVar("Answer")
@@ -32,8 +32,6 @@ class Questions:
 
     def ask(self, name: str, text: str, read: Callable[[str], Answer], default: str | None = None) -> Answer:
         """Ask a question, and return the answer as a value."""
-        from taciturn.errors import ProblemError, TaciturnError
-
         while True:
             given = self._answer(name, text, default)  # outside try: the end of the input is not asked again
             try:
@@ -49,7 +47,6 @@ class Questions:
         Raises:
             ProblemError: as for ``ask``, or the answer is not one of the words.
         """
-        from taciturn.errors import ProblemError
 
         def read(answer: str) -> str:
             meant = [word for word in words if answer and word.startswith(answer.lower())]
@@ -61,8 +58,6 @@ class Questions:
 
     def tell(self, error: TaciturnError) -> None:
         """Print an error before the question is repeated; raise it if the input is a pipe or there are no prompts."""
-        from taciturn.errors import ProblemError
-
         if self.yes:
             raise error
         if not self.patient:
@@ -77,8 +72,6 @@ class Questions:
 
     def _answer(self, name: str, text: str, default: str | None) -> str:
         """Return the answer; a matrix may take several lines until its brackets are closed."""
-        from taciturn.errors import ProblemError
-
         if self.yes:
             if default is None:
                 raise ProblemError(f"{name} has no default; expected an answer: run the command without --yes")
@@ -89,8 +82,6 @@ class Questions:
         return given or default or ""
 
     def _line(self, name: str, prompt: str) -> str:
-        from taciturn.errors import ProblemError
-
         try:
             given = input(prompt).strip()
         except EOFError:
@@ -134,7 +125,6 @@ def new(
     from taciturn._arrays import number
     from taciturn._figure import check_format
     from taciturn._files import write_whole
-    from taciturn.errors import ProblemError
     from taciturn.problem.matlab_and_numpy import read_given
 
     def refuse_to_overwrite() -> None:
@@ -173,7 +163,6 @@ class _Interview:
 
     def complete(self, dt: float | None, kind: str | None) -> str:
         """Ask for all missing values, and return the text of the problem file."""
-        from taciturn.errors import TaciturnError
         from taciturn.problem.draft import over_losses
         from taciturn.problem.parameters import find_kind
 
@@ -206,8 +195,6 @@ class _Interview:
 
     def _expect_all(self, dt: float | None) -> None:
         """Raise an error if the file lacks a value without default."""
-        from taciturn.errors import ProblemError
-
         assert self.given is not None
         missing = [key for key in ("A", "B", "W", "Q", "R") if key not in self.given.arrays]
         if dt is None and self.given.dt is None:
@@ -219,7 +206,6 @@ class _Interview:
 
     def _ask_time(self, dt: float | None) -> None:
         from taciturn._arrays import number
-        from taciturn.errors import ProblemError
         from taciturn.problem.matrices import parse_number
 
         told = None if self.given is None else self.given.dt
@@ -278,7 +264,6 @@ class _Interview:
     def _ask_network(self, default: str, kinds: Sequence[PolicyKind]) -> None:
         """Ask for the network; packets may be dropped if one of these kinds fits the plant and the cost."""
         from taciturn._arrays import number
-        from taciturn.errors import ProblemError
         from taciturn.problem.matrices import parse_number
 
         def read_protocol(text: str) -> str:
@@ -332,7 +317,6 @@ class _Interview:
         return policy | {name: usual for name, usual in chosen.usual.items() if name not in (*needed, *chosen.asked)}
 
     def _ask_kind(self) -> PolicyKind:
-        from taciturn.errors import ProblemError
         from taciturn.problem.draft import offered_kinds
         from taciturn.problem.parameters import find_kind
 
@@ -359,7 +343,6 @@ class _Interview:
 
     def _take(self, key: str, question: str, usual: str | None = None) -> None:
         """Take a matrix from the file, or prompt for it."""
-        from taciturn.errors import ProblemError, TaciturnError
         from taciturn.problem.matrices import parse_matrix, parse_noise
 
         if self.given is None or key not in self.given.arrays:

@@ -17,11 +17,11 @@ from typing import Any, Literal, TypeAlias, cast
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unmasked, number, quoted
+from taciturn._arrays import Array, ArrayLike, array, choice, count, expect_unmasked, number, quoted, set_fields
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.disturbance import Disturbance
-from taciturn.model.key import NO_KEY
+from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.state_space import refuse_descriptor, state_space_of, vars_of
 
@@ -56,16 +56,21 @@ class Controller(Displayed):
         True
     """
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    E: Array
-    dt: float | None
-    disturbance: Disturbance | None
-    setpoint: Array
-    rest: Array
-    start_input: Array | None
+    A: Array = field(metadata=stated_as(Rows | None))
+    B: Array = field(metadata=stated_as(Rows | None))
+    C: Array = field(metadata=stated_as(Rows | None))
+    D: Array = field(metadata=stated_as(Rows | None))
+    E: Array = field(metadata=stated_as(Rows | None))
+    dt: float | None = field(metadata=NO_KEY)
+    disturbance: Disturbance | None = field(
+        metadata=stated_as(
+            table_of(Disturbance) | Literal["none"] | None,
+            note="slow disturbance at each input, which an integral compensates",
+        )
+    )
+    setpoint: Array = field(metadata=stated_as(list[float] | None))
+    rest: Array = field(metadata=NO_KEY)
+    start_input: Array | None = field(metadata=NO_KEY)
 
     def __init__(
         self,
@@ -90,18 +95,21 @@ class Controller(Displayed):
         m, p = len(C), B.shape[1]
         D = np.zeros((m, p)) if D is None else D
         E = np.zeros((k, m)) if E is None else E
-        for name, value in (("A", A), ("B", B), ("C", C)):
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "D", array("controller.D", D, (m, p), "(inputs, outputs)"))
-        object.__setattr__(self, "E", array("controller.E", E, (k, m), "(controller states, inputs)"))
-        object.__setattr__(self, "dt", None if dt is None else number("controller.dt", dt, 0.0))
-        object.__setattr__(self, "disturbance", checked_disturbance("controller.disturbance", disturbance))
+        found: dict[str, object] = {
+            "A": A,
+            "B": B,
+            "C": C,
+            "D": array("controller.D", D, (m, p), "(inputs, outputs)"),
+            "E": array("controller.E", E, (k, m), "(controller states, inputs)"),
+            "dt": None if dt is None else number("controller.dt", dt, 0.0),
+            "disturbance": checked_disturbance("controller.disturbance", disturbance),
+        }
         for name, value, size in (("setpoint", setpoint, p), ("rest", rest, k)):
             expect_unmasked(f"controller.{name}", value)
-            found = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
-            object.__setattr__(self, name, array(f"controller.{name}", found, (size,), f"({size},)"))
-        found = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")
-        object.__setattr__(self, "start_input", found)
+            each = np.zeros(size) if value is None else np.atleast_1d(np.asarray(value))
+            found[name] = array(f"controller.{name}", each, (size,), f"({size},)")
+        start = None if start_input is None else array("controller.start_input", start_input, (m,), "(inputs,)")
+        set_fields(self, {**found, "start_input": start})
 
     @property
     def integrates(self) -> bool:
@@ -154,21 +162,20 @@ class ContinuousController(Displayed):
         [[-2.05]]
     """
 
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    method: Method = "tustin"
-    disturbance: Disturbance | None = None
-    setpoint: ArrayLike | None = None
+    A: Array = field(metadata=NO_KEY)  # all keys as for ``Controller``, but for the method
+    B: Array = field(metadata=NO_KEY)
+    C: Array = field(metadata=NO_KEY)
+    D: Array = field(metadata=NO_KEY)
+    method: Method = field(default="tustin", metadata=stated_as(Method | None))
+    disturbance: Disturbance | None = field(default=None, metadata=NO_KEY)
+    setpoint: ArrayLike | None = field(default=None, metadata=NO_KEY)
 
     def __post_init__(self) -> None:
         """Validate the matrices and the method."""
         choice("controller.method", self.method, ("tustin", "zoh"))
         checked_disturbance("controller.disturbance", self.disturbance)
         stated = Controller(self.A, self.B, self.C, self.D)
-        for name in ("A", "B", "C", "D"):
-            object.__setattr__(self, name, getattr(stated, name))
+        set_fields(self, {name: getattr(stated, name) for name in "ABCD"})
 
     def at(self, dt: float | None, inputs: int, outputs: int) -> Controller:
         """Return the controller at a step of ``dt`` seconds.

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, semidefinite, set_fields
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
+from taciturn.model.key import Rows, stated_as
 
 LONGEST = 100_000  # largest number of steps of a finite horizon
 
@@ -36,12 +37,14 @@ class Cost(Displayed):
         array([[0.]])
     """
 
-    Q: Array
-    R: Array
-    N: Array
-    horizon: int | None
-    terminal: Array | None
-    discount: float
+    Q: Array = field(metadata=stated_as(Rows | None, note="weight of the state"))
+    R: Array = field(metadata=stated_as(Rows | None, note="weight of the input"))
+    N: Array = field(metadata=stated_as(Rows | None, note="cross weight"))
+    horizon: int | None = field(
+        metadata=stated_as(int | None, note="steps of a finite-horizon run; without this key the cost is an average")
+    )
+    terminal: Array | None = field(metadata=stated_as(Rows | None))
+    discount: float = field(metadata=stated_as(float | None))
 
     def __init__(
         self,
@@ -75,10 +78,7 @@ class Cost(Displayed):
                     "an average or a discount for longer runs"
                 )
             terminal = Q if terminal is None else semidefinite("terminal", terminal, n, "(states, states)")
-        for key, value in zip(
-            ("Q", "R", "N", "horizon", "terminal", "discount"), (Q, R, N, horizon, terminal, discount), strict=True
-        ):
-            object.__setattr__(self, key, value)
+        set_fields(self, {"Q": Q, "R": R, "N": N, "horizon": horizon, "terminal": terminal, "discount": discount})
 
     @classmethod
     def of_variances(

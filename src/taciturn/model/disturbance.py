@@ -23,13 +23,13 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, number
+from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, number, set_fields
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.coverage import SIMULATED
 from taciturn.model.dynamics import Dynamics
-from taciturn.model.key import stated_as
+from taciturn.model.key import Rows, stated_as
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.plant import ContinuousPlant, Plant, altered, counted_from
 from taciturn.model.signals import Changes, Exosystem, ExternalDisturbance, SetPoint, Signal
@@ -63,7 +63,6 @@ class Disturbance(Displayed):
         """Validate and store the arguments."""
         if time_constant is not None:
             time_constant = number("disturbance.time_constant", time_constant, 0.0)
-        object.__setattr__(self, "time_constant", time_constant)
         if deviation is not None:
             deviation = array("disturbance.deviation", deviation, (None,) * np.ndim(deviation))
             if deviation.ndim > 1 or (deviation < 0).any():
@@ -71,7 +70,7 @@ class Disturbance(Displayed):
                     f"disturbance.deviation is {deviation.tolist()}; expected a deviation of at least 0, or one for "
                     "each input"
                 )
-        object.__setattr__(self, "deviation", deviation)
+        set_fields(self, {"time_constant": time_constant, "deviation": deviation})
 
     @property
     def absent(self) -> bool:
@@ -207,14 +206,14 @@ class Reference(Displayed):
         ProblemError: if the lengths of states and inputs do not match.
     """
 
-    states: Array
-    inputs: Array
+    states: Array = field(metadata=stated_as(Rows | None))
+    inputs: Array = field(metadata=stated_as(Rows | None))
 
     def __init__(self, states: ArrayLike, inputs: ArrayLike) -> None:
         """Validate and store the arguments."""
-        object.__setattr__(self, "inputs", array("reference.inputs", inputs, (None, None), "(steps, inputs)"))
-        shape, meaning = (len(self.inputs) + 1, None), "(steps + 1, states)"
-        object.__setattr__(self, "states", array("reference.states", states, shape, meaning))
+        fed = array("reference.inputs", inputs, (None, None), "(steps, inputs)")
+        found = array("reference.states", states, (len(fed) + 1, None), "(steps + 1, states)")
+        set_fields(self, {"states": found, "inputs": fed})
 
     def relative_to(self, plant: Plant) -> Reference:
         """Return the trajectory of the deviations from the operating point of a plant."""

@@ -4,20 +4,26 @@
 its argument has no default. So a new property of a link is one field of ``LinkLaw`` and one line of its docstring.
 Ranges are checked by the class itself, since an instance may also be made without a file.
 
-Only what a file states in another way needs metadata: an array, which is a list there, or a table of its own.
+Only what a file states in another way needs metadata: an array, which is a list there, or a table of its own. A note
+is the comment above the key in a file that ``taciturn new`` writes, with ``{per}`` for the time base of the plant.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 Rows = list[list[float]]  # a matrix
 NO_KEY = {"kind": None}  # of a field that the table does not state
 
 
-def stated_as(kind: Any, name: str | None = None) -> dict[str, Any]:
-    """Return the metadata of a field whose key has another type than the field, or another name.
+def stated_as(kind: Any, name: str | None = None, note: str = "") -> dict[str, Any]:
+    """Return the metadata of a field whose key has another type than the field, another name, or a note.
 
     A key whose type contains None may be omitted.
     """
-    return {"kind": kind} if name is None else {"kind": kind, "name": name}
+    return {"kind": kind, "name": name, "note": note}
+
+
+def table_of(*classes: type) -> Any:
+    """Return the type of a table whose keys are the fields of classes; it is read as their arguments by name."""
+    return Annotated[(dict[str, Any], *classes)]

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen
+from taciturn._arrays import Array, ArrayLike, array, expect_unmasked, frozen, set_fields
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
@@ -54,8 +54,7 @@ class Limits(Displayed):
                 raise ProblemError(
                     f"limits.low[{i}] is {below:g} and limits.high[{i}] is {above:g}; expected low < high"
                 )
-        for name, value in {"outputs": rows, **found}.items():
-            object.__setattr__(self, name, value)
+        set_fields(self, {"outputs": rows, **found})
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array
+from taciturn._arrays import Array, ArrayLike, array, set_fields
 from taciturn._display import Displayed
 from taciturn.model.dynamics import AT_REST, Dynamics
 from taciturn.model.key import stated_as
@@ -38,8 +38,8 @@ class OperatingPoint(Displayed):
 
     def __init__(self, x: ArrayLike, u: ArrayLike) -> None:
         """Validate and store the arguments."""
-        object.__setattr__(self, "x", array("operating_point.x", x, (None,), "(states,)"))
-        object.__setattr__(self, "u", array("operating_point.u", u, (None,), "(inputs,)"))
+        state = array("operating_point.x", x, (None,), "(states,)")
+        set_fields(self, {"x": state, "u": array("operating_point.u", u, (None,), "(inputs,)")})
 
     def short(self) -> str:
         """Return the point as text."""

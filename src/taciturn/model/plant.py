@@ -34,6 +34,7 @@ from taciturn._arrays import (
     number,
     quoted,
     semidefinite,
+    set_fields,
     square,
 )
 from taciturn._display import Displayed
@@ -42,7 +43,7 @@ from taciturn._rational import FEWEST, Limit, is_semidefinite, nearest, rational
 from taciturn._text import Lines
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
-from taciturn.model.key import Rows, stated_as
+from taciturn.model.key import NO_KEY, Rows, stated_as, table_of
 from taciturn.model.operating_point import MovedDynamics, OperatingPoint
 from taciturn.model.saturation import Saturation, limits_from, positive, saturation
 from taciturn.model.signals import Exosystem, RandomSteps, SampledChanges
@@ -122,31 +123,40 @@ def _within_range(name: str, whole: fmpz_mat, factor: fmpq) -> Array:
 BLUR = 1e-6  # relative difference below which poles are considered equal
 WIDEST = 12  # largest number of columns of a matrix that is printed in full
 NARROW = 6  # most columns of four digits that fit a line
+BEFORE = "direct feedthrough of the input of the step before, as each sample is taken before the input changes"
 FED = "y = C x + D u + v, with the input u of the step before, as each sample is taken before the input changes"
 NamedRows = dict[str, str | Array | None]
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class DisplayedPlant(Displayed):
-    """Base class of plants that print a summary before their matrices.
+    """The attributes and the keys that plants in discrete and in continuous time share, and their summary."""
 
-    A plant in continuous time replaces the description of its noise, a plant in discrete time that of its time base.
-    ``stated_limit`` are the limits of the inputs in the units of the plant, (m, 2), from which ``input_limit`` is
-    computed for each operating point, so that it does not depend on the points between.
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    W: Array
-    V: Array
-    mean: Array
-    covariance: Array
-    input_limit: Array | None
-    stated_limit: Array | None
-    input_rate: Array | None
-    full_state: bool
-    operating_point: OperatingPoint | None
-    D: Array | None
+    A: Array = field(metadata=stated_as(Rows, note="dynamics, {per}"))
+    B: Array = field(metadata=stated_as(Rows, note="effect of the inputs, {per}"))
+    C: Array = field(metadata=stated_as(Rows | None, note="output matrix"))
+    D: Array | None = field(metadata=stated_as(Rows | None, note=BEFORE))
+    W: Array = field(metadata=stated_as(Rows | None, note="noise w: {noise}, in the units of the states squared"))
+    V: Array = field(
+        metadata=stated_as(
+            Rows | None, note="measurement noise v: covariance per sample, in the units of the outputs squared"
+        )
+    )
+    mean: Array = field(metadata=NO_KEY)  # in [plant.initial]
+    covariance: Array = field(metadata=NO_KEY)
+    input_limit: Array | None = field(
+        metadata=stated_as(
+            list[float | list[float]] | None,
+            note="largest size of each input, or [low, high]; with a limit, no guarantee is shown",
+        )
+    )
+    # in the units of the plant, (m, 2); ``input_limit`` is computed from it for each operating point, so that it does
+    # not depend on the points between
+    stated_limit: Array | None = field(compare=False, metadata=NO_KEY)
+    input_rate: Array | None = field(metadata=stated_as(list[float] | None))
+    full_state: bool = field(metadata=NO_KEY)
+    exosystem: Exosystem | None = field(metadata=NO_KEY)
+    operating_point: OperatingPoint | None = field(metadata=stated_as(table_of(OperatingPoint) | None))
     continuous: ClassVar[bool] = True
 
     @property
@@ -277,11 +287,9 @@ def matrix_lines(name: str, value: Matrix) -> Lines:
 
 def vector_text(values: Array, digits: int = 4) -> str:
     """Return the entries of a vector in columns of equal width."""
-    return (
-        f"[{' '.join(f'{value:{digits + 6}.{digits}g}' for value in values)}]"
-        if len(values) > 1
-        else f"[{values[0]:.6g}]"
-    )
+    if len(values) == 1:
+        return f"[{values[0]:.6g}]"
+    return f"[{' '.join(f'{value:{digits + 6}.{digits}g}' for value in values)}]"
 
 
 AnyPlant = TypeVar("AnyPlant", bound=DisplayedPlant)
@@ -290,8 +298,7 @@ AnyPlant = TypeVar("AnyPlant", bound=DisplayedPlant)
 def altered(plant: AnyPlant, attributes: Mapping[str, object]) -> AnyPlant:
     """Return a copy of a plant with other attributes, which are not checked."""
     found = copy(plant)
-    for name, value in attributes.items():
-        object.__setattr__(found, name, value)
+    set_fields(found, attributes)
     return found
 
 
@@ -382,25 +389,18 @@ class Plant(DisplayedPlant):
         array([[0.01]])
     """
 
-    A: Array
-    B: Array
-    W: Array
-    C: Array
-    V: Array
-    dt: float | None
-    mean: Array
-    covariance: Array
-    input_limit: Array | None
-    input_rate: Array | None
-    function: Dynamics | None
-    full_state: bool
-    exosystem: Exosystem | None
-    operating_point: OperatingPoint | None
-    D: Array | None
-    alone: Plant | None = None  # the plant without its disturbances, set-points and registers, if these are states here
-    registers: tuple[int, ...] = ()  # inputs whose values in the step before are states, after those of the plant
-    changes: RandomSteps | SampledChanges | None = None  # of set-points, the last states, which are also outputs
-    drift: Array | None = None  # what the state moves by at the point that states and inputs are relative to
+    dt: float | None = field(
+        metadata=stated_as(float | None, note="seconds per step; without this key the plant is continuous in time")
+    )
+    function: Dynamics | None = field(metadata=stated_as(str | None))
+    # the plant without its disturbances, set-points and registers, if these are states here
+    alone: Plant | None = field(default=None, metadata=NO_KEY)
+    # inputs whose values in the step before are states, after those of the plant
+    registers: tuple[int, ...] = field(default=(), metadata=NO_KEY)
+    # of set-points, the last states, which are also outputs
+    changes: RandomSteps | SampledChanges | None = field(default=None, metadata=NO_KEY)
+    # what the state moves by at the point that states and inputs are relative to
+    drift: Array | None = field(default=None, metadata=NO_KEY)
     continuous: ClassVar[bool] = False
 
     def __init__(
@@ -465,7 +465,7 @@ class Plant(DisplayedPlant):
     def same_as(self, other: Plant) -> bool:
         """Return whether the other plant has the same linear dynamics, noise and input limit."""
         start, added = {"mean", "covariance"}, {"exosystem", "alone", "changes", "registers"}
-        apart = start | added | {"dt", "function", "full_state", "operating_point"}
+        apart = start | added | {"dt", "function", "full_state", "operating_point", "stated_limit"}
         return all(self.agrees(key, other) for key in {one.name for one in (*fields(self), *fields(other))} - apart)
 
     def agrees(self, key: str, other: Plant) -> bool:
@@ -503,7 +503,7 @@ class Jumps(Displayed):
         """Validate and store the arguments."""
         number("jumps.rate", self.rate, 0.0)
         size = array("jumps.covariance", self.covariance, (None, None), "(states, states)").shape[0]
-        object.__setattr__(self, "covariance", semidefinite("jumps.covariance", self.covariance, size))
+        set_fields(self, {"covariance": semidefinite("jumps.covariance", self.covariance, size)})
         if self.distribution not in ("normal", "uniform", "two-point"):
             raise ProblemError(
                 f"jumps.distribution is {self.distribution!r}; expected 'normal', 'uniform' or 'two-point'"
@@ -571,20 +571,7 @@ class ContinuousPlant(DisplayedPlant):
         2
     """
 
-    A: Array
-    B: Array
-    W: Array
-    jumps: Jumps | None
-    C: Array
-    V: Array
-    mean: Array
-    covariance: Array
-    input_limit: Array | None
-    input_rate: Array | None
-    full_state: bool
-    exosystem: Exosystem | None
-    operating_point: OperatingPoint | None
-    D: Array | None
+    jumps: Jumps | None = field(metadata=stated_as(table_of(Jumps) | None))
 
     def __init__(
         self,
@@ -618,8 +605,8 @@ class ContinuousPlant(DisplayedPlant):
             instance("jumps", jumps, Jumps)
             covariance = semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
             W = jumps.rate * covariance
-        object.__setattr__(self, "W", semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)"))
-        object.__setattr__(self, "jumps", jumps)
+        noise = semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)")
+        set_fields(self, {"W": noise, "jumps": jumps})
         _refuse_lost_modes(self, continuous=True)
 
     @property
@@ -663,13 +650,18 @@ def _set_step(
 ) -> None:
     """Check and set the attributes of a discrete plant alone; ``starts``: whether the initial mean is given."""
     locate(plant, point, starts)
-    object.__setattr__(plant, "W", semidefinite("W", W, plant.states, "(states, states)"))
-    object.__setattr__(plant, "dt", None if dt is None else number("dt", dt, 0.0))
+    noise, step = semidefinite("W", W, plant.states, "(states, states)"), None if dt is None else number("dt", dt, 0.0)
+    set_fields(plant, {"W": noise, "dt": step})
     if function is not None:
         if not callable(function):
             raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
-        function = dynamics_at(function, plant, point)
-    object.__setattr__(plant, "function", function)
+        found = function if isinstance(function, Dynamics) else Dynamics(function)
+        found.check(plant.A, plant.B, plant.W, None if point is None else (point.x, point.u))
+        if point is not None:
+            rest = found(point.x, point.u, np.zeros(len(point.x)))
+            found = MovedDynamics.of(found, point.x, point.u, rest)
+        function = found
+    set_fields(plant, {"function": function})
 
 
 def _set_linear(
@@ -720,9 +712,8 @@ def _set_linear(
     if exosystem is not None and (exosystem.E.shape[0], exosystem.G.shape[0]) != (n, p):
         got = f"{exosystem.E.shape[0]} states and {exosystem.G.shape[0]} outputs"
         raise ProblemError(f"the exosystem is for {got}; expected {n} and {p}, as in the plant")
-    for key, value in values.items():
-        object.__setattr__(plant, key, value)
-    object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None)
+    set_fields(plant, values)
+    set_fields(plant, {"full_state": np.array_equal(C, np.eye(n)) and not plant.V.any() and plant.D is None})
 
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
@@ -743,15 +734,9 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
             )
 
 
-def stated_function(plant: Plant) -> Dynamics | None:
-    """Return the function of a plant in the units of the plant, or None."""
-    function = plant.function
-    return function.function.dynamics if function and isinstance(function.function, MovedDynamics) else function
-
-
 def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: bool) -> None:
     """Set the operating point of a new plant, and count its initial mean and its limits from there."""
-    object.__setattr__(plant, "operating_point", point)
+    set_fields(plant, {"operating_point": point})
     if point is None:
         return
     instance("operating_point", point, OperatingPoint)
@@ -759,7 +744,7 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
     array("operating_point.x", point.x, (n,), "(states,)")
     array("operating_point.u", point.u, (m,), "(inputs,)")
     if mean:
-        object.__setattr__(plant, "mean", frozen(plant.mean - point.x))
+        set_fields(plant, {"mean": frozen(plant.mean - point.x)})
     limit = plant.input_limit
     if limit is not None:
         for i in np.flatnonzero((point.u < limit[:, 0]) | (point.u > limit[:, 1])):
@@ -767,7 +752,7 @@ def locate(plant: Plant | ContinuousPlant, point: OperatingPoint | None, mean: b
                 f"operating_point.u is {point.u[i]:g} for input {i + 1}, beyond its input_limit "
                 f"[{limit[i, 0]:g}, {limit[i, 1]:g}]; expected an input within the limits"
             )
-        object.__setattr__(plant, "input_limit", limits_at(plant, point))
+        set_fields(plant, {"input_limit": limits_at(plant, point)})
 
 
 def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> Array | None:
@@ -777,14 +762,3 @@ def limits_at(plant: Plant | ContinuousPlant, point: OperatingPoint | None) -> A
     """
     limit = plant.stated_limit
     return limit if limit is None or point is None else frozen(limit - point.u[:, None])
-
-
-def dynamics_at(function: Map | Dynamics, plant: Plant, point: OperatingPoint | None) -> Dynamics:
-    """Return the function of a plant in deviations from its operating point, which A and B must linearise there."""
-    found = function if isinstance(function, Dynamics) else Dynamics(function)
-    if point is None:
-        found.check(plant.A, plant.B, plant.W)
-        return found
-    found.check(plant.A, plant.B, plant.W, (point.x, point.u))
-    rest = found(point.x, point.u, np.zeros(len(point.x)))
-    return MovedDynamics.of(found, point.x, point.u, rest)

@@ -27,11 +27,22 @@ from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, block_diagonal, instance, number, quoted, semidefinite, square
+from taciturn._arrays import (
+    Array,
+    ArrayLike,
+    array,
+    block_diagonal,
+    instance,
+    number,
+    quoted,
+    semidefinite,
+    set_fields,
+    square,
+)
 from taciturn._display import Displayed
 from taciturn._rational import Limit, free_modes
 from taciturn.errors import ProblemError
-from taciturn.model.key import Rows, stated_as
+from taciturn.model.key import NO_KEY, Rows, stated_as
 from taciturn.model.operating_point import OperatingPoint
 
 LONGEST = 100_000  # sampling steps of a timetable
@@ -110,12 +121,12 @@ class RandomSteps(Changes):
 
     def __init__(self, rate: float, covariance: ArrayLike) -> None:
         """Validate and store the arguments."""
-        object.__setattr__(self, "rate", number("reference.steps.rate", rate, 0.0))
+        rate = number("reference.steps.rate", rate, 0.0)
         given = array("reference.steps.covariance", covariance, (None, None), "(set-points, set-points)")
         checked = semidefinite("reference.steps.covariance", given, len(given), "(set-points, set-points)")
         if not checked.any():
             raise ProblemError("reference.steps.covariance is zero; expected the covariance of a step")
-        object.__setattr__(self, "covariance", checked)
+        set_fields(self, {"rate": rate, "covariance": checked})
 
     @property
     def size(self) -> int:
@@ -165,9 +176,9 @@ class Timetable(Changes):
 
     def __init__(self, times: ArrayLike, values: ArrayLike) -> None:
         """Validate and store the arguments."""
-        object.__setattr__(self, "times", array("reference.file: the times", times, (None,), "(rows,)"))
-        shape = (len(self.times), None)
-        object.__setattr__(self, "values", array("reference.file: the set-points", values, shape, "(rows, set-points)"))
+        set_fields(self, {"times": array("reference.file: the times", times, (None,), "(rows,)")})
+        shape, meaning = (len(self.times), None), "(rows, set-points)"
+        set_fields(self, {"values": array("reference.file: the set-points", values, shape, meaning)})
         if len(self.times) < 2 or self.times[0] != 0 or not (np.diff(self.times) > 0).all():
             raise ProblemError(
                 f"reference.file has the times {self.times[:6].tolist()}; expected at least two times that increase "
@@ -249,12 +260,14 @@ class SampledChanges(Displayed):
 class SetPoint(Displayed):
     """The values that some combinations of the states are to have."""
 
-    outputs: Array  # C_z of the combinations z = C_z x, (z, n)
-    value: (
-        Array | None
-    )  # their set-points at the start, (z,), in the units of the plant; None: those at its point, or 0
-    changes: Changes | None  # how they change while the loop runs; None for constant set-points
-    D: Array | None  # D_z of the combinations z = C_z x + D_z u
+    # C_z of the combinations z = C_z x, (z, n)
+    outputs: Array = field(metadata=stated_as(Rows | None))
+    # their set-points at the start, (z,), in the units of the plant; None: those at its point, or 0
+    value: Array | None = field(metadata=stated_as(list[float] | None))
+    # how they change while the loop runs; None for constant set-points
+    changes: Changes | None = field(metadata=NO_KEY)
+    # D_z of the combinations z = C_z x + D_z u
+    D: Array | None = field(metadata=NO_KEY)
 
     def __init__(
         self,
@@ -264,8 +277,8 @@ class SetPoint(Displayed):
         D: Array | None = None,
     ) -> None:
         """Validate and store the arguments."""
-        object.__setattr__(self, "outputs", array("reference.outputs", outputs, (None, None), "(set-points, states)"))
-        size = len(self.outputs)
+        followed = array("reference.outputs", outputs, (None, None), "(set-points, states)")
+        size = len(followed)
         if changes is not None:
             instance("changes", changes, *Changes.__subclasses__())
             if changes.size != size:
@@ -278,9 +291,8 @@ class SetPoint(Displayed):
                 raise ProblemError(f"reference.value and reference.{changes.key} are given; expected one of them")
             value = changes.known[0]
         value = None if value is None else array("reference.value", value, (size,), "(set-points,)")
-        object.__setattr__(self, "value", value)
-        object.__setattr__(self, "changes", changes)
-        object.__setattr__(self, "D", D if D is not None and D.any() else None)
+        D = D if D is not None and D.any() else None
+        set_fields(self, {"outputs": followed, "value": value, "changes": changes, "D": D})
 
     def signals(self, continuous: bool, changes: Changes | None, at: Array | None) -> list[Signal]:
         """Return the set-points, which count from z = ``at`` if given, as signals; those with changes come last."""
@@ -335,8 +347,8 @@ class ExternalDisturbance(Displayed):
         matrix: ArrayLike | None = None,
     ) -> None:
         """Validate and store the arguments."""
-        object.__setattr__(self, "enters", array("disturbance.enters", enters, (None,), "(states,)"))
-        object.__setattr__(self, "wander", number("disturbance.wander", wander, 0.0))
+        enters = array("disturbance.enters", enters, (None,), "(states,)")
+        wander = number("disturbance.wander", wander, 0.0)
         if shape not in get_args(Shape):
             raise ProblemError(f"disturbance.kind is {quoted(shape)}; expected one of {', '.join(get_args(Shape))}")
         if (frequency is None) == (shape == "sinusoid"):
@@ -347,14 +359,13 @@ class ExternalDisturbance(Displayed):
             got = "missing" if matrix is None else "given"
             expected = "S of d⁺ = S d, or of ḋ = S d" if matrix is None else f"none for a {shape}"
             raise ProblemError(f"disturbance.matrix is {got}; expected {expected}")
-        object.__setattr__(self, "shape", shape)
-        object.__setattr__(self, "matrix", None if matrix is None else square("disturbance.matrix", matrix))
-        checked = None if frequency is None else number("disturbance.frequency", frequency, 0.0)
-        object.__setattr__(self, "frequency", checked)
+        matrix = None if matrix is None else square("disturbance.matrix", matrix)
+        frequency = None if frequency is None else number("disturbance.frequency", frequency, 0.0)
         seen = None if measured is None else array("disturbance.measured", measured, (None,), "(outputs,)")
-        object.__setattr__(self, "measured", seen)
-        if not self.enters.any() and (seen is None or not seen.any()):
+        if not enters.any() and (seen is None or not seen.any()):
             raise ProblemError("disturbance.enters and measured are zero; expected an effect on a state or output")
+        set_fields(self, {"enters": enters, "wander": wander, "shape": shape})
+        set_fields(self, {"frequency": frequency, "measured": seen, "matrix": matrix})
 
     def dynamics(self, continuous: bool) -> Array:
         """Return S; the first state is the value of the disturbance.
@@ -426,9 +437,8 @@ class Exosystem(Displayed):
         shapes: Mapping[str, tuple[int | None, ...]] = {
             "S": (q, q), "E": (n, q), "G": (None, q), "start": (q,), "outputs": (z, n), "F": (z, q)
         }  # fmt: skip
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, array(f"exosystem.{name}", getattr(self, name), shape))
-        object.__setattr__(self, "W", semidefinite("exosystem.W", self.W, q, "(q, q)"))
+        found = {name: array(f"exosystem.{name}", getattr(self, name), shape) for name, shape in shapes.items()}
+        set_fields(self, {**found, "W": semidefinite("exosystem.W", self.W, q, "(q, q)")})
 
     @staticmethod
     def of(

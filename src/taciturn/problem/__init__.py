@@ -55,13 +55,12 @@ from taciturn.problem.read import (
     cost_of,
     expect_argument,
     functions_of,
-    is_trajectory,
     limits_of,
     locate_functions,
     network_of,
     plant_of,
-    reference_of,
     refuse_functions,
+    trajectory_in,
     used_tables,
     with_exosystem,
 )
@@ -353,19 +352,24 @@ def parse(
     kind, parameters = read_policy(file.policy, name, own)
     try:
         record = own if own is not None and own.name == kind else find_kind(kind)
-        stated = {"reference": is_trajectory(file.reference), "controller": file.controller}
-        for part in (part for part, given in stated.items() if given):
+        trajectory = trajectory_in(file.reference)
+        stated = {"reference": trajectory, "controller": file.controller}
+        for part in (part for part, given in stated.items() if given is not None):
             expect_argument(record, part, f"[{part}]", f"no {part}: remove it")
-        plant = plant_of(file.plant, known or {})
-        actual = None if file.plant.actual is None else actual_of(file.plant.actual, file.plant.dt, plant, known or {})
+        plant, simulated = plant_of(file.plant, known or {}), file.plant.get("actual")
+        actual = None if simulated is None else actual_of(simulated, file.plant.get("dt"), plant, known or {})
         controller = None if file.controller is None else controller_of(file.controller, plant)
         cost = cost_of(file.cost, plant, controller, parameters.get("period"))
         network = network_of(file, record, plant)
-        followed = with_exosystem(plant, file.plant.E, file, network)
-        actual = with_exosystem(actual, file.plant.actual and file.plant.actual.E, file, network)
-        more = (actual, reference_of(file.reference), _copied(tables), name, own, controller)
-        more += (limits_of(file.limits, plant),)
-        return Problem(followed or plant, cost, network, kind, parameters, *more)
+        points = file.reference if trajectory is None else None
+        plant = with_exosystem(plant, file.plant, file, points, network)
+        if simulated is not None and actual is not None:
+            actual = with_exosystem(actual, simulated, file, points, network)
+        reference = None if trajectory is None else Reference(**trajectory)
+        limits = limits_of(file.limits, plant)
+        return Problem(
+            plant, cost, network, kind, parameters, actual, reference, _copied(tables), name, own, controller, limits
+        )
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 

@@ -35,6 +35,7 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import Problem, load, parse
 from taciturn.problem.matrices import exact_number_text, matrix_text, parse_matrix, square_matrix
 from taciturn.problem.parameters import find_kind
+from taciturn.problem.schema import ControllerKeys, CostKeys, PlantKeys, keys_of
 
 LOOKS = 5  # checks per time constant of the fastest mode of the controlled plant
 SHARE = 0.2  # suggested price of a send, relative to the cost of a step with every sample
@@ -103,7 +104,9 @@ def example_of(kind: Kind) -> Problem:
 
 
 WIDTH = 98  # characters of a comment line
-PER = {True: "per second", False: "per step"}
+# what the notes of keys say of the time base
+CONTINUOUS = {"per": "per second", "noise": "intensity per second", "moved": "the derivative of the state"}
+DISCRETE = {"per": "per step", "noise": "covariance per step", "moved": "the next state"}
 
 
 def problem_text(tables: Mapping[str, Any], name: str) -> str:
@@ -111,11 +114,10 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     plant, policy = tables["plant"], tables["policy"]
     kind = find_kind(policy["kind"], "the kind")
     continuous = "dt" not in plant
-    per = PER[continuous]
+    words = CONTINUOUS if continuous else DISCRETE
     rule = f"{'E ' if 'E' in plant else ''}{'dx/dt' if continuous else 'x⁺'} = A x + B u + w"
     fed = " + D u, u of the step before" if "D" in plant else ""
     measured = f",  y = C x + v{fed}" if "C" in plant else ",  y = x: the full state is measured"
-    noise = "intensity per second" if continuous else "covariance per step"
     sizes = (len(plant["A"]), len(plant["B"][0]))
     states, inputs = (
         f"{count} {word}{'s' * (count > 1)}" for count, word in zip(sizes, ("state", "input"), strict=True)
@@ -128,34 +130,19 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         f"# {rule}{measured}",
         "[plant]",
     ]
-    about = {
-        "dt": "seconds per step; without this key the plant is continuous in time",
-        "A": f"dynamics, {per}",
-        "B": f"effect of the inputs, {per}",
-        "E": "matrix of the derivative of the state" if continuous else "matrix of the next state",
-        "C": "output matrix",
-        "D": "direct feedthrough of the input of the step before, as each sample is taken before the input changes",
-        "W": f"noise w: {noise}, in the units of the states squared",
-        "V": "measurement noise v: covariance per sample, in the units of the outputs squared",
-    }
-    lines += _table(plant, about)
-    lines += _offered(
-        {"input_limit": ("[…]", "largest size of each input, or [low, high]; with a limit, no guarantee is shown")}
-    )
-    lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
-    about = {
-        "Q": "weight of the state",
-        "R": "weight of the input",
-        "N": "cross weight",
-        "weights": "equal weight for the present variances of outputs and inputs; or Q and R",
-    }
-    lines += _table(tables["cost"], about)
+    notes = _notes(PlantKeys, words)
+    lines += _table(plant, notes)
+    lines += _offered({"input_limit": ("[…]", notes["input_limit"])})
+    cross = " + 2 x'Nu" if "N" in tables["cost"] else ""
+    lines += ["", f"# x'Qx + u'Ru{cross} {words['per']}", "[cost]"]
+    notes = _notes(CostKeys, words)
+    lines += _table(tables["cost"], notes)
     if "controller" in tables and "Q" in tables["cost"]:
         lines += _offered(
             {"weights": ('"as the controller"', "in place of Q and R: equal weight for present variances")}
         )
     if "horizon" in kind.costs:
-        lines += _offered({"horizon": ("60", "steps of a finite-horizon run; without this key the cost is an average")})
+        lines += _offered({"horizon": ("60", notes["horizon"])})
     if "network" in tables:
         lines += ["", "# the links between sensor, controller and actuator", "[network]"]
         about = {
@@ -167,14 +154,18 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         lines += _table(tables["network"], about)
     if "controller" in tables:
         lines += ["", "# the controller to keep: u = −K y", "[controller]"]
-        lines += _table(
-            tables["controller"], {"pid": "gains; ki per second, kd and the filter's time constant in seconds"}
-        )
-        lines += _offered({"disturbance": ('"none"', "slow disturbance at each input, which an integral compensates")})
+        notes = _notes(ControllerKeys, words)
+        lines += _table(tables["controller"], notes)
+        lines += _offered({"disturbance": ('"none"', notes["disturbance"])})
     lines += ["", *_comment(kind.about), "[policy]"]
     lines += _table(policy, kind.notes)
     lines += _offered(_optional(kind, policy, continuous))
     return "\n".join(lines) + "\n"
+
+
+def _notes(table: Any, words: Mapping[str, str]) -> dict[str, str]:
+    """Return the notes on the keys of a table, which are metadata of their fields."""
+    return {name: key.note.format(**words) for name, key in keys_of(table).items()}
 
 
 def _table(table: Mapping[str, Any], about: Mapping[str, str]) -> list[str]:

@@ -36,27 +36,27 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.followed import regulator_equations
 from taciturn.model.controller import PID, ContinuousController, Controller, Kept, PIDLoops
 from taciturn.model.cost import Cost
-from taciturn.model.disturbance import Disturbance, Reference, with_target
+from taciturn.model.disturbance import Disturbance, with_target
 from taciturn.model.dynamics import Dynamics, dynamics_of
+from taciturn.model.key import Rows
 from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw, usual_links
 from taciturn.model.losses import USUAL, LossLaw, find_law
 from taciturn.model.network import SHORT, Network, NodeRole
-from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant, stated_function
+from taciturn.model.operating_point import MovedDynamics, OperatingPoint
+from taciturn.model.plant import ContinuousPlant, Inverse, Jumps, Plant
 from taciturn.model.signals import Changes, ExternalDisturbance, RandomSteps, SetPoint, Timetable
 from taciturn.problem.matlab_and_numpy import read_controller
 from taciturn.problem.schema import (
-    ControllerTable,
-    CostTable,
+    ControllerKeys,
+    CostKeys,
     EntryKeys,
     File,
-    InitialTable,
     LimitsKeys,
     NetworkTable,
-    PlantTable,
-    ReferenceTable,
-    Rows,
+    PIDKeys,
+    PlantKeys,
+    ReferenceKeys,
     ValidationError,
     first_mistake,
     validate,
@@ -67,46 +67,37 @@ SLOW = 1e-3  # distance from a mode of a constant, relative to the pace of the p
 SHARE, STEPS = 0.5, 1000.0  # a disturbance of integral action moves by this share of the input noise in so many steps
 
 
-def is_trajectory(table: ReferenceTable | None) -> bool:
-    """Return whether a table contains a trajectory, and not set-points."""
-    if table is None or (table.states is None and table.inputs is None):
-        return False
-    for name, value in (("states", table.states), ("inputs", table.inputs)):
-        if value is None:
-            raise ProblemError(f"the key reference.{name} is missing; expected it in [reference], with the other one")
-    for name in ("outputs", "value", "steps", "file", "integral_action"):
-        if getattr(table, name) is not None:
-            raise ProblemError(
-                f"reference.{name} is given with reference.states; expected either a trajectory (states, inputs) or "
-                "set-points"
-            )
-    return True
-
-
-def reference_of(table: ReferenceTable | None) -> Reference | None:
-    """Return the trajectory of a table, or None for a table of set-points."""
-    if table is None or table.states is None or table.inputs is None:
+def trajectory_in(table: ReferenceKeys | None) -> ReferenceKeys | None:
+    """Return a table of a trajectory, or None for set-points or without a table."""
+    both = ("states", "inputs")
+    if table is None or not table.keys() & set(both):
         return None
-    return Reference(table.states, table.inputs)
+    for name in (name for name in both if name not in table):
+        raise ProblemError(f"the key reference.{name} is missing; expected it in [reference], with the other one")
+    for name in (name for name in table if name not in both):
+        raise ProblemError(
+            f"reference.{name} is given with reference.states; expected either a trajectory (states, inputs) or "
+            "set-points"
+        )
+    return table
 
 
 def with_exosystem(
-    plant: Plant | ContinuousPlant | None, E: Rows | None, file: File, network: Network
-) -> Plant | ContinuousPlant | None:
+    plant: Plant | ContinuousPlant, table: PlantKeys, file: File, points: ReferenceKeys | None, network: Network
+) -> Plant | ContinuousPlant:
     """Return a plant with the disturbances and set-points of a file, if it states any."""
-    table = file.reference
-    points = table if table is not None and table.states is None else None
-    if plant is None or (points is None and not file.disturbance):
+    if points is None and not file.disturbance:
         return plant
-    points = ReferenceTable() if points is None else points
-    if points.integral_action == []:
+    stated: dict[str, Any] = {"changes": None if points is None else _changes(points), **(points or {})}
+    nodes, _, _ = (stated.pop(name, None) for name in ("integral_action", "steps", "file"))
+    if nodes == []:
         raise ProblemError("reference.integral_action is empty; expected nodes that measure, or no such key")
-    acting = None if points.integral_action is None else _outputs_of(points.integral_action, plant, network)
-    rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
-    fed = plant.D[rows] if points.outputs is None and plant.D is not None else None
-    followed = plant.C[rows] if points.outputs is None else points.outputs
-    target = SetPoint(followed, points.value, _changes(points), D=fed)
-    given = [_disturbance(place, one, E) for place, one in enumerate(file.disturbance or ())]
+    acting = None if nodes is None else _outputs_of(nodes, plant, network)
+    if "outputs" not in stated:
+        rows = np.arange(len(plant.C)) if acting is None else np.array(acting)
+        stated |= {"outputs": plant.C[rows], "D": None if plant.D is None else plant.D[rows]}
+    target = SetPoint(**stated)
+    given = [_disturbance(place, one, table.get("E")) for place, one in enumerate(file.disturbance or ())]
     given += [] if acting is None else _at_inputs(plant, target)
     return with_target(plant, target, given)
 
@@ -122,21 +113,21 @@ def _disturbance(place: int, one: EntryKeys, E: Rows | None) -> ExternalDisturba
         raise ProblemError(str(error).replace("disturbance.", f"disturbance[{place}].")) from None
 
 
-def _changes(table: ReferenceTable) -> Changes | None:
+def _changes(table: ReferenceKeys) -> Changes | None:
     """Return how the set-points of a table change, or None if they are constant."""
-    if table.steps is not None and table.file is not None:
+    if "steps" in table and "file" in table:
         raise ProblemError("reference.steps and reference.file are given; expected one of them")
-    if table.steps is not None:
-        return RandomSteps(**table.steps)
-    if table.file is None:
+    if "steps" in table:
+        return RandomSteps(**table["steps"])
+    if "file" not in table:
         return None
+    path: str = table["file"]
     try:
-        rows = _rows(read_text(Path(table.file), LARGEST_TIMETABLE))
+        rows = _rows(read_text(Path(path), LARGEST_TIMETABLE))
     except (OSError, ValueError) as error:
         raise ProblemError(
-            f"reference.file {table.file!r} cannot be read ({why_unreadable(error)}); expected rows of a "
-            "time and the set-points from then on, separated by commas, without a header"
-            f"{backslash_text(table.file)}"
+            f"reference.file {path!r} cannot be read ({why_unreadable(error)}); expected rows of a time and the "
+            f"set-points from then on, separated by commas, without a header{backslash_text(path)}"
         ) from None
     return Timetable(rows[:, 0], rows[:, 1:])
 
@@ -270,8 +261,9 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
     """Return the functions of plants that were read from files, by their specification ``file.py:name``."""
-    found = [stated_function(plant) for plant in plants if isinstance(plant, Plant)]
-    return {f"{one.path}:{one.name}": one for one in found if one is not None and one.text is not None}
+    found = [plant.function for plant in plants if isinstance(plant, Plant) and plant.function is not None]
+    units = [one.function.dynamics if isinstance(one.function, MovedDynamics) else one for one in found]
+    return {f"{one.path}:{one.name}": one for one in units if one.text is not None}
 
 
 GAINS = ("kp", "ki", "kd")
@@ -295,45 +287,42 @@ def used_tables(kind: Kind, stated: Mapping[str, object]) -> dict[str, Any]:
 
 
 def plant_of(
-    table: PlantTable, known: Mapping[str, Dynamics], usual: OperatingPoint | None = None
+    table: PlantKeys, known: Mapping[str, Dynamics], usual: OperatingPoint | None = None
 ) -> Plant | ContinuousPlant:
     """Return the plant of a table, with the ``usual`` operating point if it states none."""
-    initial, at = table.initial or InitialTable(), table.operating_point
-    point = usual if at is None else OperatingPoint(**at)
-    if table.dt is None:
-        if table.function is not None:
+    given: dict[str, Any] = {name: value for name, value in table.items() if name not in ("initial", "actual")}
+    given |= table.get("initial", {})
+    given["operating_point"] = OperatingPoint(**given["operating_point"]) if "operating_point" in given else usual
+    if "dt" not in given:
+        if "function" in given:
             raise ProblemError(
                 "plant.function is given without plant.dt; expected dt, the seconds per step of the function: "
                 "taciturn.integrate converts a differential equation into such a function"
             )
-        jumps = None if table.jumps is None else Jumps(**table.jumps)
-        return ContinuousPlant(
-            table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit,
-            input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
-        )  # fmt: skip
-    if table.jumps is not None:
+        if "jumps" in given:
+            given["jumps"] = Jumps(**given["jumps"])
+        return ContinuousPlant(**given)
+    if "jumps" in given:
         raise ProblemError(
             "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt"
         )
-    if table.W is None:
+    if "W" not in given:
         raise ProblemError("plant.W is missing; expected the process-noise covariance per step (zeros for none)")
-    function = None if table.function is None else read_function(table.function, known)
-    return Plant(
-        table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
-        function, input_rate=table.input_rate, operating_point=point, D=table.D, E=table.E,
-    )  # fmt: skip
+    if "function" in given:
+        given["function"] = read_function(given["function"], known)
+    return Plant(**given)
 
 
 def actual_of(
-    table: PlantTable, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
+    table: PlantKeys, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
 ) -> Plant | ContinuousPlant:
     """Return the simulated plant, which must have the time base and the sizes of the design plant."""
     try:
         plant = plant_of(table, known, design.operating_point)
     except ProblemError as error:
         raise ProblemError(f"[plant.actual]: {error}") from None
-    if table.dt != dt:
-        got, expected = ("missing" if step is None else f"{step:g} s" for step in (table.dt, dt))
+    if table.get("dt") != dt:
+        got, expected = ("missing" if step is None else f"{step:g} s" for step in (table.get("dt"), dt))
         raise ProblemError(f"plant.actual.dt is {got}, but plant.dt is {expected}; expected the same time base in both")
     for name, axis in (("A", 0), ("B", 1), ("C", 0)):
         got, expected = getattr(plant, name).shape[axis], getattr(design, name).shape[axis]
@@ -343,9 +332,9 @@ def actual_of(
     return plant
 
 
-def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept | None, period: object) -> Cost:
+def cost_of(table: CostKeys, plant: Plant | ContinuousPlant, controller: Kept | None, period: object) -> Cost:
     """Return the cost of a table, which states weights, variances, or weights by the present loop of a controller."""
-    stated = {name: value for name, value in vars(table).items() if value is not None}
+    stated = dict(table)
     short = [name for name in ("output_variance", "input_variance", "weights") if name in stated]
     if not short:
         for name in (name for name in "QR" if name not in stated):
@@ -357,10 +346,10 @@ def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept |
     ending = {name: stated.pop(name) for name in ("horizon", "terminal", "discount") if name in stated}
     for name in (name for name in stated if name not in allowed):
         raise ProblemError(f"cost.{short[-1]} and cost.{name} are given; expected one of the two")
-    if table.weights is not None:
+    if "weights" in stated:
         if controller is None:
             raise ProblemError(
-                f"cost.weights is {table.weights!r} without a controller; expected [controller], or Q and R"
+                f"cost.weights is {stated['weights']!r} without a controller; expected [controller], or Q and R"
             )
         seconds = float(period) if isinstance(period, int | float) else None
         found = cost_as_kept(plant, controller, seconds)
@@ -371,31 +360,34 @@ def cost_of(table: CostTable, plant: Plant | ContinuousPlant, controller: Kept |
     return Cost(found.Q, found.R, found.N, **ending)
 
 
-def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kept:
+def controller_of(table: ControllerKeys, plant: Plant | ContinuousPlant) -> Kept:
     """Return the controller of a table, which states it by gains, by matrices, or by a file of matrices."""
     _expect_stated(table, plant)
-    disturbance = table.disturbance
+    disturbance = table.get("disturbance")
     if disturbance is not None:
         disturbance = Disturbance(deviation=0.0) if disturbance == "none" else Disturbance(**disturbance)
-    stated: Mapping[str, object] = {name: rows for name in "ABCDE" if (rows := getattr(table, name)) is not None}
-    given = [name for name in ("pid", "file") if getattr(table, name) is not None] + [*stated][:1]
+    stated: Mapping[str, object] = {name: table[name] for name in "ABCDE" if name in table}
+    given = [name for name in ("pid", "file") if name in table] + [*stated][:1]
     if len(given) > 1:
         raise ProblemError(f"controller.{given[0]} and controller.{given[1]} are given; expected one of the two")
-    sign = 1.0 if table.sign == "positive" else -1.0
-    if table.pid is not None:
-        if table.method is not None:
+    sign = 1.0 if table.get("sign") == "positive" else -1.0
+    method, setpoint = table.get("method"), table.get("setpoint")
+    if "pid" in table:
+        if method is not None:
             raise ProblemError(
                 "controller.method is given with pid; expected A, B, C and D in continuous time, or file"
             )
-        if table.setpoint is not None:
+        if setpoint is not None:
             raise ProblemError("controller.setpoint is given with pid; expected setpoint in pid")
-        loops = table.pid if isinstance(table.pid, list) else [table.pid]
-        pids = [PID(**{key: -sign * one[key] if key in GAINS else one[key] for key in one}) for one in loops]
+        pids = [
+            PID(**{key: -sign * value if key in GAINS else value for key, value in one.items()})
+            for one in _loops(table)
+        ]
         pids[:1] = [replace(one, disturbance=disturbance) for one in pids[:1]]
-        return pids[0] if not isinstance(table.pid, list) else PIDLoops(tuple(pids))
+        return PIDLoops(tuple(pids)) if isinstance(table["pid"], list) else pids[0]
     dt = None
-    if table.file is not None:
-        stated, dt = read_controller(table.file)
+    if "file" in table:
+        stated, dt = read_controller(table["file"])
     if not stated:
         raise ProblemError(
             "[controller] has no controller; expected pid, file, or A, B, C and D, or D alone, a static gain"
@@ -406,7 +398,7 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
             f"the controller has {', '.join(stated)} and no {', '.join(missing)}; expected A, B, C and D, or D "
             "alone, a static gain"
         )
-    if missing and table.method is not None:
+    if missing and method is not None:
         raise ProblemError(
             "controller.method is given with D alone, which does not depend on the step; expected D only"
         )
@@ -414,15 +406,21 @@ def controller_of(table: ControllerTable, plant: Plant | ContinuousPlant) -> Kep
     m, p = found["D"].shape if "D" in found else (len(found["C"]), found["B"].shape[1])
     A, B, C = (found.get(name, np.zeros(shape)) for name, shape in (("A", (0, 0)), ("B", (0, p)), ("C", (m, 0))))
     D, E = sign * found.get("D", np.zeros((m, p))), found.get("E")
-    if dt == 0 or table.method is not None:
+    if dt == 0 or method is not None:
         if dt:
             raise ProblemError(
-                f"controller.method is given, and {table.file} has steps of {dt:g} s; expected no method"
+                f"controller.method is given, and {table['file']} has steps of {dt:g} s; expected no method"
             )
         if E is not None:
             raise ProblemError("controller.E is given with a continuous controller; expected a discrete controller")
-        return ContinuousController(A, B, sign * C, D, table.method or "tustin", disturbance, table.setpoint)
-    return Controller(A, B, sign * C, D, E, dt, disturbance, table.setpoint)
+        return ContinuousController(A, B, sign * C, D, method or "tustin", disturbance, setpoint)
+    return Controller(A, B, sign * C, D, E, dt, disturbance, setpoint)
+
+
+def _loops(table: ControllerKeys) -> list[PIDKeys]:
+    """Return the tables of PID controllers: one, or a list of them."""
+    found = table.get("pid", [])
+    return cast("list[PIDKeys]", found) if isinstance(found, list) else [found]
 
 
 def limits_of(table: LimitsKeys | None, plant: Plant | ContinuousPlant) -> Limits | None:
@@ -437,11 +435,11 @@ def limits_of(table: LimitsKeys | None, plant: Plant | ContinuousPlant) -> Limit
     return Limits(**{"outputs": plant.C, **table})
 
 
-def _expect_stated(table: ControllerTable, plant: Plant | ContinuousPlant) -> None:
+def _expect_stated(table: ControllerKeys, plant: Plant | ContinuousPlant) -> None:
     """Raise an error if a set-point is 0 at an operating point, where 0 means the output at this point."""
     p = len(plant.C)
-    pids = [] if table.pid is None else table.pid if isinstance(table.pid, list) else [table.pid]
-    stated = {one.get("output", 1) - 1: one.get("setpoint") for one in pids} | dict(enumerate(table.setpoint or []))
+    stated = {one.get("output", 1) - 1: one.get("setpoint") for one in _loops(table)}
+    stated |= dict(enumerate(cast("list[float]", table.get("setpoint", []))))
     y = plant.rest_outputs
     for i in (i for i, value in stated.items() if value == 0.0 and 0 <= i < p and y[i] != 0.0):
         raise ProblemError(

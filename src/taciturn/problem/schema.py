@@ -1,12 +1,12 @@
 """The tables of a problem file, and error messages with remedies for mistakes in them.
 
-A table is described by a class, whose fields are its keys (``keys_of``). Three kinds of tables:
+A table is described by classes, whose fields are its keys (``keys_of``): classes of the model, such as ``LinkLaw`` of
+``[links.NAME]``, and small classes of this file for keys that state an argument in another way, such as variances for
+the weights of a cost. The table is read as arguments by name, from which ``read`` makes the objects, so that a value
+out of range is reported after all mistakes of types. So a new key is one field of a class of the model, and its
+argument.
 
-* A class of the model is the schema of its own table, such as ``LinkLaw`` of ``[links.NAME]``. The table is read as the
-  arguments of the class, which ``read`` makes, so that a value out of range is reported after all mistakes of types.
-* A table that states an object in several ways has a class here: weights or variances for a cost, gains, matrices or a
-  file for a controller, and a plant with its noise, initial state and function.
-* A law of losses, which a package of another author may define, is made directly.
+A file, ``[network]``, and a law of losses, which a package of another author may define, are made directly.
 
 Types are checked by pydantic-core, whose import is faster than that of pydantic, and strictly: numbers given as text,
 true given as a number, and unknown keys are mistakes. ``first_mistake`` makes one clause of the first of them.
@@ -16,26 +16,38 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
-from inspect import signature
+from inspect import Parameter, signature
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    TypeAlias,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from pydantic_core import SchemaValidator, core_schema
 from pydantic_core import ValidationError as ValidationError
 
 from taciturn._arrays import quoted
 from taciturn._display import Displayed
-from taciturn.model.controller import PID
-from taciturn.model.disturbance import Disturbance
+from taciturn.model.controller import PID, ContinuousController, Controller
+from taciturn.model.cost import Cost
+from taciturn.model.disturbance import Reference
 from taciturn.model.key import Rows
 from taciturn.model.limits import Limits
 from taciturn.model.link import LinkLaw
 from taciturn.model.network import NodeRole
-from taciturn.model.operating_point import OperatingPoint
-from taciturn.model.plant import Jumps
-from taciturn.model.signals import ExternalDisturbance, RandomSteps
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.signals import ExternalDisturbance, RandomSteps, SetPoint
 
 _SIMPLE = {
     Any: core_schema.any_schema(),
@@ -88,24 +100,30 @@ def _schema(hint: Any) -> core_schema.CoreSchema:
 
 
 class Key(NamedTuple):
-    """A key of a table: its type, whether it must be given, and the argument of the class that it states."""
+    """A key of a table: its type, whether it must be given, the argument that it states, and a note on its meaning."""
 
     kind: Any
     required: bool
     argument: str
+    note: str
 
 
 @cache
 def keys_of(table: Any) -> dict[str, Key]:
-    """Return the keys of a table by name: the fields of a dataclass, except those that state no key."""
-    model = get_args(table)[1] if get_origin(table) is Annotated else table
-    hints, arguments = get_type_hints(model, include_extras=True), signature(model).parameters
-    found = dict[str, Key]()
-    for one in fields(model):
-        kind = one.metadata.get("kind", hints[one.name])
-        needed = arguments[one.name].default is arguments[one.name].empty and NoneType not in get_args(kind)
-        found |= {} if kind is None else {one.metadata.get("name", one.name): Key(kind, needed, one.name)}
-    return found
+    """Return the keys of a table by name: the fields of its classes, except those that state no key."""
+    found, first = dict[str, Key](), tuple[str, ...]()
+    for model in get_args(table)[1:] if get_origin(table) is Annotated else (table,):
+        arguments, hints = signature(model).parameters, dict[str, Any]()
+        if any("kind" not in one.metadata for one in fields(model)):  # its evaluation takes most of the time
+            hints = get_type_hints(model, include_extras=True)
+        first = getattr(model, "ORDER", first)
+        for one in fields(model):
+            kind = one.metadata["kind"] if "kind" in one.metadata else hints[one.name]
+            if kind is not None:
+                needed = arguments[one.name].default is Parameter.empty and NoneType not in get_args(kind)
+                name = one.metadata.get("name") or one.name
+                found.setdefault(name, Key(kind, needed, one.name, one.metadata.get("note", "")))
+    return dict(sorted(found.items(), key=lambda item: (*first, item[0]).index(item[0])))
 
 
 def _is_table(hint: Any) -> bool:
@@ -117,67 +135,79 @@ def _given(keys: Mapping[str, object], arguments: Mapping[str, str]) -> dict[str
     return {arguments[name]: value for name, value in keys.items() if value is not None}
 
 
-# tables whose keys are fields of a model class: read as its arguments, which the class checks when it is made
-StepsKeys: TypeAlias = Annotated[dict[str, Any], RandomSteps]
-EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
-JumpsKeys: TypeAlias = Annotated[dict[str, Any], Jumps]
-DisturbanceKeys: TypeAlias = Annotated[dict[str, Any], Disturbance]
-OperatingPointKeys: TypeAlias = Annotated[dict[str, Any], OperatingPoint]
-NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
-LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw]
-LimitsKeys: TypeAlias = Annotated[dict[str, Any], Limits]
-PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
 NO_DELAY = ("delay", "buffer")  # keys of a link that have a message of their own
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class InitialTable(Displayed):
-    """The keys of the table ``[plant.initial]``."""
+@dataclass(frozen=True, kw_only=True)
+class InitialKeys:
+    """The keys of the table ``[plant.initial]``, arguments of a plant."""
 
     mean: list[float] | None = None
     covariance: Rows | None = None
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class PlantTable(Displayed):
-    """The keys of the table ``[plant.actual]``, all of which ``[plant]`` also has."""
+@dataclass(frozen=True, kw_only=True)
+class OtherPlantKeys:
+    """Keys of ``[plant]`` and ``[plant.actual]`` that state attributes of a plant in another way."""
 
-    A: Rows
-    B: Rows
-    C: Rows | None = None
-    D: Rows | None = None
-    W: Rows | None = None
-    V: Rows | None = None
-    E: Rows | None = None
-    dt: float | None = None
-    input_limit: list[float | list[float]] | None = None
-    input_rate: list[float] | None = None
-    function: str | None = None
-    initial: InitialTable | None = None
-    jumps: JumpsKeys | None = None
-    operating_point: OperatingPointKeys | None = None
+    ORDER: ClassVar = (*"ABCDWVE", "dt", "input_limit", "input_rate", "function", "initial", "jumps")  # in messages
+    E: Rows | None = field(default=None, metadata={"note": "matrix of {moved}"})
+    initial: Annotated[dict[str, Any], InitialKeys] | None = None
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class NominalPlantTable(PlantTable):
-    """The keys of the table ``[plant]``."""
-
-    actual: PlantTable | None = None
+PlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys]
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class CostTable(Displayed):
-    """The keys of the table ``[cost]``."""
+@dataclass(frozen=True, kw_only=True)
+class ActualKeys:
+    """The key of ``[plant]`` for the plant that is simulated in its place."""
 
-    Q: Rows | None = None
-    R: Rows | None = None
-    N: Rows | None = None
+    actual: PlantKeys | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherCostKeys:
+    """Keys of ``[cost]`` in place of Q and R."""
+
     output_variance: list[float] | None = None
     input_variance: list[float] | None = None
-    weights: Literal["as the controller"] | None = None
-    horizon: int | None = None
-    terminal: Rows | None = None
-    discount: float | None = None
+    weights: Literal["as the controller"] | None = field(
+        default=None,
+        metadata={"note": "equal weight for the present variances of outputs and inputs; or Q and R"},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherReferenceKeys:
+    """Keys of ``[reference]`` that become changes of set-points, or disturbances."""
+
+    steps: Annotated[dict[str, Any], RandomSteps] | None = None
+    file: str | None = None
+    integral_action: list[str] | None = None
+
+
+PIDKeys: TypeAlias = Annotated[dict[str, Any], PID]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherControllerKeys:
+    """Keys of ``[controller]`` that state its matrices in another way, and the sign of its feedback."""
+
+    pid: PIDKeys | list[PIDKeys] | None = field(
+        default=None, metadata={"note": "gains; ki per second, kd and the filter's time constant in seconds"}
+    )
+    file: str | None = None
+    sign: Literal["negative", "positive"] = "negative"
+
+
+NominalPlantKeys: TypeAlias = Annotated[dict[str, Any], Plant, ContinuousPlant, OtherPlantKeys, ActualKeys]
+CostKeys: TypeAlias = Annotated[dict[str, Any], Cost, OtherCostKeys]
+NodeKeys: TypeAlias = Annotated[dict[str, Any], NodeRole]
+LinkKeys: TypeAlias = Annotated[dict[str, Any], LinkLaw]
+ReferenceKeys: TypeAlias = Annotated[dict[str, Any], Reference, SetPoint, OtherReferenceKeys]
+EntryKeys: TypeAlias = Annotated[dict[str, Any], ExternalDisturbance]
+ControllerKeys: TypeAlias = Annotated[dict[str, Any], OtherControllerKeys, Controller, ContinuousController]
+LimitsKeys: TypeAlias = Annotated[dict[str, Any], Limits]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -200,47 +230,17 @@ class NetworkTable(Displayed):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class ReferenceTable(Displayed):
-    """The keys of the table ``[reference]``: a trajectory (states, inputs), or what outputs are to follow."""
-
-    states: Rows | None = None
-    inputs: Rows | None = None
-    outputs: Rows | None = None
-    value: list[float] | None = None
-    steps: StepsKeys | None = None
-    file: str | None = None
-    integral_action: list[str] | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class ControllerTable(Displayed):
-    """The keys of the table ``[controller]``."""
-
-    pid: PIDKeys | list[PIDKeys] | None = None
-    file: str | None = None
-    A: Rows | None = None
-    B: Rows | None = None
-    C: Rows | None = None
-    D: Rows | None = None
-    E: Rows | None = None
-    method: Literal["tustin", "zoh"] | None = None
-    sign: Literal["negative", "positive"] = "negative"
-    setpoint: list[float] | None = None
-    disturbance: DisturbanceKeys | Literal["none"] | None = None
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
 class File(Displayed):
     """The tables of a complete problem file."""
 
-    plant: NominalPlantTable
-    cost: CostTable
+    plant: NominalPlantKeys
+    cost: CostKeys
     network: NetworkTable | None = None
     nodes: dict[str, NodeKeys] | None = None
     links: dict[str, LinkKeys] | None = None
-    reference: ReferenceTable | None = None
+    reference: ReferenceKeys | None = None
     disturbance: list[EntryKeys] | None = None
-    controller: ControllerTable | None = None
+    controller: ControllerKeys | None = None
     limits: LimitsKeys | None = None
     policy: dict[str, Any]
 
