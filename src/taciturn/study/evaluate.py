@@ -41,7 +41,6 @@ from taciturn.problem.bare import BareKind, Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.without_steps import PolicyWithoutSteps, nodes_of
 from taciturn.simulation.average import base_rate, check_effort
-from taciturn.simulation.violations import violations
 from taciturn.study.evaluation import (
     AsWritten,
     Consistency,
@@ -141,6 +140,7 @@ def with_violations(
                 f"limits are given, and {policy.kind} has no steps that can be simulated; expected a policy with a "
                 "period, such as near-optimal"
             )
+        violations = load_plugin("taciturn.violations", "limits", "a probability of violation")
         seen = violations(problem.close(policy), limits, seed=request.seed, steps=request.steps, progress=progress)
     except TaciturnError as error:
         return replace(found, notes=(*found.notes, f"no probability of violation: {error}"))
