@@ -35,7 +35,7 @@ from taciturn_channel.classes import CHANNELS
 from taciturn_control.systems import to_control
 from taciturn_export.fmu import print_fmu
 from taciturn_export.folder import print_folder
-from taciturn_udp.run import losses
+from taciturn_udp.relay import losses
 from taciturn_worlds.world import World
 
 LEARNT = (SIMULATED, LOWERED, INFORMED)

@@ -41,15 +41,14 @@ OWN = {  # files that the library itself wrote or contains, or of the operating 
     "folder.py": "C files of this package, and the first line of regular files",
     "kind.py": "Python files of installed packages",
     "live.py": "a picture of a process that it started",
-    "run.py": "logs of processes that it started",
+    "logs.py": "logs of processes that it started, and logs, which it writes",
     "namespaces.py": "/proc",
     "bare.py": "a problem of the process that started this one",
     "rover.py": "models of this package",
     "server.py": "pages of this package",
-    "service.py": "logs, which it writes",
     "workers.py": "Python files of this package",
     "steps.py": "logs of processes that it started",
-    "files.py": "after check_regular, by the libraries of these formats",
+    "matlab_and_numpy.py": "after check_regular, by the libraries of these formats",
 }
 
 
